@@ -1,0 +1,1 @@
+"""The distributed particle cloud: partition, ghosts, halo exchange, families and matrix pattern."""

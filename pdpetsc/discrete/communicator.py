@@ -1,0 +1,109 @@
+"""The few collective patterns that the distributed layers share."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import GlobalIndex
+from pdpetsc.errors import PdpetscError
+
+Comm: TypeAlias = MPI.Intracomm
+
+
+def world() -> Comm:
+    """Return the communicator of all ranks of this run."""
+    return MPI.COMM_WORLD
+
+
+def is_root(comm: Comm) -> bool:
+    """Return whether this rank is the one that prints and writes small files."""
+    return bool(comm.rank == 0)
+
+
+@contextlib.contextmanager
+def agreed(comm: Comm) -> Iterator[None]:
+    """Raise on every rank what the body raised on any, taking the lowest rank's error.
+
+    Notes
+    -----
+    Collective; the body itself must not communicate. Errors other than ``PdpetscError`` are not caught: they end the
+    rank, and the command line aborts the others.
+    """
+    error: PdpetscError | None = None
+    try:
+        yield
+    except PdpetscError as caught:
+        error = caught
+    for other in comm.allgather(error):
+        if other is not None:
+            raise other
+
+
+def total(comm: Comm, values: Any) -> NDArray[Any]:
+    """Return the sum over ranks of an array (collective)."""
+    return np.asarray(comm.allreduce(np.asarray(values), op=MPI.SUM))
+
+
+def largest(comm: Comm, value: float) -> float:
+    """Return the maximum over ranks of a number (collective)."""
+    return float(comm.allreduce(value, op=MPI.MAX))
+
+
+def smallest(comm: Comm, value: float) -> float:
+    """Return the minimum over ranks of a number (collective)."""
+    return float(comm.allreduce(value, op=MPI.MIN))
+
+
+def offset(comm: Comm, count: int) -> int:
+    """Return the number of items on lower ranks (collective)."""
+    before = comm.exscan(count, op=MPI.SUM)
+    return 0 if before is None else int(before)
+
+
+def exchange(
+    comm: Comm, destination: NDArray[Any], arrays: Sequence[NDArray[Any]]
+) -> tuple[list[NDArray[Any]], GlobalIndex]:
+    """Send row ``r`` of every array to rank ``destination[r]``.
+
+    Parameters
+    ----------
+    destination : (n,) int
+        Rank that receives each row.
+    arrays : sequence of (n, ...)
+        Arrays with the same first dimension.
+
+    Returns
+    -------
+    received : list of (m, ...)
+        Rows in order of source rank, and within a source in its own order.
+    counts : (size,) int64
+        Rows received from each rank.
+
+    Notes
+    -----
+    Collective.
+    """
+    order = np.argsort(destination, kind="stable")
+    send = np.bincount(destination, minlength=comm.size).astype(np.int64)
+    counts = np.empty_like(send)
+    comm.Alltoall(send, counts)
+    received = []
+    for array in arrays:
+        rows = np.ascontiguousarray(array[order])
+        result = np.empty((int(counts.sum()), *array.shape[1:]), dtype=array.dtype)
+        width = int(np.prod(array.shape[1:], dtype=np.int64)) * array.dtype.itemsize
+        row = MPI.BYTE.Create_contiguous(width).Commit()
+        comm.Alltoallv([rows.view(np.uint8), send, _starts(send), row], [result.view(np.uint8), counts, _starts(counts), row])
+        row.Free()
+        received.append(result)
+    return received, counts
+
+
+def _starts(counts: GlobalIndex) -> GlobalIndex:
+    return np.concatenate([[0], np.cumsum(counts)[:-1]])

@@ -1,0 +1,76 @@
+"""Families: the neighbours of every owned particle within the horizon."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.communicator import agreed
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.pattern import families_from_pairs
+
+
+@dataclass(frozen=True)
+class Families:
+    """Bonds of the owned particles in CSR form, each family sorted by global id.
+
+    Attributes
+    ----------
+    indptr : (n_owned + 1,) int64
+        Where each family starts.
+    neighbours : (n_bonds,) int32
+        Local index of ``j``.
+    """
+
+    indptr: GlobalIndex
+    neighbours: LocalIndex
+
+    @property
+    def centres(self) -> LocalIndex:
+        """Return the local index of ``i`` for every bond."""
+        return np.repeat(np.arange(len(self.indptr) - 1, dtype=np.int32), np.diff(self.indptr))
+
+    def bonds(self, x: Float) -> Float:
+        """Return ``xi = x_j - x_i`` (n_bonds, dim) [length]."""
+        return np.asarray(x[self.neighbours] - x[self.centres])
+
+
+def find_families(cloud: Cloud) -> Families:
+    """Find every pair of particles within one horizon.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Particles of this rank with their ghosts.
+
+    Returns
+    -------
+    Families
+
+    Raises
+    ------
+    CaseError
+        Two particles coincide.
+
+    Notes
+    -----
+    Collective (the check); the search itself is local.
+    """
+    radius = cloud.horizon * (1.0 + HORIZON_TOLERANCE)
+    pairs = cKDTree(cloud.x).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[(pairs < cloud.n_owned).any(axis=1)]
+    indptr, neighbours = families_from_pairs(pairs, cloud.gid, cloud.n_owned)
+    families = Families(indptr, neighbours)
+    with agreed(cloud.comm):
+        length = np.linalg.norm(cloud.x[pairs[:, 0]] - cloud.x[pairs[:, 1]], axis=1)
+        close = np.flatnonzero(length < COINCIDENT * cloud.horizon)
+        if len(close):
+            one, two = sorted(int(gid) for gid in cloud.gid[pairs[close[0]]])
+            raise CaseError(
+                f"Particles {one} and {two} coincide ({len(close)} such pairs on one rank); remove one of each pair."
+            )
+    return families

@@ -1,0 +1,104 @@
+"""Exchange of particle data between owners and the ranks that hold ghosts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import GlobalIndex, LocalIndex
+from pdpetsc.discrete.communicator import Comm, MPI, exchange
+
+
+class Halo:
+    """Forward (owner to ghost) and reverse (ghost added to owner) exchange.
+
+    Local arrays hold ``n_owned`` own rows, then the ghosts grouped by owning rank.
+
+    Parameters
+    ----------
+    comm : Comm
+        All ranks of the cloud.
+    n_owned : int
+        Particles this rank owns.
+    ghost_owner : (n_ghost,) int32
+        Owning rank of each ghost, ascending.
+    ghost_index : (n_ghost,) int32
+        Index of each ghost on its owner.
+
+    Notes
+    -----
+    The constructor and both exchanges are collective among ranks that share ghosts.
+    """
+
+    def __init__(self, comm: Comm, n_owned: int, ghost_owner: LocalIndex, ghost_index: LocalIndex) -> None:
+        self.comm = comm
+        self.n_owned = n_owned
+        self.n_ghost = len(ghost_owner)
+        (send_index,), asked = exchange(comm, ghost_owner, [ghost_index])
+        self.send_index: LocalIndex = send_index
+        self.targets = np.flatnonzero(asked)
+        self.target_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(asked[self.targets])])
+        held = np.bincount(ghost_owner, minlength=comm.size)
+        self.sources = np.flatnonzero(held)
+        self.source_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(held[self.sources])])
+
+    def forward(self, values: NDArray[Any]) -> None:
+        """Overwrite the ghost rows of ``values`` (n_owned + n_ghost, ...) with their owners' rows (collective)."""
+        ghosts = values[self.n_owned :]
+        outgoing = values[self.send_index]
+        self._swap(outgoing, self.targets, self.target_ptr, ghosts, self.sources, self.source_ptr)
+
+    def reverse(self, values: NDArray[Any]) -> None:
+        """Add the ghost rows of ``values`` to their owners' rows (collective)."""
+        incoming = np.empty((len(self.send_index), *values.shape[1:]), dtype=values.dtype)
+        self._swap(values[self.n_owned :], self.sources, self.source_ptr, incoming, self.targets, self.target_ptr)
+        for t in range(len(self.targets)):
+            part = slice(self.target_ptr[t], self.target_ptr[t + 1])
+            values[self.send_index[part]] += incoming[part]
+
+    def reverse_rows(self, values: NDArray[Any], lengths: GlobalIndex, incoming_lengths: GlobalIndex) -> NDArray[Any]:
+        """Send rows of varying length, one per ghost, to the owners of the ghosts.
+
+        Parameters
+        ----------
+        values : (sum of lengths,)
+            The rows one after another.
+        lengths : (n_ghost,) int64
+            Length of each row.
+        incoming_lengths : (n_sent,) int64
+            Length of each row to receive, in the order of ``send_index``.
+
+        Returns
+        -------
+        (sum of incoming_lengths,)
+            The rows for this rank's particles ``send_index``, one after another.
+
+        Notes
+        -----
+        Collective.
+        """
+        starts = np.concatenate([[0], np.cumsum(lengths)])[self.source_ptr]
+        incoming_starts = np.concatenate([[0], np.cumsum(incoming_lengths)])
+        incoming = np.empty(int(incoming_starts[-1]), dtype=values.dtype)
+        self._swap(values, self.sources, starts, incoming, self.targets, incoming_starts[self.target_ptr])
+        return incoming
+
+    def _swap(
+        self,
+        outgoing: NDArray[Any],
+        to: NDArray[Any],
+        out_ptr: NDArray[Any],
+        incoming: NDArray[Any],
+        source: NDArray[Any],
+        in_ptr: NDArray[Any],
+    ) -> None:
+        requests = [
+            self.comm.Irecv(incoming[in_ptr[r] : in_ptr[r + 1]], source=int(rank)) for r, rank in enumerate(source)
+        ]
+        requests += [
+            self.comm.Isend(np.ascontiguousarray(outgoing[out_ptr[r] : out_ptr[r + 1]]), dest=int(rank))
+            for r, rank in enumerate(to)
+        ]
+        MPI.Request.Waitall(requests)

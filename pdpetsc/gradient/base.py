@@ -1,0 +1,154 @@
+"""The sparse gradient operator that every correspondence scheme is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import Comm, total
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
+
+# A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
+FLAT = 1e-6
+NAMED_IDS = 5
+
+
+@dataclass(frozen=True)
+class Stencils:
+    """Points with weighted neighbours, before the shape tensors are inverted.
+
+    Attributes
+    ----------
+    owner : (n_points,) int32
+        Particle ``i`` that owns each point.
+    point_ptr : (n_points + 1,) int64
+        Where the members of each point start; the first member is the owner itself, with weight 0.
+    members : (n_entries,) int32
+        Local particles.
+    weight : (n_entries,) float64
+        ``omega V_k`` times the share of the bond that belongs to the point [volume].
+    """
+
+    owner: LocalIndex
+    point_ptr: GlobalIndex
+    members: LocalIndex
+    weight: Float
+
+    def shape_tensors(self, x: Float) -> Float:
+        """Return ``K_p = sum_k weight_pk xi_pk (x) xi_pk`` (n_points, dim, dim) [volume length^2]."""
+        dim = x.shape[1]
+        K = np.empty((len(self.owner), dim, dim))
+        shape_kernel(dim)(self.owner, self.point_ptr, self.members, self.weight, x, K)
+        return K
+
+
+@dataclass(frozen=True)
+class GradientOperator:
+    """Sparse operator from displacements to deformation gradients, ``F_p = I + sum_k u_k (x) g_pk``.
+
+    Attributes
+    ----------
+    owner, point_ptr, members
+        As in ``Stencils``; points are sorted by owner.
+    g : (n_entries, dim) float64
+        Weights [1 / length]; those of a point sum to zero.
+    volume : (n_points,) float64
+        Quadrature volumes ``W_p = V_i / (points of i)`` [volume].
+    """
+
+    owner: LocalIndex
+    point_ptr: GlobalIndex
+    members: LocalIndex
+    g: Float
+    volume: Float
+
+    @property
+    def n_points(self) -> int:
+        """Return the number of gradient points on this rank."""
+        return len(self.owner)
+
+    def gradient(self, u: Float) -> Float:
+        """Return ``H_p = sum_k u_k (x) g_pk`` (n_points, dim, dim) for ``u`` (n_local, dim)."""
+        dim = u.shape[1]
+        H = np.empty((self.n_points, dim, dim))
+        gradient_kernel(dim)(self.point_ptr, self.members, self.g, u, H)
+        return H
+
+    def divergence(self, P: Float, f: Float) -> None:
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses."""
+        divergence_kernel(f.shape[1])(self.point_ptr, self.members, self.g, self.volume, P, f)
+
+    def mean_over_points(self, values: Float, n_owned: int) -> Float:
+        """Return the mean over the points of each particle, (n_owned, ...)."""
+        count = np.bincount(self.owner, minlength=n_owned)
+        flat = values.reshape(len(values), -1)
+        sums = np.array([np.bincount(self.owner, column, n_owned) for column in flat.T]).T
+        return np.asarray((sums / np.maximum(count, 1)[:, None]).reshape(n_owned, *values.shape[1:]))
+
+
+@dataclass(frozen=True)
+class Scheme(ABC):
+    """A correspondence scheme."""
+
+    @abstractmethod
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator for influence ``omega`` (n_bonds,) [-].
+
+        Raises
+        ------
+        CaseError
+            A family is too small or too flat, on every rank.
+
+        Notes
+        -----
+        Collective.
+        """
+
+
+def flat(K: Float) -> Mask:
+    """Return which shape tensors are singular to within ``FLAT``."""
+    low = np.linalg.eigvalsh(K)[:, 0]
+    mean = np.einsum("pii->p", K) / K.shape[1]
+    return np.asarray(low <= FLAT * mean)
+
+
+def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
+    """Return one point per owned particle, over its whole family with the given bond weights (n_bonds,)."""
+    n = cloud.n_owned
+    centres = np.arange(n, dtype=np.int32)
+    return with_centres(centres, families.indptr, families.neighbours, weight)
+
+
+def with_centres(owner: LocalIndex, point_ptr: GlobalIndex, members: LocalIndex, weight: Float) -> Stencils:
+    """Put the owner of each point in front of its members, with weight 0."""
+    at = point_ptr[:-1]
+    return Stencils(
+        owner, point_ptr + np.arange(len(point_ptr)), np.insert(members, at, owner), np.insert(weight, at, 0.0)
+    )
+
+
+def operator(cloud: Cloud, stencils: Stencils) -> GradientOperator:
+    """Return the operator with ``g_pk = weight_pk K_p^-1 xi_pk`` and ``W_p = V_i / (points of i)``."""
+    dim = cloud.dim
+    K_inverse = np.linalg.inv(stencils.shape_tensors(cloud.x))
+    g = np.empty((len(stencils.members), dim))
+    weights_kernel(dim)(stencils.owner, stencils.point_ptr, stencils.members, stencils.weight, cloud.x, K_inverse, g)
+    count = np.bincount(stencils.owner, minlength=cloud.n_owned)
+    volume = cloud.volume[stencils.owner] / count[stencils.owner]
+    return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, volume)
+
+
+def refuse_flat(comm: Comm, gid: GlobalIndex, what: str, remedy: str) -> None:
+    """Raise the same error on all ranks if any rank names a particle with a flat family (collective)."""
+    count = int(total(comm, len(gid)))
+    if count == 0:
+        return
+    ids = sorted(int(i) for part in comm.allgather(gid[:NAMED_IDS]) for i in part)[:NAMED_IDS]
+    listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
+    raise CaseError(f"{count} particles have a family too small or too flat for {what} (ids {listed}); {remedy}.")

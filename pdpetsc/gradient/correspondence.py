@@ -1,0 +1,33 @@
+"""Plain correspondence: one gradient point per particle over its whole family."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families
+
+
+@dataclass(frozen=True)
+class Correspondence(Scheme):
+    """Plain correspondence, ``F_i = I + sum_j omega V_j eta_ij (x) K_i^-1 xi_ij``.
+
+    Displacements that alternate from particle to particle cancel in the sum and have no energy: add a stabilisation,
+    or take another scheme, where the load can excite them.
+
+    References
+    ----------
+    Silling, Epton, Weckner, Xu, Askari (2007), section 18; Hashim et al., Eq. (16).
+    """
+
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
+        singular = flat(stencils.shape_tensors(cloud.x))
+        refuse_flat(
+            cloud.comm, cloud.gid[stencils.owner[singular]], "plain correspondence",
+            "widen the horizon or add particles there",
+        )  # fmt: skip
+        return operator(cloud, stencils)

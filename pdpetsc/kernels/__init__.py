@@ -1,0 +1,5 @@
+"""Numba loops on flat arrays: no classes, no MPI, no PETSc.
+
+Every loop that depends on the dimension is written once inside a factory ``<name>_kernel(dim)``, where ``dim`` is a
+compile-time constant; the factory returns the compiled specialisation.
+"""

@@ -1,0 +1,125 @@
+"""Row-wise (Gustavson) assembly of ``K = G^T (W A) G`` into the value arrays of a block matrix.
+
+The value arrays have the layout of a scalar CSR matrix: row ``i`` of block row ``a`` holds, for each of its ``n`` blocks
+in turn, ``dim`` consecutive values, so block ``q`` starts at ``dim * dim * ptr[a] + i * dim * n + dim * q``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.kernels.compile import compiled
+
+
+@lru_cache
+def assemble_kernel(dim: int) -> Callable[..., Any]:
+    """Return the kernel that fills the values of rows ``first_row <= a < first_row + n_rows`` of K.
+
+    ``K_ab = sum_p W_p g_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p g_pa,m A_p,imkn g_pb,n``.
+
+    The blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``. ``local_of_column`` maps a
+    matrix column to the local particle, or to -1 where only other ranks add to it.
+    """
+    size = dim * dim
+
+    @compiled
+    def assemble(  # type: ignore[no-untyped-def]
+        first_row, diag_ptr, off_ptr, columns, local_of_column, entry_ptr, entries, entry_point,
+        point_ptr, members, g, volume, A, diag, off,
+    ):  # fmt: skip
+        slot = np.zeros(entry_ptr.size, np.int32)
+        widest = 0
+        n_rows = diag_ptr.size - 1
+        for row in range(n_rows):
+            widest = max(widest, diag_ptr[row + 1] - diag_ptr[row] + off_ptr[row + 1] - off_ptr[row])
+        blocks = np.empty(widest * size)
+        left = np.empty(size * dim)
+        for row in range(n_rows):
+            begin = diag_ptr[row] + off_ptr[row]
+            n_diag = diag_ptr[row + 1] - diag_ptr[row]
+            n_off = off_ptr[row + 1] - off_ptr[row]
+            for q in range(n_diag + n_off):
+                local = local_of_column[columns[begin + q]]
+                if local >= 0:
+                    slot[local] = q
+            for v in range((n_diag + n_off) * size):
+                blocks[v] = 0.0
+            a = first_row + row
+            for e in range(entry_ptr[a], entry_ptr[a + 1]):
+                t = entries[e]
+                p = entry_point[e]
+                for n in range(dim):
+                    for i in range(dim):
+                        for k in range(dim):
+                            value = 0.0
+                            for m in range(dim):
+                                value += A[p, i, m, k, n] * g[t, m]
+                            left[n * size + i * dim + k] = volume[p] * value
+                for s in range(point_ptr[p], point_ptr[p + 1]):
+                    base = slot[members[s]] * size
+                    for v in range(size):
+                        value = blocks[base + v]
+                        for n in range(dim):
+                            value += left[n * size + v] * g[s, n]
+                        blocks[base + v] = value
+            for i in range(dim):
+                start = size * diag_ptr[row] + i * dim * n_diag
+                for q in range(n_diag):
+                    for k in range(dim):
+                        diag[start + dim * q + k] = blocks[q * size + i * dim + k]
+                start = size * off_ptr[row] + i * dim * n_off
+                for q in range(n_off):
+                    for k in range(dim):
+                        off[start + dim * q + k] = blocks[(n_diag + q) * size + i * dim + k]
+
+    return assemble
+
+
+@lru_cache
+def add_blocks_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``add_blocks(row_blocks, received, start, slot, width, in_diag, diag, off)``.
+
+    Adds rows that another rank assembled: ``row_blocks`` holds the number of blocks of each received row; each of its
+    blocks goes to position ``slot`` of a row of ``width`` blocks that ``start`` blocks precede.
+    """
+    size = dim * dim
+
+    @compiled
+    def add_blocks(row_blocks, received, start, slot, width, in_diag, diag, off):  # type: ignore[no-untyped-def]
+        b = 0
+        offset = 0
+        for r in range(row_blocks.size):
+            n = row_blocks[r]
+            for q in range(n):
+                for i in range(dim):
+                    source = offset + i * dim * n + dim * q
+                    target = size * start[b] + i * dim * width[b] + dim * slot[b]
+                    for k in range(dim):
+                        if in_diag[b]:
+                            diag[target + k] += received[source + k]
+                        else:
+                            off[target + k] += received[source + k]
+                b += 1
+            offset += size * n
+
+    return add_blocks
+
+
+@lru_cache
+def add_isotropic_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``add_isotropic(ptr, scalars, values)``: adds ``scalars[b]`` times the identity to block ``b``."""
+
+    @compiled
+    def add_isotropic(ptr, scalars, values):  # type: ignore[no-untyped-def]
+        for row in range(ptr.size - 1):
+            n = ptr[row + 1] - ptr[row]
+            for i in range(dim):
+                start = dim * dim * ptr[row] + i * dim * n + i
+                for q in range(n):
+                    values[start + dim * q] += scalars[ptr[row] + q]
+
+    return add_isotropic

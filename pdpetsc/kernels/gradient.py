@@ -1,0 +1,137 @@
+"""The gradient operator applied to displacements, its transpose, and the deformation it yields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.kernels.compile import compiled
+
+
+@lru_cache
+def shape_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``moments(owner, point_ptr, members, weight, x, K)``: ``K_p = sum_k weight_pk xi_pk (x) xi_pk``."""
+
+    @compiled
+    def moments(owner, point_ptr, members, weight, x, K):  # type: ignore[no-untyped-def]
+        for p in range(owner.size):
+            i = owner[p]
+            for m in range(dim):
+                for n in range(dim):
+                    K[p, m, n] = 0.0
+            for t in range(point_ptr[p], point_ptr[p + 1]):
+                k = members[t]
+                for m in range(dim):
+                    for n in range(dim):
+                        K[p, m, n] += weight[t] * (x[k, m] - x[i, m]) * (x[k, n] - x[i, n])
+
+    return moments
+
+
+@lru_cache
+def weights_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``weights(owner, point_ptr, members, weight, x, K_inverse, g)``: ``g_pk = weight_pk K_p^-1 xi_pk``.
+
+    The first entry of each point is its centre and gets ``-sum_k g_pk``, so that a translation has no gradient.
+    """
+
+    @compiled
+    def weights(owner, point_ptr, members, weight, x, K_inverse, g):  # type: ignore[no-untyped-def]
+        for p in range(owner.size):
+            i = owner[p]
+            first = point_ptr[p]
+            for m in range(dim):
+                g[first, m] = 0.0
+            for t in range(first + 1, point_ptr[p + 1]):
+                k = members[t]
+                for m in range(dim):
+                    value = 0.0
+                    for n in range(dim):
+                        value += K_inverse[p, m, n] * (x[k, n] - x[i, n])
+                    g[t, m] = weight[t] * value
+                    g[first, m] -= g[t, m]
+
+    return weights
+
+
+@lru_cache
+def gradient_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``gradient(point_ptr, members, g, u, H)``: ``H_p = sum_k (u_k - u_i) (x) g_pk``."""
+
+    @compiled
+    def gradient(point_ptr, members, g, u, H):  # type: ignore[no-untyped-def]
+        h = np.empty((dim, dim))
+        for p in range(point_ptr.size - 1):
+            first = point_ptr[p]
+            i = members[first]
+            h[:] = 0.0
+            for t in range(first + 1, point_ptr[p + 1]):
+                k = members[t]
+                for m in range(dim):
+                    eta = u[k, m] - u[i, m]
+                    for n in range(dim):
+                        h[m, n] += eta * g[t, n]
+            for m in range(dim):
+                for n in range(dim):
+                    H[p, m, n] = h[m, n]
+
+    return gradient
+
+
+@lru_cache
+def divergence_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``divergence(point_ptr, members, g, volume, P, f)``: ``f_k += sum_p W_p P_p g_pk``."""
+
+    @compiled
+    def divergence(point_ptr, members, g, volume, P, f):  # type: ignore[no-untyped-def]
+        s = np.empty((dim, dim))
+        centre = np.empty(dim)
+        for p in range(point_ptr.size - 1):
+            first = point_ptr[p]
+            for m in range(dim):
+                centre[m] = 0.0
+                for n in range(dim):
+                    s[m, n] = volume[p] * P[p, m, n]
+            for t in range(first + 1, point_ptr[p + 1]):
+                k = members[t]
+                for m in range(dim):
+                    force = 0.0
+                    for n in range(dim):
+                        force += s[m, n] * g[t, n]
+                    f[k, m] += force
+                    centre[m] -= force
+            i = members[first]
+            for m in range(dim):
+                f[i, m] += centre[m]
+
+    return divergence
+
+
+@lru_cache
+def determinant_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``smallest(F)``: the smallest ``det F_p`` (infinity for no points, NaN counts as the smallest)."""
+
+    @compiled
+    def smallest(F):  # type: ignore[no-untyped-def]
+        lowest = np.inf
+        for p in range(F.shape[0]):
+            if dim == 1:
+                J = F[p, 0, 0]
+            elif dim == 2:
+                J = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]
+            else:
+                J = (
+                    F[p, 0, 0] * (F[p, 1, 1] * F[p, 2, 2] - F[p, 1, 2] * F[p, 2, 1])
+                    - F[p, 0, 1] * (F[p, 1, 0] * F[p, 2, 2] - F[p, 1, 2] * F[p, 2, 0])
+                    + F[p, 0, 2] * (F[p, 1, 0] * F[p, 2, 1] - F[p, 1, 1] * F[p, 2, 0])
+                )
+            if not J >= lowest:
+                lowest = J
+                if np.isnan(J):
+                    return J
+        return lowest
+
+    return smallest

@@ -1,0 +1,137 @@
+"""Index loops: families from pairs, transposed stencils and the block pattern of the tangent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.kernels.compile import compiled
+
+
+@compiled
+def families_from_pairs(pairs, gid, n_owned):  # type: ignore[no-untyped-def]
+    """Turn unordered neighbour pairs into CSR families of the owned particles, each sorted by global id."""
+    indptr = np.zeros(n_owned + 1, np.int64)
+    for r in range(pairs.shape[0]):
+        for side in range(2):
+            if pairs[r, side] < n_owned:
+                indptr[pairs[r, side] + 1] += 1
+    for i in range(n_owned):
+        indptr[i + 1] += indptr[i]
+    fill = indptr[:-1].copy()
+    neighbours = np.empty(indptr[n_owned], np.int32)
+    for r in range(pairs.shape[0]):
+        for side in range(2):
+            i = pairs[r, side]
+            if i < n_owned:
+                neighbours[fill[i]] = pairs[r, 1 - side]
+                fill[i] += 1
+    for i in range(n_owned):
+        for t in range(indptr[i] + 1, indptr[i + 1]):
+            j = neighbours[t]
+            s = t - 1
+            while s >= indptr[i] and gid[neighbours[s]] > gid[j]:
+                neighbours[s + 1] = neighbours[s]
+                s -= 1
+            neighbours[s + 1] = j
+    return indptr, neighbours
+
+
+@compiled
+def transpose(point_ptr, members, n_local):  # type: ignore[no-untyped-def]
+    """List, for every local particle, the entries of the operator that name it and the points of those entries."""
+    entry_ptr = np.zeros(n_local + 1, np.int64)
+    for t in range(members.size):
+        entry_ptr[members[t] + 1] += 1
+    for k in range(n_local):
+        entry_ptr[k + 1] += entry_ptr[k]
+    fill = entry_ptr[:-1].copy()
+    entries = np.empty(members.size, np.int64)
+    entry_point = np.empty(members.size, np.int32)
+    for p in range(point_ptr.size - 1):
+        for t in range(point_ptr[p], point_ptr[p + 1]):
+            e = fill[members[t]]
+            fill[members[t]] += 1
+            entries[e] = t
+            entry_point[e] = p
+    return entry_ptr, entries, entry_point
+
+
+@compiled
+def product_pattern(entry_ptr, entry_point, point_ptr, members, rank_of):  # type: ignore[no-untyped-def]
+    """Return the CSR block pattern of ``G^T D G`` on local particles, each row sorted by ``rank_of``."""
+    n_local = entry_ptr.size - 1
+    seen = np.full(n_local, -1, np.int64)
+    row_ptr = np.zeros(n_local + 1, np.int64)
+    for a in range(n_local):
+        count = 0
+        for e in range(entry_ptr[a], entry_ptr[a + 1]):
+            p = entry_point[e]
+            for s in range(point_ptr[p], point_ptr[p + 1]):
+                if seen[members[s]] != a:
+                    seen[members[s]] = a
+                    count += 1
+        row_ptr[a + 1] = row_ptr[a] + count
+    columns = np.empty(row_ptr[n_local], np.int64)
+    seen[:] = -1
+    for a in range(n_local):
+        c = row_ptr[a]
+        for e in range(entry_ptr[a], entry_ptr[a + 1]):
+            p = entry_point[e]
+            for s in range(point_ptr[p], point_ptr[p + 1]):
+                if seen[members[s]] != a:
+                    seen[members[s]] = a
+                    columns[c] = rank_of[members[s]]
+                    c += 1
+        columns[row_ptr[a] : c].sort()
+    return row_ptr, columns
+
+
+@compiled
+def merge_rows(row_ptr, columns, extra_row, extra_ptr, extra_columns, n_rows, n_columns):  # type: ignore[no-untyped-def]
+    """Return the pattern whose row ``a`` is the union of row ``a`` and of all extra rows with ``extra_row == a``."""
+    by_row = np.zeros(n_rows + 1, np.int64)
+    for r in range(extra_row.size):
+        by_row[extra_row[r] + 1] += 1
+    for a in range(n_rows):
+        by_row[a + 1] += by_row[a]
+    fill = by_row[:-1].copy()
+    order = np.empty(extra_row.size, np.int64)
+    for r in range(extra_row.size):
+        order[fill[extra_row[r]]] = r
+        fill[extra_row[r]] += 1
+    seen = np.full(n_columns, -1, np.int64)
+    merged_ptr = np.zeros(n_rows + 1, np.int64)
+    merged = np.empty(row_ptr[n_rows] + extra_columns.size, np.int64)
+    count = 0
+    for a in range(n_rows):
+        begin = count
+        for t in range(row_ptr[a], row_ptr[a + 1]):
+            seen[columns[t]] = a
+            merged[count] = columns[t]
+            count += 1
+        for o in range(by_row[a], by_row[a + 1]):
+            r = order[o]
+            for t in range(extra_ptr[r], extra_ptr[r + 1]):
+                c = extra_columns[t]
+                if seen[c] != a:
+                    seen[c] = a
+                    merged[count] = c
+                    count += 1
+        merged[begin:count].sort()
+        merged_ptr[a + 1] = count
+    return merged_ptr, merged[:count].copy()
+
+
+@compiled
+def scalar_rows(block_ptr, block_columns, dim, row_ptr, columns):  # type: ignore[no-untyped-def]
+    """Expand a block pattern into the scalar CSR pattern of the same matrix."""
+    row_ptr[0] = 0
+    for a in range(block_ptr.size - 1):
+        n = block_ptr[a + 1] - block_ptr[a]
+        for i in range(dim):
+            row = a * dim + i
+            row_ptr[row + 1] = row_ptr[row] + n * dim
+            for q in range(n):
+                c = block_columns[block_ptr[a] + q]
+                for k in range(dim):
+                    columns[row_ptr[row] + q * dim + k] = c * dim + k

@@ -1,0 +1,127 @@
+"""Loops of Silling's zero-energy control: forces, energy and the constant scalar matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.kernels.compile import compiled
+
+
+@lru_cache
+def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``force(indptr, neighbours, stiffness, K_inverse, x, u, f)`` -> energy.
+
+    Adds the forces of ``psi = 1/2 sum_i sum_j s_ij |z_ij|^2``, ``z_ij = eta_ij - H_i xi_ij``,
+    ``H_i = (sum_j s_ij eta_ij (x) xi_ij) K_i^-1``. Because ``sum_j s_ij z_ij (x) xi_ij = 0``, the force on ``j`` is
+    ``s_ij z_ij`` alone.
+    """
+
+    @compiled
+    def force(indptr, neighbours, stiffness, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
+        moment = np.empty((dim, dim))
+        H = np.empty((dim, dim))
+        xi = np.empty(dim)
+        energy = 0.0
+        for i in range(indptr.size - 1):
+            moment[:] = 0.0
+            for t in range(indptr[i], indptr[i + 1]):
+                j = neighbours[t]
+                for m in range(dim):
+                    for n in range(dim):
+                        moment[m, n] += stiffness[t] * (u[j, m] - u[i, m]) * (x[j, n] - x[i, n])
+            for m in range(dim):
+                for n in range(dim):
+                    H[m, n] = 0.0
+                    for o in range(dim):
+                        H[m, n] += moment[m, o] * K_inverse[i, o, n]
+            for t in range(indptr[i], indptr[i + 1]):
+                j = neighbours[t]
+                for m in range(dim):
+                    xi[m] = x[j, m] - x[i, m]
+                for m in range(dim):
+                    z = u[j, m] - u[i, m]
+                    for n in range(dim):
+                        z -= H[m, n] * xi[n]
+                    value = stiffness[t] * z
+                    energy += 0.5 * value * z
+                    f[j, m] += value
+                    f[i, m] -= value
+        return energy
+
+    return force
+
+
+@lru_cache
+def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
+    """Return the kernel that fills the scalar matrix of the control, one number per block.
+
+    ``M_jk = s_j delta_jk - s_j s_k xi_j . K^-1 xi_k`` for neighbours of ``i``; rows and columns of ``i`` follow from
+    the sum of each row and column being zero. ``point_ptr`` and ``members`` are the families with the centre first.
+    """
+
+    @compiled
+    def matrix(  # type: ignore[no-untyped-def]
+        first_row, diag_ptr, off_ptr, columns, local_of_column, entry_ptr, entries, entry_point,
+        point_ptr, members, stiffness, K_inverse, x, diag, off,
+    ):  # fmt: skip
+        slot = np.zeros(entry_ptr.size, np.int64)
+        left = np.empty(dim)
+        for row in range(diag_ptr.size - 1):
+            begin = diag_ptr[row] + off_ptr[row]
+            n_diag = diag_ptr[row + 1] - diag_ptr[row]
+            n_off = off_ptr[row + 1] - off_ptr[row]
+            for q in range(n_diag + n_off):
+                local = local_of_column[columns[begin + q]]
+                if local >= 0:
+                    slot[local] = q
+            for q in range(n_diag):
+                diag[diag_ptr[row] + q] = 0.0
+            for q in range(n_off):
+                off[off_ptr[row] + q] = 0.0
+            a = first_row + row
+            for e in range(entry_ptr[a], entry_ptr[a + 1]):
+                t = entries[e]
+                i = entry_point[e]
+                first = point_ptr[i]
+                # Row a of M is left . K^-1 s_k xi_k on the neighbours k, plus s on the diagonal and its centre.
+                for m in range(dim):
+                    left[m] = 0.0
+                if t == first:
+                    for s in range(first + 1, point_ptr[i + 1]):
+                        k = members[s]
+                        for m in range(dim):
+                            left[m] += stiffness[s] * (x[k, m] - x[i, m])
+                else:
+                    for m in range(dim):
+                        left[m] = -stiffness[t] * (x[a, m] - x[i, m])
+                centre = 0.0
+                for s in range(first + 1, point_ptr[i + 1]):
+                    k = members[s]
+                    value = 0.0
+                    for m in range(dim):
+                        projected = 0.0
+                        for n in range(dim):
+                            projected += K_inverse[i, m, n] * (x[k, n] - x[i, n])
+                        value += left[m] * projected
+                    value *= stiffness[s]
+                    if t == first:
+                        value -= stiffness[s]
+                    elif s == t:
+                        value += stiffness[s]
+                    centre -= value
+                    q = slot[k]
+                    if q < n_diag:
+                        diag[diag_ptr[row] + q] += value
+                    else:
+                        off[off_ptr[row] + q - n_diag] += value
+                q = slot[i]
+                if q < n_diag:
+                    diag[diag_ptr[row] + q] += centre
+                else:
+                    off[off_ptr[row] + q - n_diag] += centre
+
+    return matrix

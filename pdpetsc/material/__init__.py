@@ -1,0 +1,9 @@
+"""Constitutive laws: one file per model, each giving energy, first Piola-Kirchhoff stress and tangent at a point."""
+
+from pdpetsc.material.base import Material, PointKernels
+from pdpetsc.material.hencky import Hencky
+from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.material.neo_hookean import NeoHookean
+from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
+
+__all__ = ["Hencky", "LinearElastic", "Material", "NeoHookean", "PointKernels", "SaintVenantKirchhoff"]

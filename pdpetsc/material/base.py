@@ -1,0 +1,98 @@
+"""What every material declares and what the model asks of it."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+
+
+class PointKernels(NamedTuple):
+    """Compiled loops over the points ``select`` (int64 indices into F).
+
+    ``stress(F, select, constants, P)`` and ``tangent(F, select, constants, A)`` write (n, d, d) and (n, d, d, d, d)
+    arrays [stress]; ``energy(F, select, constants, psi)`` writes (n,) [energy / volume]. A material defined for
+    ``det F > 0`` only is never called elsewhere: the model checks first.
+    """
+
+    stress: Callable[..., None]
+    tangent: Callable[..., None]
+    energy: Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Material(ABC):
+    """An isotropic elastic material.
+
+    Parameters
+    ----------
+    E : float
+        Young's modulus [stress], positive.
+    nu : float
+        Poisson's ratio [-], between -1 and 0.5, both excluded. A line ignores it.
+    plane : {"strain", "stress"}
+        What a two-dimensional body does out of plane.
+
+    Raises
+    ------
+    CaseError
+        A constant is out of range.
+    """
+
+    E: float
+    nu: float = 0.0
+    plane: Literal["strain", "stress"] = "strain"
+
+    linear: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if not (math.isfinite(self.E) and self.E > 0.0):
+            raise CaseError(f"{name} needs a positive Young's modulus E, not {self.E}.")
+        if not -1.0 < self.nu < 0.5:
+            raise CaseError(f"{name} needs Poisson's ratio -1 < nu < 0.5, not {self.nu}.")
+        if self.plane not in ("strain", "stress"):
+            raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
+
+    @abstractmethod
+    def kernels(self, dim: int) -> PointKernels:
+        """Return the compiled loops for dimension ``dim``."""
+
+    @abstractmethod
+    def thickness_stretch(self, F: Float) -> Float:
+        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
+
+    def constants(self, dim: int) -> Float:
+        """Return the constants that the compiled loops read."""
+        return np.array(self.lame(dim))
+
+    def lame(self, dim: int) -> tuple[float, float]:
+        """Return ``(lambda, mu)`` of the ``dim``-dimensional law ``sigma = lambda tr(eps) I + 2 mu eps`` [stress].
+
+        Plane stress has ``lambda = 2 lambda_3 mu / (lambda_3 + 2 mu)``, the uniaxial bar ``lambda = 0, mu = E / 2``.
+        """
+        if dim == 1:
+            return 0.0, 0.5 * self.E
+        mu = 0.5 * self.E / (1.0 + self.nu)
+        lam = self.E * self.nu / ((1.0 + self.nu) * (1.0 - 2.0 * self.nu))
+        if dim == 2 and self.plane == "stress":
+            lam = 2.0 * lam * mu / (lam + 2.0 * mu)
+        return lam, mu
+
+    def lateral_strain_ratio(self, dim: int) -> float:
+        """Return ``c`` in ``eps_lateral_total = -c tr(eps)``: the sum of the hidden strains of the linear law [-]."""
+        if dim == 1:
+            return 2.0 * self.nu
+        return self.nu / (1.0 - self.nu) if dim == 2 and self.plane == "stress" else 0.0
+
+    def bulk_like_modulus(self, dim: int) -> float:
+        """Return ``kappa = lambda + 2 mu / dim`` [stress], the scale of a zero-energy control (E in 1D)."""
+        lam, mu = self.lame(dim)
+        return lam + 2.0 * mu / dim

@@ -1,0 +1,146 @@
+"""Hencky hyperelasticity: Kirchhoff stress linear in logarithmic strain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.eigen import symmetric_eigen
+from pdpetsc.material.base import Material, PointKernels
+
+
+@dataclass(frozen=True)
+class Hencky(Material):
+    r"""Hencky material, ``tau = lambda tr(eps) I + 2 mu eps`` with ``eps = 1/2 ln(F F^T)``.
+
+    ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T`` and, in the principal frame with stretches
+    ``l_a`` and ``p_a = tau_a / l_a``::
+
+        A_aabb = (lambda + 2 mu delta_ab) / (l_a l_b) - delta_ab tau_a / l_a^2
+        A_abab = (m + q) / 2,  A_abba = (m - q) / 2,   m = (p_a - p_b) / (l_a - l_b),  q = (p_a + p_b) / (l_a + l_b)
+
+    References
+    ----------
+    Hashim, Coombs, Augarde, Hattori, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.
+    """
+
+    def kernels(self, dim: int) -> PointKernels:
+        """Return the compiled loops for dimension ``dim``."""
+        return _kernels(dim)
+
+    def thickness_stretch(self, F: Float) -> Float:
+        """Return ``exp(-c ln det F)``: the hidden logarithmic strain of the linear law."""
+        stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
+        return stretch
+
+
+@lru_cache
+def _kernels(dim: int) -> PointKernels:
+    @compiled
+    def principal(F, C, squares, N):  # type: ignore[no-untyped-def]
+        for i in range(dim):
+            for j in range(dim):
+                C[i, j] = 0.0
+                for k in range(dim):
+                    C[i, j] += F[k, i] * F[k, j]
+        symmetric_eigen(C, squares, N)
+
+    @compiled
+    def stress(F, select, constants, P):  # type: ignore[no-untyped-def]
+        lam, mu = constants[0], constants[1]
+        C = np.empty((dim, dim))
+        N = np.empty((dim, dim))
+        S = np.empty((dim, dim))
+        squares = np.empty(dim)
+        for p in select:
+            principal(F[p], C, squares, N)
+            trace = 0.0
+            for a in range(dim):
+                trace += 0.5 * np.log(squares[a])
+            S[:] = 0.0
+            for a in range(dim):
+                factor = (lam * trace + mu * np.log(squares[a])) / squares[a]
+                for i in range(dim):
+                    for j in range(dim):
+                        S[i, j] += factor * N[i, a] * N[j, a]
+            for i in range(dim):
+                for j in range(dim):
+                    value = 0.0
+                    for k in range(dim):
+                        value += F[p, i, k] * S[k, j]
+                    P[p, i, j] = value
+
+    @compiled
+    def tangent(F, select, constants, A):  # type: ignore[no-untyped-def]
+        lam, mu = constants[0], constants[1]
+        C = np.empty((dim, dim))
+        N = np.empty((dim, dim))
+        n = np.empty((dim, dim))
+        stretch = np.empty(dim)
+        strain = np.empty(dim)
+        tau = np.empty(dim)
+        for p in select:
+            principal(F[p], C, stretch, N)
+            trace = 0.0
+            for a in range(dim):
+                strain[a] = 0.5 * np.log(stretch[a])
+                stretch[a] = np.sqrt(stretch[a])
+                trace += strain[a]
+            for a in range(dim):
+                tau[a] = lam * trace + 2.0 * mu * strain[a]
+                for i in range(dim):
+                    value = 0.0
+                    for k in range(dim):
+                        value += F[p, i, k] * N[k, a]
+                    n[i, a] = value / stretch[a]
+            for i in range(dim):
+                for m in range(dim):
+                    for k in range(dim):
+                        for o in range(dim):
+                            A[p, i, m, k, o] = 0.0
+            for a in range(dim):
+                for b in range(dim):
+                    normal = lam / (stretch[a] * stretch[b])
+                    same = 0.0
+                    swapped = 0.0
+                    if a == b:
+                        normal += (2.0 * mu - tau[a]) / (stretch[a] * stretch[a])
+                    else:
+                        x = (stretch[a] - stretch[b]) / stretch[b]
+                        slope = np.log1p(x) / x if abs(x) > 1e-12 else 1.0 - 0.5 * x
+                        difference = (2.0 * mu * slope - tau[b]) / (stretch[a] * stretch[b])
+                        total = (tau[a] / stretch[a] + tau[b] / stretch[b]) / (stretch[a] + stretch[b])
+                        same = 0.5 * (difference + total)
+                        swapped = 0.5 * (difference - total)
+                    for i in range(dim):
+                        for m in range(dim):
+                            aa = normal * n[i, a] * N[m, a]
+                            ab = n[i, a] * N[m, b]
+                            for k in range(dim):
+                                bb = n[k, b]
+                                for o in range(dim):
+                                    A[p, i, m, k, o] += aa * bb * N[o, b] + ab * (
+                                        same * n[k, a] * N[o, b] + swapped * bb * N[o, a]
+                                    )
+
+    @compiled
+    def energy(F, select, constants, psi):  # type: ignore[no-untyped-def]
+        lam, mu = constants[0], constants[1]
+        C = np.empty((dim, dim))
+        N = np.empty((dim, dim))
+        squares = np.empty(dim)
+        for p in select:
+            principal(F[p], C, squares, N)
+            trace = 0.0
+            square = 0.0
+            for a in range(dim):
+                strain = 0.5 * np.log(squares[a])
+                trace += strain
+                square += strain * strain
+            psi[p] = 0.5 * lam * trace * trace + mu * square
+
+    return PointKernels(stress, tangent, energy)

@@ -1,0 +1,101 @@
+"""Saint Venant-Kirchhoff material: linear in the Green-Lagrange strain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.kernels.compile import compiled
+from pdpetsc.material.base import Material, PointKernels
+
+
+@dataclass(frozen=True)
+class SaintVenantKirchhoff(Material):
+    """Saint Venant-Kirchhoff material, ``S = lambda tr(E) I + 2 mu E`` with ``E = (F^T F - I) / 2``.
+
+    ``psi = lambda / 2 (tr E)^2 + mu E : E``, ``P = F S`` and
+    ``A_imkn = delta_ik S_mn + lambda F_im F_kn + mu (F_in F_km + delta_mn (F F^T)_ik)``.
+
+    References
+    ----------
+    Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, section 6.3.
+    """
+
+    def kernels(self, dim: int) -> PointKernels:
+        """Return the compiled loops for dimension ``dim``."""
+        return _kernels(dim)
+
+    def thickness_stretch(self, F: Float) -> Float:
+        """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, twice for a bar."""
+        dim = F.shape[-1]
+        trace = 0.5 * (np.einsum("pij,pij->p", F, F) - dim)
+        total = -self.lateral_strain_ratio(dim) * trace
+        stretch: Float = 1.0 + total if dim == 1 else np.sqrt(1.0 + 2.0 * total)
+        return stretch
+
+
+@lru_cache
+def _kernels(dim: int) -> PointKernels:
+    @compiled
+    def second_stress(F, lam, mu, S):  # type: ignore[no-untyped-def]
+        trace = 0.0
+        for i in range(dim):
+            for j in range(dim):
+                value = -1.0 if i == j else 0.0
+                for k in range(dim):
+                    value += F[k, i] * F[k, j]
+                S[i, j] = mu * value
+                if i == j:
+                    trace += 0.5 * value
+        for i in range(dim):
+            S[i, i] += lam * trace
+        return trace
+
+    @compiled
+    def stress(F, select, constants, P):  # type: ignore[no-untyped-def]
+        S = np.empty((dim, dim))
+        for p in select:
+            second_stress(F[p], constants[0], constants[1], S)
+            for i in range(dim):
+                for j in range(dim):
+                    value = 0.0
+                    for k in range(dim):
+                        value += F[p, i, k] * S[k, j]
+                    P[p, i, j] = value
+
+    @compiled
+    def tangent(F, select, constants, A):  # type: ignore[no-untyped-def]
+        lam, mu = constants[0], constants[1]
+        S = np.empty((dim, dim))
+        for p in select:
+            second_stress(F[p], lam, mu, S)
+            for i in range(dim):
+                for k in range(dim):
+                    left = 0.0
+                    for m in range(dim):
+                        left += F[p, i, m] * F[p, k, m]
+                    for m in range(dim):
+                        for n in range(dim):
+                            value = lam * F[p, i, m] * F[p, k, n] + mu * F[p, i, n] * F[p, k, m]
+                            if i == k:
+                                value += S[m, n]
+                            if m == n:
+                                value += mu * left
+                            A[p, i, m, k, n] = value
+
+    @compiled
+    def energy(F, select, constants, psi):  # type: ignore[no-untyped-def]
+        lam, mu = constants[0], constants[1]
+        S = np.empty((dim, dim))
+        for p in select:
+            trace = second_stress(F[p], 0.0, mu, S)
+            square = 0.0
+            for i in range(dim):
+                for j in range(dim):
+                    square += S[i, j] * S[i, j]
+            psi[p] = 0.5 * lam * trace * trace + square / (4.0 * mu)
+
+    return PointKernels(stress, tangent, energy)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import exchange
 from pdpetsc.kernels.assembly import add_blocks_kernel
 from pdpetsc.kernels.pattern import merge_rows, product_pattern, transpose
 
@@ -81,6 +84,16 @@ class Pattern:
     def n_blocks(self) -> int:
         """Return the number of blocks in this rank's rows."""
         return int(self.owned.diag_ptr[-1] + self.owned.off_ptr[-1])
+
+    def of_other_columns(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the owners' rows of ``values`` (n_owned, ...) for the columns this rank does not own (collective)."""
+        comm, cloud = self.cloud.comm, self.cloud
+        firsts = np.array(comm.allgather(cloud.first), dtype=np.int64)
+        owner = np.searchsorted(firsts, self.other_columns, side="right") - 1
+        (asked,), counts = exchange(comm, owner, [self.other_columns])
+        asker = np.repeat(np.arange(comm.size), counts)
+        (answer,), _ = exchange(comm, asker, [values[asked - cloud.first]])
+        return answer
 
     def complete(self, ghost_values: Float, diag: Float, off: Float, dim: int) -> None:
         """Send assembled ghost rows to their owners and add what arrives to ``diag`` and ``off``.

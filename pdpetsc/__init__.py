@@ -1,0 +1,90 @@
+"""pdpetsc: MPI-parallel implicit peridynamics on PETSc.
+
+A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
+from pdpetsc.gradient import Correspondence, SubHorizons
+from pdpetsc.material import Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
+from pdpetsc.output.picture import Picture
+from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
+from pdpetsc.scene import influence, region
+from pdpetsc.scene.conditions import BodyForce, Displacement, Force, Pressure, Traction
+from pdpetsc.scene.files import Mesh, TextFile
+from pdpetsc.scene.particles import Arrays, Lattice
+from pdpetsc.scene.schedule import Hold, Ramp, Table
+from pdpetsc.scene.steps import AdaptiveSteps, Steps
+from pdpetsc.solution import (
+    Solution,
+    deformation_gradient,
+    displacement,
+    energy_density,
+    first_piola_stress,
+    reaction,
+    stress,
+)
+from pdpetsc.stabilisation import Silling
+
+if TYPE_CHECKING:
+    from pdpetsc.case import Case, run
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "AdaptiveSteps",
+    "Arrays",
+    "At",
+    "BodyForce",
+    "Case",
+    "CaseError",
+    "ControlEnergy",
+    "Correspondence",
+    "Displacement",
+    "Force",
+    "Hencky",
+    "Hold",
+    "Interrupted",
+    "LargestError",
+    "Lattice",
+    "LinearElastic",
+    "Mean",
+    "Mesh",
+    "NeoHookean",
+    "OutputError",
+    "Picture",
+    "Pressure",
+    "Quantity",
+    "Ramp",
+    "Reaction",
+    "RelativeError",
+    "SaintVenantKirchhoff",
+    "Silling",
+    "Solution",
+    "SolveError",
+    "Steps",
+    "StrainEnergy",
+    "SubHorizons",
+    "Table",
+    "TextFile",
+    "Traction",
+    "deformation_gradient",
+    "displacement",
+    "energy_density",
+    "first_piola_stress",
+    "influence",
+    "reaction",
+    "region",
+    "run",
+    "stress",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import ``Case`` and ``run`` on first use: they load PETSc, which must first see the command line."""
+    if name in ("Case", "run"):
+        from pdpetsc import case
+
+        return getattr(case, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,231 @@
+"""The command line: argument split, PETSc start, run, exit code."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import re
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import petsc4py
+
+from pdpetsc.errors import CaseError, PdpetscError
+
+if TYPE_CHECKING:
+    from pdpetsc.case import Case
+
+USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE] ...]
+
+  CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
+  NAME=VALUE      a parameter of that function
+  -o DIR          folder for the results (default: out/CASE)
+  --restart FILE  go on from a checkpoint
+  --quiet         print errors only
+  --version       print the version
+  -h              print this, and the parameters of CASE.py if it is given
+Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ..."""
+
+_ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
+_OPTION = re.compile(r"-{1,2}[A-Za-z]")
+
+
+@dataclass
+class Arguments:
+    """The command line, split."""
+
+    path: Path | None = None
+    parameters: dict[str, str] = field(default_factory=dict)
+    output: Path | None = None
+    restart: Path | None = None
+    quiet: bool = False
+    version: bool = False
+    help: bool = False
+    petsc: list[str] = field(default_factory=list)
+
+
+def split(argv: Sequence[str]) -> Arguments:
+    """Split the command line into case, parameters, pdpetsc's own options and PETSc's.
+
+    A PETSc option takes the next word as its value unless that is an option or ``name=value``.
+
+    Raises
+    ------
+    CaseError
+        A value is missing or a word is not understood.
+    """
+    found = Arguments()
+    words = list(argv)
+    while words:
+        word = words.pop(0)
+        if word in ("-o", "--restart"):
+            if not words:
+                raise CaseError(f"{word} needs a path after it.")
+            path = Path(words.pop(0))
+            found.output, found.restart = (path, found.restart) if word == "-o" else (found.output, path)
+        elif word in ("--quiet", "--version"):
+            setattr(found, word[2:], True)
+        elif word in ("-h", "--help"):
+            found.help = True
+        elif word.startswith("--"):
+            raise CaseError(f"Unknown option {word}; pdpetsc has -o, --restart, --quiet, --version and -h.")
+        elif _OPTION.match(word):
+            found.petsc.append(word)
+            if words and not _OPTION.match(words[0]) and not _ASSIGNMENT.match(words[0]):
+                found.petsc.append(words.pop(0))
+        elif _ASSIGNMENT.match(word):
+            name, value = word.split("=", 1)
+            if name in found.parameters:
+                raise CaseError(f"Parameter {name} is given twice.")
+            found.parameters[name] = value
+        elif found.path is None:
+            found.path = Path(word)
+        else:
+            raise CaseError(f"{word!r} is neither NAME=VALUE nor an option; the case file is {found.path}.")
+    return found
+
+
+def load_case(path: Path) -> Callable[..., Case]:
+    """Return the function ``case`` of a case file.
+
+    Raises
+    ------
+    CaseError
+        The file is missing, fails, or defines no such function.
+    """
+    if not path.is_file():
+        raise CaseError(f"Cannot read the case file {path}: file not found.")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise CaseError(f"The case file {path} must end in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent.resolve()))
+    _guarded(path, lambda: spec.loader.exec_module(module))  # type: ignore[union-attr]
+    function = getattr(module, "case", None)
+    if not callable(function):
+        raise CaseError(f"The case file {path} defines no function case(...).")
+    return function  # type: ignore[no-any-return]
+
+
+def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict[str, Any]:
+    """Return the keywords of a case function with the given values converted to their defaults' types.
+
+    Raises
+    ------
+    CaseError
+        A name is unknown, a value cannot be converted, or a parameter has no default.
+    """
+    parameters = inspect.signature(function).parameters
+    for name, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty:
+            raise CaseError(f"Parameter {name} of the case function needs a default.")
+    for name in given:
+        if name not in parameters:
+            known = ", ".join(parameters) or "none"
+            raise CaseError(f"The case has no parameter {name!r}; it has {known}.")
+    values = {name: parameter.default for name, parameter in parameters.items()}
+    return values | {name: _convert(name, text, values[name]) for name, text in given.items()}
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave with its exit status; an unexpected error aborts all ranks."""
+    try:
+        status = _run(sys.argv[1:] if argv is None else list(argv))
+    except PdpetscError as error:
+        from pdpetsc.discrete.communicator import is_root, world
+
+        if is_root(world()):
+            print(f"pdpetsc: {error}", file=sys.stderr, flush=True)
+        world().Barrier()
+        status = error.exit_status
+    except SystemExit:
+        raise
+    except BaseException:
+        from pdpetsc.discrete.communicator import world
+
+        traceback.print_exc()
+        sys.stderr.flush()
+        world().Abort(1)
+        raise
+    sys.stdout.flush()
+    sys.exit(status)
+
+
+def _run(argv: list[str]) -> int:
+    arguments = split(argv)
+    petsc4py.init(["pdpetsc", *arguments.petsc])
+    from pdpetsc import __version__
+    from pdpetsc.case import run
+    from pdpetsc.discrete.communicator import agreed, is_root, world
+
+    comm = world()
+    if arguments.version or (arguments.help and arguments.path is None) or not argv:
+        if is_root(comm):
+            print(f"pdpetsc {__version__}" if arguments.version else USAGE)
+        return 0 if argv else 2
+    with agreed(comm):
+        if arguments.path is None:
+            raise CaseError("No case file is given; python -m pdpetsc -h shows the usage.")
+        function = load_case(arguments.path)
+        parameters = arguments_of(function, {} if arguments.help else arguments.parameters)
+    if arguments.help:
+        if is_root(comm):
+            print(USAGE, "", inspect.getdoc(sys.modules.get(function.__module__)) or "", "parameters:", sep="\n")
+            print("\n".join(f"  {name}={value!r}" for name, value in parameters.items()))
+        return 0
+    with agreed(comm):
+        case = _make_case(arguments.path, function, parameters)
+    output = arguments.output or Path("out") / arguments.path.stem
+    run(case, output, None, arguments.restart, arguments.quiet, parameters)
+    _report_unused(arguments.petsc)
+    return 0
+
+
+def _make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
+    from pdpetsc.case import Case
+
+    case = _guarded(path, lambda: function(**parameters))
+    if not isinstance(case, Case):
+        raise CaseError(f"case(...) of {path} must return a pdpetsc.Case, not {type(case).__name__}.")
+    return case
+
+
+def _guarded(path: Path, call: Callable[[], Any]) -> Any:
+    """Call what the case file defines and turn its errors into one sentence with the line."""
+    try:
+        return call()
+    except PdpetscError:
+        raise
+    except SyntaxError as error:
+        raise CaseError(f"The case file {path} has a syntax error in line {error.lineno}: {error.msg}.") from error
+    except Exception as error:
+        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == path.name]
+        where = f"in line {lines[-1]}" if lines else "somewhere below it"
+        raise CaseError(f"The case file {path} failed {where}: {type(error).__name__}: {error}.") from error
+
+
+def _convert(name: str, text: str, default: Any) -> Any:
+    kind = type(default)
+    try:
+        if kind is bool:
+            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+        if kind in (int, float, str):
+            return kind(text)
+        value = ast.literal_eval(text)
+        return value if default is None else kind(value)
+    except (ValueError, KeyError, SyntaxError, TypeError):
+        raise CaseError(f"Parameter {name} takes {kind.__name__} like {default!r}, not {text!r}.") from None
+
+
+def _report_unused(petsc: Sequence[str]) -> None:
+    from pdpetsc.discrete.communicator import is_root, world
+    from pdpetsc.solve.petsc import option_used
+
+    unused = [word for word in petsc if _OPTION.match(word) and not option_used(word[1:])]
+    if unused and is_root(world()):
+        print(f"pdpetsc: nothing used the option{'s' if len(unused) > 1 else ''} {' '.join(unused)}.", file=sys.stderr)

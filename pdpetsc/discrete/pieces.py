@@ -1,0 +1,102 @@
+"""Connected pieces of the body and the rigid motions its supports leave free."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+
+RANK_TOLERANCE = 1e-12
+
+
+def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
+    """Return the smallest global id of the piece that each own particle belongs to, (n_owned,).
+
+    Notes
+    -----
+    Collective; at most as many exchanges as a piece crosses ranks.
+    """
+    bonds = (families.centres, families.neighbours)
+    graph = coo_matrix((np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local))
+    count, local = connected_components(graph, directed=False)
+    label = cloud.gid.copy()
+    while True:
+        least = np.full(count, np.iinfo(np.int64).max)
+        np.minimum.at(least, local, label)
+        new = least[local]
+        cloud.halo.forward(new)
+        changed = np.any(new != label)
+        label = new
+        if int(total(cloud.comm, int(changed))) == 0:
+            return label[: cloud.n_owned]
+
+
+def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
+    """Raise on all ranks if a piece of the body can move rigidly.
+
+    Parameters
+    ----------
+    fixed : (n_owned, dim) bool
+        Prescribed degrees of freedom.
+
+    Raises
+    ------
+    CaseError
+        Some piece keeps a rigid motion.
+
+    Notes
+    -----
+    Collective.
+    """
+    pieces = find_pieces(cloud, families)
+    modes = rigid_modes(cloud)
+    labels, index = np.unique(pieces, return_inverse=True)
+    n_modes = modes.shape[2]
+    held = np.where(fixed[:, :, None], modes, 0.0)
+    gram = np.zeros((len(labels), n_modes, n_modes))
+    np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
+    sums: dict[int, Float] = {}
+    for part in cloud.comm.allgather(dict(zip(labels.tolist(), gram, strict=True))):
+        for piece, matrix in part.items():
+            sums[piece] = sums.get(piece, 0.0) + matrix
+    free = {}
+    for piece, matrix in sums.items():
+        values = np.linalg.eigvalsh(matrix)
+        rank = int(np.count_nonzero(values > RANK_TOLERANCE * max(float(values[-1]), 1e-300)))
+        if rank < n_modes:
+            free[piece] = n_modes - rank
+    if free:
+        piece, missing = min(free.items())
+        where = "The body" if len(sums) == 1 else f"The piece with particle {piece} ({len(free)} of {len(sums)} pieces)"
+        raise CaseError(
+            f"{where} is left with {missing} of {n_modes} rigid motions; prescribe more displacement components."
+        )
+
+
+def rigid_modes(cloud: Cloud) -> Float:
+    """Return the rigid motions of the own particles about the cloud's centre (n_owned, dim, modes), lengths scaled.
+
+    Notes
+    -----
+    Collective.
+    """
+    x = cloud.x[: cloud.n_owned]
+    n, dim = x.shape
+    centre = total(cloud.comm, x.sum(axis=0)) / cloud.n_global
+    r = x - centre
+    size = float(np.sqrt(total(cloud.comm, (r * r).sum()) / cloud.n_global)) or 1.0
+    r = r / size
+    planes = [(0, 1), (1, 2), (2, 0)][: {1: 0, 2: 1, 3: 3}[dim]]
+    modes = np.zeros((n, dim, dim + len(planes)))
+    for d in range(dim):
+        modes[:, d, d] = 1.0
+    for m, (a, b) in enumerate(planes):
+        modes[:, a, dim + m] = -r[:, b]
+        modes[:, b, dim + m] = r[:, a]
+    return modes

@@ -1,0 +1,81 @@
+"""``checkpoint.h5``: what a continued run needs, readable on any number of ranks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import agreed, is_root, total
+from pdpetsc.errors import CaseError, OutputError
+from pdpetsc.output.files import InCreationOrder, refuse_full_disk, replacing
+
+FORMAT = 1
+
+
+def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float, t: float, step: int) -> None:
+    """Write the converged state aside, then rename it over ``path`` (collective).
+
+    Raises
+    ------
+    OutputError
+        The disk is full; an earlier checkpoint stays as it was.
+    """
+    identity = _identity(cloud)
+    with agreed(cloud.comm):
+        if is_root(cloud.comm):
+            refuse_full_disk(path.parent, cloud.n_global * cloud.dim * 8)
+    failure: OutputError | None = None
+    parts = order.parts_on_root(u)
+    if is_root(cloud.comm):
+        try:
+            with replacing(path) as aside, h5py.File(aside, "w") as file:
+                file.attrs.update(format=FORMAT, t=t, step=step, identity=identity)
+                dataset = file.create_dataset("u", (cloud.n_global, cloud.dim), np.float64)
+                for rows, part in parts:
+                    dataset[rows] = part
+        except (OutputError, RuntimeError) as error:
+            failure = OutputError(str(error))
+    for _ in parts:  # other ranks send here, and after a failure root still has to receive
+        pass
+    with agreed(cloud.comm):
+        if failure is not None:
+            raise failure
+
+
+def read_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path) -> tuple[Float, float, int]:
+    """Return displacement of the own particles, step time and step of a checkpoint (collective).
+
+    Raises
+    ------
+    CaseError
+        The file is missing, damaged, of another version or of another body.
+    """
+    identity = _identity(cloud)
+    rank = cloud.comm.rank
+    with agreed(cloud.comm):
+        try:
+            with h5py.File(path, "r") as file:
+                if file.attrs.get("format") != FORMAT:
+                    raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
+                if not np.allclose(file.attrs["identity"], identity, rtol=1e-9, atol=0.0):
+                    raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
+                part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
+                t, step = float(file.attrs["t"]), int(file.attrs["step"])
+        except (OSError, KeyError, ValueError) as error:
+            if isinstance(error, CaseError):
+                raise
+            raise CaseError(f"Cannot read the checkpoint {path}: {error}.") from None
+    return order.from_parts(part), t, step
+
+
+def _identity(cloud: Cloud) -> Float:
+    """Return numbers that tell one body from another (collective)."""
+    n = cloud.n_owned
+    x, volume = cloud.x[:n], cloud.volume[:n]
+    numbered = (cloud.gid[:n] % 97) @ np.abs(x).sum(axis=1)
+    sums = total(cloud.comm, [volume.sum(), (x**2).sum(), numbered])
+    return np.array([cloud.n_global, cloud.dim, cloud.horizon, *sums])

@@ -1,0 +1,139 @@
+"""Fields per step in ``fields.h5`` with ``fields.xdmf`` beside it, which ParaView opens."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import agreed, is_root
+from pdpetsc.errors import OutputError
+from pdpetsc.output.files import InCreationOrder, refuse_full_disk, replacing
+from pdpetsc.solution import Field, Solution
+
+_KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
+
+
+class FieldWriter:
+    """Writes fields of all particles, in the order of creation on any rank count.
+
+    Vectors and tensors have three dimensions on disk whatever the body has. Rank 0 writes the parts of the others one
+    after another, so any build of h5py serves and no rank holds a whole field. The file is closed between steps: what
+    was written stays readable whatever happens later.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The particles.
+    folder : Path
+        Where ``fields.h5`` and ``fields.xdmf`` go.
+    fields : sequence of Field
+        What is written; the names on disk are the functions' names.
+
+    Raises
+    ------
+    OutputError
+        The disk is full or the file cannot be written, on all ranks.
+
+    Notes
+    -----
+    Construction and ``write`` are collective.
+    """
+
+    def __init__(self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field]) -> None:
+        self._cloud = cloud
+        self._order = order
+        self._path = folder / "fields.h5"
+        self._xdmf = folder / "fields.xdmf"
+        self._fields = fields
+        self._steps: list[tuple[int, float, dict[str, int]]] = []
+        if is_root(cloud.comm):
+            self._path.unlink(missing_ok=True)
+        n = cloud.n_owned
+        self._store("particles", {"position": cloud.x[:n], "id": cloud.gid[:n], "volume": cloud.volume[:n]})
+
+    def write(self, solution: Solution) -> None:
+        """Append one step."""
+        values = {field.__name__: field(solution) for field in self._fields}
+        group = f"step_{solution.step:05d}"
+        widths = self._store(group, values)
+        self._steps.append((solution.step, solution.t, widths))
+        with agreed(self._cloud.comm):
+            if is_root(self._cloud.comm):
+                with replacing(self._xdmf) as aside:
+                    aside.write_text(self._markup())
+
+    def _store(self, group: str, values: dict[str, NDArray[Any]]) -> dict[str, int]:
+        """Write named arrays into a new group; return the number of components of each."""
+        comm, n = self._cloud.comm, self._cloud.n_global
+        padded = {name: _padded(array) for name, array in values.items()}
+        with agreed(comm):
+            if is_root(comm):
+                rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in padded.values())
+                refuse_full_disk(self._path.parent, n * rows)
+        failure: OSError | None = None
+        file = None
+        for name, array in padded.items():
+            dataset = None
+            for rows_of, part in self._order.parts_on_root(array):
+                # Root goes on receiving after a failure, so that no rank is left in a send.
+                try:
+                    if file is None and failure is None:
+                        file = h5py.File(self._path, "a")
+                    if dataset is None and file is not None and failure is None:
+                        dataset = file.create_dataset(f"{group}/{name}", (n, *part.shape[1:]), part.dtype)
+                    if dataset is not None and failure is None:
+                        dataset[rows_of] = part
+                except (OSError, RuntimeError) as error:
+                    failure = OSError(str(error))
+        with agreed(comm):
+            try:
+                if file is not None:
+                    file.close()
+            except (OSError, RuntimeError) as error:
+                failure = OSError(str(error))
+            if failure is not None:
+                raise OutputError(f"Cannot write {group} to {self._path}: {failure}.")
+        return {name: int(np.prod(array.shape[1:])) for name, array in padded.items()}
+
+    def _markup(self) -> str:
+        n, h5 = self._cloud.n_global, self._path.name
+        lines = [
+            '<?xml version="1.0"?>',
+            '<Xdmf Version="3.0"><Domain>',
+            '<Grid Name="steps" GridType="Collection" CollectionType="Temporal">',
+        ]
+        for step, t, widths in self._steps:
+            lines += [
+                f'<Grid Name="step {step}" GridType="Uniform"><Time Value="{t!r}"/>',
+                f'<Topology TopologyType="Polyvertex" NumberOfElements="{n}"/>',
+                '<Geometry GeometryType="XYZ">'
+                f'<DataItem Dimensions="{n} 3" NumberType="Float" Precision="8" Format="HDF">'
+                f"{h5}:/particles/position</DataItem></Geometry>",
+                '<Attribute Name="volume" AttributeType="Scalar" Center="Node">'
+                f'<DataItem Dimensions="{n}" NumberType="Float" Precision="8" Format="HDF">'
+                f"{h5}:/particles/volume</DataItem></Attribute>",
+            ]
+            for name, width in widths.items():
+                lines.append(
+                    f'<Attribute Name="{name}" AttributeType="{_KINDS.get(width, "Matrix")}" Center="Node">'
+                    f'<DataItem Dimensions="{n}{f" {width}" if width > 1 else ""}" NumberType="Float" Precision="8" '
+                    f'Format="HDF">{h5}:/step_{step:05d}/{name}</DataItem></Attribute>'
+                )
+            lines.append("</Grid>")
+        return "\n".join([*lines, "</Grid></Domain></Xdmf>", ""])
+
+
+def _padded(values: NDArray[Any]) -> NDArray[Any]:
+    """Return vectors as (n, 3) and tensors as (n, 9), zero where the body has no such dimension."""
+    if values.ndim == 1:
+        return values
+    shape = (len(values), *(3,) * (values.ndim - 1))
+    padded = np.zeros(shape, dtype=values.dtype)
+    padded[tuple(slice(0, size) for size in values.shape)] = values
+    return padded.reshape(len(values), -1)

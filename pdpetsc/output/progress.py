@@ -1,0 +1,60 @@
+"""What a run prints, on rank 0 only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from pdpetsc.discrete.communicator import Comm, is_root
+from pdpetsc.solve.static import StepResult
+
+
+class Reporter:
+    """Prints a line per step, with a bar where the output is a terminal.
+
+    Parameters
+    ----------
+    comm : Comm
+        Ranks; only rank 0 prints.
+    quiet : bool
+        Print nothing but errors.
+    """
+
+    def __init__(self, comm: Comm, quiet: bool) -> None:
+        self._console = Console(quiet=quiet or not is_root(comm), highlight=False, soft_wrap=True, markup=False)
+        self._progress = Progress(
+            TextColumn("load"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(),
+            console=self._console, transient=True, disable=not self._console.is_terminal or self._console.quiet,
+        )  # fmt: skip
+        self._task = self._progress.add_task("load", total=1.0)
+
+    def __enter__(self) -> Reporter:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        self._console.print(text)
+
+    def step(self, number: int, t: float, result: StepResult) -> None:
+        """Print how a converged step went."""
+        last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
+        self._progress.update(self._task, completed=t)
+        self.say(
+            f"step {number:4d}  t = {t:<8.6g} {len(result.norms) - 1:2d} Newton, {result.linear_iterations:3d} linear "
+            f"iterations, residual {last:.1e}{' (round-off floor)' if 'floor' in result.reason else ''}"
+        )
+
+    def cut_back(self, t: float, dt: float, result: StepResult) -> None:
+        """Print that a step failed and is tried shorter."""
+        self.say(f"           t > {t:<8.6g} failed: {result.reason}; trying a step of {dt:.3g}")
+
+    def results(self, results: Mapping[str, float]) -> None:
+        """Print the named results."""
+        for name, value in results.items():
+            self.say(f"  {name} = {value:.8g}")

@@ -1,0 +1,63 @@
+"""``history.csv``, one row per step, and ``summary.json``."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pdpetsc.discrete.communicator import Comm, agreed, is_root
+from pdpetsc.errors import OutputError
+from pdpetsc.output.files import replacing
+
+
+class HistoryWriter:
+    """Appends one row of numbers per step to ``history.csv``.
+
+    Notes
+    -----
+    Construction and ``write`` are collective; rank 0 writes.
+    """
+
+    def __init__(self, comm: Comm, folder: Path, names: Sequence[str]) -> None:
+        self._comm = comm
+        self._path = folder / "history.csv"
+        with agreed(comm):
+            self._append("w", ["step", "t", *names])
+
+    def write(self, row: Sequence[float]) -> None:
+        """Append a row: step, step time and the values in the order of the names."""
+        with agreed(self._comm):
+            self._append("a", [int(row[0]), *(repr(float(value)) for value in row[1:])])
+
+    def _append(self, mode: str, row: Sequence[Any]) -> None:
+        if not is_root(self._comm):
+            return
+        try:
+            with self._path.open(mode, newline="") as file:
+                csv.writer(file).writerow(row)
+        except OSError as error:
+            raise OutputError(f"Cannot write {self._path}: {error.strerror or error}.") from error
+
+
+def write_summary(comm: Comm, folder: Path, summary: dict[str, Any]) -> None:
+    """Write ``summary.json`` (collective; rank 0 writes). Numbers that JSON cannot hold become null."""
+    with agreed(comm):
+        if is_root(comm):
+            with replacing(folder / "summary.json") as aside:
+                aside.write_text(json.dumps(_plain(summary), indent=1) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | str | int) or value is None:
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value)

@@ -1,0 +1,144 @@
+"""Quantities of interest: one number per step, evaluated in parallel."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.scene.region import All, Nearest, Region
+from pdpetsc.solution import Field, Solution
+
+
+class Quantity(ABC):
+    """A number that follows from a converged step."""
+
+    @abstractmethod
+    def evaluate(self, solution: Solution) -> float:
+        """Return the value (collective)."""
+
+
+@dataclass(frozen=True)
+class Mean(Quantity):
+    """Volume-weighted mean of a field component over a region.
+
+    Parameters
+    ----------
+    field : Field
+        ``displacement``, ``stress``, or any function of the solution.
+    component : str
+        ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
+    region : Region
+        Where; everywhere by default.
+    """
+
+    field: Field
+    component: str = ""
+    region: Region = All()
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the mean."""
+        mask = solution.select(self.region)
+        values = component(self.field(solution), self.component)[mask]
+        weight = solution.volume[mask]
+        moment, volume = solution.sum([weight @ values, weight.sum()])
+        return float(moment / volume)
+
+
+def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:  # noqa: N802 - reads as a noun
+    """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones)."""
+    return Mean(field, component, Nearest(point))
+
+
+@dataclass(frozen=True)
+class Reaction(Quantity):
+    """Sum of one component of the support forces in a region [force]."""
+
+    component: str
+    region: Region = All()
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the sum."""
+        mask = solution.select(self.region)
+        return float(solution.sum(component(solution.reaction, self.component)[mask].sum()))
+
+
+@dataclass(frozen=True)
+class StrainEnergy(Quantity):
+    """Strain energy of the body without that of its zero-energy control [energy]."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        return solution.energies[0]
+
+
+@dataclass(frozen=True)
+class ControlEnergy(Quantity):
+    """Energy of the zero-energy control [energy]: how much it interferes."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        return solution.energies[1]
+
+
+@dataclass(frozen=True)
+class RelativeError(Quantity):
+    """Volume-weighted mean of ``|a - b| / |b|`` between a field and a reference function of position.
+
+    References
+    ----------
+    Hashim et al., Eq. (56).
+
+    Parameters
+    ----------
+    field : Field
+        What is compared.
+    reference : callable
+        ``reference(x, t)`` with (n, dim) positions returns values of the field's shape.
+    region : Region
+        Where; particles with zero reference are left out.
+    """
+
+    field: Field
+    reference: Callable[[Float, float], Float]
+    region: Region = All()
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the error."""
+        mask = solution.select(self.region)
+        exact = np.asarray(self.reference(solution.x[mask], solution.t)).reshape(int(mask.sum()), -1)
+        found = self.field(solution)[mask].reshape(exact.shape)
+        size = np.linalg.norm(exact, axis=1)
+        weight = np.where(size > 0.0, solution.volume[mask], 0.0)
+        error = np.linalg.norm(found - exact, axis=1) / np.where(size > 0.0, size, 1.0)
+        moment, volume = solution.sum([weight @ error, weight.sum()])
+        return float(moment / volume)
+
+
+@dataclass(frozen=True)
+class LargestError(Quantity):
+    """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region."""
+
+    field: Field
+    reference: Callable[[Float, float], Float]
+    region: Region = All()
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the error."""
+        mask = solution.select(self.region)
+        exact = np.asarray(self.reference(solution.x[mask], solution.t))
+        difference = np.abs(self.field(solution)[mask] - exact)
+        return solution.largest(float(difference.max(initial=0.0)))
+
+
+def component(values: Float, name: str) -> Float:
+    """Return one component of a field: ``""`` of a scalar, ``"x"`` of a vector, ``"xy"`` of a tensor."""
+    axes = ["xyz".find(letter) for letter in name]
+    if len(axes) != values.ndim - 1 or any(not 0 <= a < values.shape[1] for a in axes):
+        dim = values.shape[-1] if values.ndim > 1 else 0
+        raise CaseError(f"A field of rank {values.ndim - 1} in {dim} dimensions has no component {name!r}.")
+    return np.asarray(values[(slice(None), *axes)])

@@ -1,0 +1,115 @@
+"""Conditions: prescribed displacements and dead loads on regions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.scene.region import Region
+from pdpetsc.scene.schedule import Ramp, Schedule
+
+# A number, multiplied with the schedule, or a function of positions (n, dim) and step time that returns (n,) values.
+Value: TypeAlias = float | Callable[[Float, float], Float]
+
+
+@dataclass(frozen=True)
+class _Vector:
+    region: Region
+    x: Value | None = None
+    y: Value | None = None
+    z: Value | None = None
+    schedule: Schedule = field(default_factory=Ramp)
+
+    def components(self, dim: int) -> list[tuple[int, Value]]:
+        """Return the declared components as (axis, value).
+
+        Raises
+        ------
+        CaseError
+            None is declared, one lies outside the dimension, or a number is not finite.
+        """
+        given = [(axis, value) for axis, value in enumerate((self.x, self.y, self.z)) if value is not None]
+        name = type(self).__name__
+        if not given:
+            raise CaseError(f"A {name} condition needs at least one of its components x, y, z.")
+        if given[-1][0] >= dim:
+            raise CaseError(f"A {name} condition gives component {'xyz'[given[-1][0]]} of a {dim}-dimensional body.")
+        for axis, value in given:
+            if not callable(value) and not math.isfinite(value):
+                raise CaseError(f"Component {'xyz'[axis]} of a {name} condition is {value}.")
+        return given
+
+    def value(self, component: Value, x: Float, t: float) -> Float:
+        """Return the values of one component at positions ``x`` and step time ``t``, (n,)."""
+        if callable(component):
+            values = np.asarray(component(x, t), dtype=float)
+            return np.array(np.broadcast_to(values, len(x)))
+        return np.full(len(x), component * self.schedule(t))
+
+
+@dataclass(frozen=True)
+class Displacement(_Vector):
+    """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free."""
+
+
+@dataclass(frozen=True)
+class Force(_Vector):
+    """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume."""
+
+
+@dataclass(frozen=True)
+class BodyForce(_Vector):
+    """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume]."""
+
+
+@dataclass(frozen=True)
+class Traction(_Vector):
+    """Dead traction ``x``, ``y``, ``z`` [stress] on the face whose outer particles the region selects.
+
+    Parameters
+    ----------
+    normal : sequence of float
+        Outward normal of the face; its length does not matter.
+    distribution : {"layer", "consistent"}
+        ``layer`` puts ``t`` times the particle's face on every particle of the region. ``consistent`` applies
+        ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform stress ``t (x) n`` in equilibrium: a
+        uniform traction then gives a uniform gradient. It reaches two horizons into the body.
+    """
+
+    normal: Sequence[float] = ()
+    distribution: Literal["layer", "consistent"] = "layer"
+
+    def unit_normal(self, dim: int) -> Float:
+        """Return the outward unit normal (dim,)."""
+        normal = np.asarray(self.normal, dtype=float)
+        length = float(np.linalg.norm(normal)) if normal.shape == (dim,) else 0.0
+        if not (math.isfinite(length) and length > 0.0):
+            raise CaseError(f"A Traction needs an outward normal of {dim} numbers, not {list(np.ravel(normal))}.")
+        if self.distribution not in ("layer", "consistent"):
+            raise CaseError(f'A Traction takes distribution="layer" or "consistent", not {self.distribution!r}.')
+        return normal / length
+
+
+def Pressure(  # noqa: N802 - reads as the noun it declares
+    region: Region,
+    value: float,
+    normal: Sequence[float],
+    distribution: Literal["layer", "consistent"] = "layer",
+    schedule: Schedule | None = None,
+) -> Traction:
+    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``."""
+    n = np.asarray(normal, dtype=float)
+    length = float(np.linalg.norm(n))
+    if not (length > 0.0 and math.isfinite(length)):
+        raise CaseError(f"A Pressure needs an outward normal, not {list(np.ravel(n))}.")
+    parts = [float(-value * c / length) for c in n] + [None] * (3 - len(n))
+    return Traction(region, *parts[:3], schedule or Ramp(), tuple(normal), distribution)
+
+
+Condition: TypeAlias = Displacement | Force | BodyForce | Traction

@@ -1,0 +1,61 @@
+"""Influence functions ``omega(|xi|)`` on ``s = |xi| / horizon``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+
+
+class Influence(ABC):
+    """How much a bond counts, from its length over the horizon."""
+
+    @abstractmethod
+    def __call__(self, s: Float) -> Float:
+        """Return omega [-] for ``s`` (n_bonds,) in (0, 1]."""
+
+
+@dataclass(frozen=True)
+class Constant(Influence):
+    """``omega = 1``."""
+
+    def __call__(self, s: Float) -> Float:
+        """Return ones."""
+        return np.ones_like(s)
+
+
+@dataclass(frozen=True)
+class Linear(Influence):
+    """``omega = 1 - s``; a bond exactly as long as the horizon does not count."""
+
+    def __call__(self, s: Float) -> Float:
+        """Return ``1 - s``."""
+        return np.maximum(1.0 - s, 0.0)
+
+
+@dataclass(frozen=True)
+class Cubic(Influence):
+    """Cubic B-spline, ``1 - 6 s^2 + 6 s^3`` for ``s < 1/2``, else ``2 (1 - s)^3``."""
+
+    def __call__(self, s: Float) -> Float:
+        """Return the spline."""
+        return np.where(s < 0.5, 1.0 - 6.0 * s**2 + 6.0 * s**3, 2.0 * np.maximum(1.0 - s, 0.0) ** 3)
+
+
+@dataclass(frozen=True)
+class Gaussian(Influence):
+    """``omega = exp(-(s / width)^2)``."""
+
+    width: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not self.width > 0.0:
+            raise CaseError(f"Gaussian influence needs a positive width, not {self.width}.")
+
+    def __call__(self, s: Float) -> Float:
+        """Return the Gaussian."""
+        return np.asarray(np.exp(-((s / self.width) ** 2)))

@@ -1,0 +1,179 @@
+"""Where particles come from: lattices, arrays, text files and meshes."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.errors import CaseError
+from pdpetsc.scene.region import Region, View
+
+WHOLE_CELLS = 1e-6
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A contiguous part of the particles: positions, volumes and named sets."""
+
+    x: Float
+    volume: Float
+    sets: Mapping[str, Mask]
+
+
+class Particles(ABC):
+    """A cloud of particles that can be created in parts."""
+
+    dim: int
+    thickness: float
+
+    @abstractmethod
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return the ``part``-th of ``parts`` contiguous parts in the order of creation.
+
+        Raises
+        ------
+        CaseError
+            The source is missing or malformed.
+        """
+
+
+@dataclass(frozen=True)
+class Lattice(Particles):
+    """A line, rectangle or box filled with equal cells, one particle in the middle of each.
+
+    Parameters
+    ----------
+    low, high : float or sequence of float
+        Corners of the real body [length]; their number of coordinates is the dimension.
+    spacing : float
+        Cell size [length]; every side must be a whole number of cells.
+    thickness : float
+        Out-of-plane thickness of a plane body [length], or cross-section of a bar [length^2].
+    cut : Region, optional
+        Particles to leave out.
+    keep : Region, optional
+        Particles to take; all others are left out.
+    fictitious : mapping of {"-x", "+x", "-y", "+y", "-z", "+z"} to float
+        Depth [length] of a layer of further particles beyond a side, as many as fit. They form the sets
+        ``fictitious`` and ``fictitious -x`` (and so on); the others form the set ``real``.
+    """
+
+    low: float | Sequence[float]
+    high: float | Sequence[float]
+    spacing: float
+    thickness: float = 1.0
+    cut: Region | None = None
+    keep: Region | None = None
+    fictitious: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
+            raise CaseError("The corners low and high of a Lattice need the same 1, 2 or 3 coordinates.")
+        if not (math.isfinite(self.spacing) and self.spacing > 0.0):
+            raise CaseError(f"A Lattice needs a positive spacing, not {self.spacing}.")
+        if not (math.isfinite(self.thickness) and self.thickness > 0.0):
+            raise CaseError(f"A Lattice needs a positive thickness, not {self.thickness}.")
+        for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
+            if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
+                raise CaseError(
+                    f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g} long; it needs a whole number."
+                )
+        sides = [sign + axis for axis in "xyz"[: len(low)] for sign in "-+"]
+        for side, depth in self.fictitious.items():
+            if side not in sides:
+                raise CaseError(f"A Lattice of {len(low)} dimensions has the sides {sides}, not {side!r}.")
+            if not (math.isfinite(depth) and depth >= self.spacing * (1.0 - WHOLE_CELLS)):
+                raise CaseError(f"The fictitious layer {side} is {depth:g} deep, less than one spacing.")
+
+    @property
+    def dim(self) -> int:  # type: ignore[override]
+        """Return the number of coordinates."""
+        return len(np.atleast_1d(np.asarray(self.low, float)))
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        real = np.round((high - low) / self.spacing).astype(np.int64)
+        before = np.array([self._layers("-" + axis) for axis in "xyz"[: self.dim]])
+        after = np.array([self._layers("+" + axis) for axis in "xyz"[: self.dim]])
+        counts = real + before + after
+        total = int(np.prod(counts))
+        index = np.arange(part * total // parts, (part + 1) * total // parts)
+        cell = np.stack(np.unravel_index(index, counts), axis=1) - before
+        x = low + (cell + 0.5) * self.spacing
+        sets = {"real": np.all((cell >= 0) & (cell < real), axis=1)}
+        sets["fictitious"] = ~sets["real"]
+        for side in self.fictitious:
+            axis = "xyz".index(side[1])
+            sets[f"fictitious {side}"] = cell[:, axis] < 0 if side[0] == "-" else cell[:, axis] >= real[axis]
+        view = View(x, sets, minimum=_refuse_nearest)
+        kept = np.ones(len(x), dtype=bool)
+        if self.keep is not None:
+            kept &= self.keep.mask(view)
+        if self.cut is not None:
+            kept &= ~self.cut.mask(view)
+        volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
+        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()})
+
+    def _layers(self, side: str) -> int:
+        return int(self.fictitious.get(side, 0.0) / self.spacing * (1.0 + WHOLE_CELLS))
+
+
+@dataclass(frozen=True)
+class Arrays(Particles):
+    """Particles from numpy arrays.
+
+    Parameters
+    ----------
+    x : (n, dim) array_like
+        Positions [length].
+    volume : (n,) array_like or float
+        Volumes [length^dim times thickness].
+    sets : mapping of str to (n,) bool or index arrays
+        Named sets.
+    thickness : float
+        Out-of-plane thickness [length] already contained in the volumes.
+    """
+
+    x: ArrayLike
+    volume: ArrayLike
+    sets: Mapping[str, ArrayLike] = field(default_factory=dict)
+    thickness: float = 1.0
+
+    def __post_init__(self) -> None:
+        x = np.asarray(self.x, dtype=float)
+        if x.ndim != 2 or not 1 <= x.shape[1] <= 3 or len(x) == 0:
+            raise CaseError(f"Particle positions must be (n, 1), (n, 2) or (n, 3), not {x.shape}.")
+        if np.asarray(self.volume, dtype=float).shape not in ((), (len(x),)):
+            raise CaseError(f"Particle volumes must be one number or ({len(x)},), not {np.shape(self.volume)}.")
+        for name, members in self.sets.items():
+            if np.asarray(members).dtype == bool and np.shape(members) != (len(x),):
+                raise CaseError(f"Set {name!r} must be ({len(x)},) bool or indices, not {np.shape(members)} bool.")
+
+    @property
+    def dim(self) -> int:  # type: ignore[override]
+        """Return the number of coordinates."""
+        return int(np.asarray(self.x).shape[1])
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return rows ``part`` of ``parts`` of the arrays."""
+        x = np.asarray(self.x, dtype=float)
+        rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
+        sets = {}
+        for name, members in self.sets.items():
+            flags = np.zeros(len(x), dtype=bool)
+            flags[np.asarray(members)] = True
+            sets[name] = flags[rows]
+        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
+        return Chunk(x[rows], np.array(volume[rows]), sets)
+
+
+def _refuse_nearest(_: float) -> float:
+    raise CaseError("Nearest cannot choose the particles of a Lattice; use Box, Slab, Sphere or Where in cut and keep.")

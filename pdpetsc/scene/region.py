@@ -1,0 +1,178 @@
+"""Regions: which particles a condition, a material or a quantity speaks of. Combine with ``|``, ``&`` and ``~``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.errors import CaseError
+
+# Particles whose distance exceeds the smallest one by less than this share of it are equally near.
+EQUALLY_NEAR = 1e-6
+
+
+@dataclass(frozen=True)
+class View:
+    """The particles a region is asked about.
+
+    Attributes
+    ----------
+    x : (n, dim) float64
+        Reference positions [length].
+    sets : mapping of str to (n,) bool
+        Named sets.
+    minimum : callable
+        Smallest of a number over all parts of the cloud.
+    """
+
+    x: Float
+    sets: Mapping[str, Mask]
+    minimum: Callable[[float], float]
+
+
+class Region(ABC):
+    """A set of particles chosen by position or name."""
+
+    @abstractmethod
+    def mask(self, view: View) -> Mask:
+        """Return which particles belong to the region, (n,) bool (collective for ``Nearest``)."""
+
+    def __or__(self, other: Region) -> Region:
+        return _Union(self, other)
+
+    def __and__(self, other: Region) -> Region:
+        return _Intersection(self, other)
+
+    def __invert__(self) -> Region:
+        return _Complement(self)
+
+
+@dataclass(frozen=True)
+class _Union(Region):
+    one: Region
+    other: Region
+
+    def mask(self, view: View) -> Mask:
+        return self.one.mask(view) | self.other.mask(view)
+
+
+@dataclass(frozen=True)
+class _Intersection(Region):
+    one: Region
+    other: Region
+
+    def mask(self, view: View) -> Mask:
+        return self.one.mask(view) & self.other.mask(view)
+
+
+@dataclass(frozen=True)
+class _Complement(Region):
+    of: Region
+
+    def mask(self, view: View) -> Mask:
+        return ~self.of.mask(view)
+
+
+@dataclass(frozen=True)
+class All(Region):
+    """Every particle."""
+
+    def mask(self, view: View) -> Mask:
+        """Return all true."""
+        return np.ones(len(view.x), dtype=bool)
+
+
+@dataclass(frozen=True)
+class Box(Region):
+    """Particles with ``low <= x <= high`` in every coordinate [length]."""
+
+    low: Sequence[float]
+    high: Sequence[float]
+
+    def mask(self, view: View) -> Mask:
+        """Return which particles lie in the box."""
+        low, high = _vector(self.low, view, "low corner of Box"), _vector(self.high, view, "high corner of Box")
+        return np.asarray(np.all((view.x >= low) & (view.x <= high), axis=1))
+
+
+@dataclass(frozen=True)
+class Slab(Region):
+    """Particles with ``low <= x <= high`` along one axis [length]."""
+
+    axis: Literal["x", "y", "z"]
+    low: float = -np.inf
+    high: float = np.inf
+
+    def mask(self, view: View) -> Mask:
+        """Return which particles lie in the slab."""
+        if self.axis not in "xyz"[: view.x.shape[1]]:
+            raise CaseError(f"Slab axis {self.axis!r} is not one of {list('xyz'[: view.x.shape[1]])}.")
+        s = view.x[:, "xyz".index(self.axis)]
+        return np.asarray((s >= self.low) & (s <= self.high))
+
+
+@dataclass(frozen=True)
+class Sphere(Region):
+    """Particles within ``radius`` of ``centre`` [length]; a disc in two dimensions."""
+
+    centre: Sequence[float]
+    radius: float
+
+    def mask(self, view: View) -> Mask:
+        """Return which particles lie in the sphere."""
+        distance = np.linalg.norm(view.x - _vector(self.centre, view, "centre of Sphere"), axis=1)
+        return np.asarray(distance <= self.radius)
+
+
+@dataclass(frozen=True)
+class Nearest(Region):
+    """The particle nearest to ``point`` [length], or all that are equally near."""
+
+    point: Sequence[float]
+
+    def mask(self, view: View) -> Mask:
+        """Return which particles are nearest (collective)."""
+        distance = np.linalg.norm(view.x - _vector(self.point, view, "point of Nearest"), axis=1)
+        least = view.minimum(float(distance.min(initial=np.inf)))
+        return np.asarray(distance <= least * (1.0 + EQUALLY_NEAR) + 1e-300)
+
+
+@dataclass(frozen=True)
+class Where(Region):
+    """Particles for which ``predicate(x)`` is true; it gets (n, dim) positions and returns (n,) bool."""
+
+    predicate: Callable[[Float], Mask]
+
+    def mask(self, view: View) -> Mask:
+        """Return the predicate's answer."""
+        answer = np.asarray(self.predicate(view.x))
+        if answer.shape != (len(view.x),) or answer.dtype != bool:
+            raise CaseError(
+                f"The predicate of Where must return {(len(view.x),)} bool, not {answer.shape} {answer.dtype}."
+            )
+        return answer
+
+
+@dataclass(frozen=True)
+class Named(Region):
+    """A named set: a mesh group, a node set file, ``real`` or ``fictitious`` of a lattice."""
+
+    name: str
+
+    def mask(self, view: View) -> Mask:
+        """Return the set."""
+        if self.name not in view.sets:
+            raise CaseError(f"There is no set {self.name!r}; the particles have {sorted(view.sets) or 'no sets'}.")
+        return view.sets[self.name]
+
+
+def _vector(values: Sequence[float], view: View, what: str) -> Float:
+    vector = np.atleast_1d(np.asarray(values, dtype=float))
+    if vector.shape != (view.x.shape[1],):
+        raise CaseError(f"The {what} needs {view.x.shape[1]} coordinates, not {list(np.ravel(vector))}.")
+    return vector

@@ -1,0 +1,47 @@
+"""Schedules: the factor that a condition's value is multiplied with at step time ``t`` in [0, 1]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from pdpetsc.errors import CaseError
+
+Schedule: TypeAlias = Callable[[float], float]
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Factor ``t``: nothing at the start, everything at the end."""
+
+    def __call__(self, t: float) -> float:
+        """Return ``t``."""
+        return t
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Factor 1 at every time."""
+
+    def __call__(self, t: float) -> float:
+        """Return 1."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class Table:
+    """Factors at given times, linear in between."""
+
+    times: Sequence[float]
+    factors: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if len(self.times) != len(self.factors) or len(self.times) < 2 or np.any(np.diff(self.times) <= 0.0):
+            raise CaseError("A schedule Table needs at least two ascending times and as many factors.")
+
+    def __call__(self, t: float) -> float:
+        """Return the interpolated factor."""
+        return float(np.interp(t, self.times, self.factors))

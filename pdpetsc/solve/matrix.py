@@ -1,0 +1,153 @@
+"""The tangent matrix in PETSc: allocation, values in place, prescribed degrees of freedom."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.discrete.pieces import rigid_modes
+from pdpetsc.kernels.pattern import scalar_rows
+from pdpetsc.model import Assembler, Model
+from pdpetsc.solve.petsc import seq_blocks, values_of
+
+
+def predicted_bytes(pattern: Pattern, dim: int) -> int:
+    """Return the memory of the matrix over all ranks, from its pattern: values, columns and rows [bytes].
+
+    Notes
+    -----
+    Collective.
+    """
+    index = np.dtype(PETSc.IntType).itemsize
+    per_rank = pattern.n_blocks * dim * dim * (8 + index) + pattern.cloud.n_owned * dim * 6 * index
+    return int(total(pattern.cloud.comm, per_rank))
+
+
+class TangentMatrix:
+    """An AIJ matrix of block size ``dim`` that the model's assembler fills in place.
+
+    Rows and columns of prescribed degrees of freedom hold only ``scale`` on the diagonal, so that the matrix stays
+    symmetric.
+
+    Parameters
+    ----------
+    model : Model
+        The body.
+    fixed : (n_owned, dim) bool
+        Prescribed degrees of freedom.
+    scale : float
+        Diagonal of prescribed rows [force / length].
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    def __init__(self, assembler: Assembler, fixed: Mask, scale: float) -> None:
+        self._assembler = assembler
+        self._scale = scale
+        self._fixed = fixed.ravel()
+        model, pattern = assembler.model, assembler.pattern
+        dim, n = model.dim, model.cloud.n_owned
+        self.mat = _allocate(model, pattern)
+        rows = pattern.owned
+        self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
+        self._n_off = int(rows.off_ptr[-1]) * dim * dim
+        other = pattern.of_other_columns(fixed.astype(np.int8)).astype(bool)
+        is_diag = rows.columns < n
+        self._zero_diag = _constrained(rows.diag_ptr, rows.columns[is_diag], fixed, fixed)
+        self._zero_off = _constrained(rows.off_ptr, rows.columns[~is_diag] - n, fixed, other)
+        self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
+        self._handles = seq_blocks(self.mat)
+        self._done = False
+        self.diagonal: Float = np.zeros(n * dim)
+
+    def update(self, u: Float) -> None:
+        """Fill the matrix with K(u); a linear model is filled once."""
+        if self._done and self._assembler.model.linear:
+            return
+        with values_of(self._handles[0], self._n_diag) as diag, values_of(self._handles[1], self._n_off) as off:
+            self._assembler.assemble(u, diag, off)
+            self.diagonal = diag[self._diagonal]
+            diag[self._zero_diag] = 0.0
+            off[self._zero_off] = 0.0
+            diag[self._diagonal[self._fixed]] = self._scale
+        self.mat.assemble()
+        self.mat.stateIncrease()
+        self._done = True
+
+    def destroy(self) -> None:
+        """Free the PETSc object."""
+        self.mat.destroy()
+
+
+def _allocate(model: Model, pattern: Pattern) -> PETSc.Mat:
+    dim, cloud = model.dim, model.cloud
+    columns = _global_columns(pattern)
+    block_ptr = pattern.owned.diag_ptr + pattern.owned.off_ptr
+    row_ptr = np.empty(cloud.n_owned * dim + 1, dtype=PETSc.IntType)
+    scalar = np.empty(len(columns) * dim * dim, dtype=PETSc.IntType)
+    scalar_rows(block_ptr, columns, dim, row_ptr, scalar)
+    size = (cloud.n_owned * dim, cloud.n_global * dim)
+    mat = PETSc.Mat().create(comm=cloud.comm)
+    mat.setSizes((size, size), bsize=dim)
+    mat.setType("aij")
+    mat.setPreallocationCSR((row_ptr, scalar))
+    mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+    _attach_rigid_modes(mat, model)
+    return mat
+
+
+def _global_columns(pattern: Pattern) -> GlobalIndex:
+    """Return the global row of every block's column, in the order of the rows of a distributed matrix."""
+    n, first = pattern.cloud.n_owned, pattern.cloud.first
+    columns = pattern.owned.columns
+    other = np.concatenate([pattern.other_columns, [0]])
+    return np.where(columns < n, columns + first, other[np.maximum(columns - n, 0)])
+
+
+def _constrained(ptr: GlobalIndex, columns: GlobalIndex, fixed_rows: Mask, fixed_columns: Mask) -> GlobalIndex:
+    """Return the positions of values in rows or columns of prescribed degrees of freedom."""
+    dim = fixed_rows.shape[1]
+    row = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+    touched = fixed_rows.any(axis=1)[row] | fixed_columns.any(axis=1)[columns]
+    block = np.flatnonzero(touched)
+    row, column = row[block], columns[block]
+    width = np.diff(ptr)[row]
+    i, k = np.arange(dim)[:, None], np.arange(dim)[None, :]
+    start = dim * dim * ptr[row] + dim * (block - ptr[row])
+    position = start[:, None, None] + (dim * width)[:, None, None] * i + k
+    hit = fixed_rows[row][:, :, None] | fixed_columns[column][:, None, :]
+    return np.asarray(position[hit])
+
+
+def _diagonal(ptr: GlobalIndex, columns: GlobalIndex, dim: int) -> GlobalIndex:
+    """Return the position of every diagonal value, (n_owned * dim,)."""
+    row = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+    block = np.flatnonzero(columns == row)
+    start = dim * dim * ptr[:-1] + dim * (block - ptr[:-1])
+    i = np.arange(dim)
+    return np.asarray(start[:, None] + (dim * np.diff(ptr))[:, None] * i + i).ravel()
+
+
+def _attach_rigid_modes(mat: PETSc.Mat, model: Model) -> None:
+    """Give the matrix its near-null space, which algebraic multigrid coarsens with."""
+    modes = rigid_modes(model.cloud)
+    basis = []
+    for m in range(modes.shape[2]):
+        vec = mat.createVecLeft()
+        vec.array = modes[:, :, m].ravel()
+        basis.append(vec)
+    for m, vec in enumerate(basis):
+        for earlier in basis[:m]:
+            vec.axpy(-vec.dot(earlier), earlier)
+        vec.normalize()
+    space = PETSc.NullSpace().create(vectors=basis, comm=model.cloud.comm)
+    mat.setNearNullSpace(space)
+    space.destroy()
+    for vec in basis:
+        vec.destroy()

@@ -1,0 +1,84 @@
+"""What petsc4py does not reach: raw value arrays, the domain error flag, and which options were used.
+
+The functions called here have had the same C signature since PETSc 3.18.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+
+
+@lru_cache
+def _library() -> ctypes.CDLL:
+    return ctypes.CDLL(PETSc.__file__)
+
+
+def _check(code: int) -> None:
+    if code:
+        raise PETSc.Error(code)
+
+
+def seq_blocks(mat: PETSc.Mat) -> tuple[int, int | None]:
+    """Return the handles of the sequential matrices of own and of other columns of an AIJ matrix."""
+    if mat.getType() == "seqaij":
+        return int(mat.handle), None
+    diag, off = ctypes.c_void_p(), ctypes.c_void_p()
+    _check(_library().MatMPIAIJGetSeqAIJ(ctypes.c_void_p(mat.handle), ctypes.byref(diag), ctypes.byref(off), None))
+    assert diag.value is not None
+    return diag.value, off.value
+
+
+@contextlib.contextmanager
+def values_of(handle: int | None, count: int) -> Iterator[Float]:
+    """Give write access to the ``count`` values of a sequential AIJ matrix, without a copy."""
+    if handle is None or count == 0:
+        yield np.empty(0)
+        return
+    pointer = ctypes.POINTER(ctypes.c_double)()
+    mat = ctypes.c_void_p(handle)
+    _check(_library().MatSeqAIJGetArray(mat, ctypes.byref(pointer)))
+    try:
+        yield np.ctypeslib.as_array(pointer, shape=(count,))
+    finally:
+        _check(_library().MatSeqAIJRestoreArray(mat, ctypes.byref(pointer)))
+
+
+def set_domain_error(snes: PETSc.SNES) -> None:
+    """Tell SNES that the residual is not defined at the point it asked for."""
+    _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
+
+
+def option_used(name: str) -> bool:
+    """Return whether any PETSc object looked up an option, given without its dash."""
+    used = ctypes.c_int(0)
+    _check(_library().PetscOptionsUsed(None, f"-{name}".encode(), ctypes.byref(used)))
+    return bool(used.value)
+
+
+@contextlib.contextmanager
+def options(chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[None]:
+    """Put options into PETSc's database for the time of a run.
+
+    What is already there, from the command line, wins over ``chosen``, which wins over ``defaults``. A value of None
+    stands for an option without value.
+    """
+    database = PETSc.Options()
+    inserted = []
+    for name, value in [*chosen.items(), *defaults.items()]:
+        if not database.hasName(name):
+            database.setValue(name, "" if value is None else str(value))
+            inserted.append(name)
+    try:
+        yield
+    finally:
+        for name in inserted:
+            database.delValue(name)

@@ -1,0 +1,269 @@
+"""Static equilibrium of one load step with SNES."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.loading import Loading
+from pdpetsc.model import Assembler, Model
+from pdpetsc.solve.matrix import TangentMatrix
+from pdpetsc.solve.petsc import set_domain_error
+
+# Largest number of unknowns for which the direct solver is the default, by dimension.
+DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 20_000}
+# The residual cannot fall below about this multiple of the round-off of K u.
+FLOOR = 20.0
+# A residual at the floor that an iteration did not lower by this factor has stagnated.
+STAGNATION = 0.5
+HALVINGS = 40
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one attempt at a load step did.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether the residual met the tolerance or stagnated at the round-off floor.
+    reason : str
+        In words.
+    norms : list of float
+        Residual norm over the free degrees of freedom, at the start and after every Newton iteration [force].
+    reference : float
+        Norm of external forces and reactions that the tolerance is relative to [force].
+    linear_iterations : int
+        Krylov iterations of all Newton iterations.
+    """
+
+    converged: bool
+    reason: str
+    norms: list[float] = field(default_factory=list)
+    reference: float = 0.0
+    linear_iterations: int = 0
+
+
+def default_options(model: Model) -> dict[str, object]:
+    """Return pdpetsc's solver options for a model; the case and the command line override each of them.
+
+    Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
+    algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
+    the step, which is right for the gradient of an energy; in slender bending ``bt`` fails because a good first step
+    raises the residual norm a thousandfold.
+    """
+    database = PETSc.Options()
+    chosen = database.getString("pc_type", "")
+    unknowns = model.cloud.n_global * model.dim
+    direct = chosen in ("lu", "cholesky") or (not chosen and unknowns <= DIRECT_UNKNOWNS[model.dim])
+    defaults: dict[str, object] = {
+        "snes_type": "newtonls",
+        "snes_linesearch_type": "basic" if model.linear else "cp",
+        "snes_rtol": 1e-10,
+        "snes_max_it": 30,
+    }
+    if direct:
+        return defaults | {
+            "ksp_type": "preonly",
+            "pc_type": "cholesky",
+            "pc_factor_mat_solver_type": "mumps",
+            "mat_mumps_icntl_14": 50,
+        }
+    defaults |= {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    if not chosen:
+        defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.02}
+    return defaults
+
+
+class StaticSolver:
+    """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
+
+    Parameters
+    ----------
+    model, loading
+        The body and its conditions.
+    stop : callable
+        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    def __init__(self, model: Model, loading: Loading, assembler: Assembler, stop: Callable[[], bool]) -> None:
+        cloud = model.cloud
+        self.model = model
+        self.loading = loading
+        self._stop = stop
+        self._free = ~loading.fixed
+        self._spacing = cloud.volume[: cloud.n_owned, None] ** (1.0 / model.dim)
+        self._scale = _stiffness_scale(model)
+        self._matrix = TangentMatrix(assembler, loading.fixed, self._scale)
+        self._x = self._matrix.mat.createVecRight()
+        self._r = self._x.duplicate()
+        self._prescribed = np.zeros(loading.fixed.shape)
+        self._external = np.zeros(loading.fixed.shape)
+        self._norms: list[float] = []
+        self._reference = 0.0
+        self._floor = 0.0
+        self._reason = ""
+        self.snes = PETSc.SNES().create(comm=cloud.comm)
+        self.snes.setFunction(self._residual, self._r)
+        self.snes.setJacobian(self._jacobian, self._matrix.mat)
+        self.snes.setConvergenceTest(self._test)
+        self.snes.setFromOptions()
+        self.snes.setLineSearchPreCheck(self._shorten)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return the memory that PETSc reports for the matrix, over all ranks [bytes]."""
+        return int(self._matrix.mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["memory"])
+
+    def description(self) -> str:
+        """Return the solver in force in a few words."""
+        ksp = self.snes.getKSP()
+        pc = ksp.getPC()
+        package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky", "ilu", "icc") else None
+        pc_name = f"{pc.getType()} ({package})" if package else str(pc.getType())
+        return f"snes {self.snes.getType()}, ksp {ksp.getType()}, pc {pc_name}"
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium at step time ``t`` starting from ``u`` (n_owned, dim).
+
+        Returns
+        -------
+        u : (n_owned, dim) float64
+            The new displacement, or an unusable one where the step failed.
+        result : StepResult
+        """
+        old_prescribed = self._prescribed
+        self._prescribed = self.loading.prescribed(t)
+        self._external = self.loading.forces(t)
+        self._norms, self._reason, linear = [], "", 0
+        start = u
+        if self._sum(np.count_nonzero(self._prescribed != old_prescribed)):
+            start, linear = self._predict(u, self._prescribed - np.where(self.loading.fixed, u, 0.0))
+        self._x.array = start.ravel()
+        self.snes.solve(None, self._x)
+        reason = self.snes.getConvergedReason()
+        result = StepResult(
+            converged=reason > 0,
+            reason=self._reason or _words(reason, self.snes.getKSP().getConvergedReason()),
+            norms=list(self._norms),
+            reference=self._reference,
+            linear_iterations=linear + self.snes.getLinearSolveIterations(),
+        )
+        if reason <= 0:
+            self._prescribed = old_prescribed
+        return self._at_prescribed(self._x.array).copy(), result
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, in order."""
+        self.snes.destroy()
+        self._r.destroy()
+        self._x.destroy()
+        self._matrix.destroy()
+
+    def _at_prescribed(self, x: Float) -> Float:
+        return np.where(self._free, x.reshape(self._free.shape), self._prescribed)
+
+    def _predict(self, u: Float, jump: Float) -> tuple[Float, int]:
+        """Return the linear response to new prescribed displacements: Newton's first step, from the old state.
+
+        Setting them alone would strain the layer next to a support by the whole increment.
+        """
+        jump = np.where(self.loading.fixed, jump, 0.0)
+        force = self.model.internal_force(u)
+        if force is None:
+            return u, 0
+        self._matrix.update(u)
+        b = self._external - force - self.model.tangent_times(u, jump)
+        self._r.array = np.where(self._free, b, 0.0).ravel()
+        ksp = self.snes.getKSP()
+        ksp.setOperators(self._matrix.mat, self._matrix.mat)
+        ksp.solve(self._r, self._x)
+        change = self._x.array.reshape(u.shape) + jump
+        return u + (change if np.isfinite(self._sum(change.sum())) else jump), ksp.getIterationNumber()
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        values = x.array_r.reshape(self._free.shape)
+        force = self.model.internal_force(self._at_prescribed(values))
+        if force is None:
+            set_domain_error(snes)
+            r.set(np.inf)
+            return
+        residual = force - self._external
+        self._reaction = np.where(self._free, 0.0, residual)
+        residual = np.where(self._free, residual, self._scale * (values - self._prescribed))
+        r.array = residual.ravel()
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        self._matrix.update(self._at_prescribed(x.array_r))
+
+    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
+        if self.model.linear:
+            return
+        here, step = x.array_r, y.array_r
+        factor = 1.0
+        for _ in range(HALVINGS):
+            if self.model.all_admissible(self._at_prescribed(here - factor * step)):
+                break
+            factor *= 0.5
+        if factor < 1.0:
+            y.scale(factor)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        reason = PETSc.SNES.ConvergedReason
+        residual = norms[2]
+        self._norms.append(residual)
+        if self._stop():
+            self._reason = "a signal asked the run to stop"
+            return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
+        if not np.isfinite(residual):
+            return int(reason.DIVERGED_FNORM_NAN)
+        values = self._at_prescribed(snes.getSolution().array_r)
+        diagonal = self._matrix.diagonal.reshape(values.shape)
+        round_off = np.where(self._free, diagonal * (np.abs(values) + self._spacing), 0.0)
+        squares = total(
+            self.model.cloud.comm, [(self._external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
+        )
+        self._reference = float(np.sqrt(max(squares[0], squares[1])))
+        self._floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
+        rtol, atol = snes.getTolerances()[:2]
+        if residual <= rtol * self._reference or residual == 0.0:
+            self._reason = "residual below tolerance"
+            return int(reason.CONVERGED_FNORM_RELATIVE)
+        if iteration > 0 and residual <= self._floor and residual > STAGNATION * self._norms[-2]:
+            self._reason = "residual at the round-off floor"
+            return int(reason.CONVERGED_FNORM_ABS)
+        return None
+
+    def _sum(self, value: float) -> float:
+        return float(total(self.model.cloud.comm, value))
+
+
+def _stiffness_scale(model: Model) -> float:
+    """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials."""
+    cloud = model.cloud
+    kappa = max(law.material.bulk_like_modulus(model.dim) for law in model.laws)
+    return kappa * float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global / cloud.horizon**2
+
+
+def _words(reason: int, linear: int) -> str:
+    names = {value: name for name, value in vars(PETSc.SNES.ConvergedReason).items() if isinstance(value, int)}
+    name = names.get(reason, str(reason))
+    if name == "DIVERGED_LINEAR_SOLVE":
+        kinds = {value: kind for kind, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
+        return f"the linear solver failed ({kinds.get(linear, linear)})"
+    return {
+        "DIVERGED_MAX_IT": "too many Newton iterations",
+        "DIVERGED_FUNCTION_DOMAIN": "det F <= 0 could not be avoided",
+        "DIVERGED_FNORM_NAN": "det F <= 0 or a number overflowed",
+        "DIVERGED_LINE_SEARCH": "the line search failed",
+    }.get(name, name)

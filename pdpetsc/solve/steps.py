@@ -1,0 +1,78 @@
+"""Load stepping with cut-back and growth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import Interrupted, SolveError
+from pdpetsc.scene.steps import AdaptiveSteps, Steps
+from pdpetsc.solve.static import StaticSolver, StepResult
+
+SAME_TIME = 1e-9
+EASY_ITERATIONS = 6
+GROWTH = 1.5
+
+
+@dataclass(frozen=True)
+class Converged:
+    """A converged step: its displacement, time and how it went, with the failed attempts before it."""
+
+    u: Float
+    t: float
+    result: StepResult
+    failures: list[StepResult] = field(default_factory=list)
+
+
+def load_steps(
+    solver: StaticSolver,
+    steps: Steps | AdaptiveSteps,
+    u: Float,
+    t: float,
+    stop: Callable[[], bool],
+    on_failure: Callable[[float, float, StepResult], None],
+) -> Iterator[Converged]:
+    """Yield converged steps from step time ``t`` to 1.
+
+    A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
+    up to the largest, if it was easy.
+
+    Raises
+    ------
+    SolveError
+        The smallest step failed; what was yielded before stands.
+    Interrupted
+        A signal asked to stop.
+
+    Notes
+    -----
+    Collective.
+    """
+    dt = steps.first
+    stops = steps.stops()
+    failures: list[StepResult] = []
+    while t < 1.0 - SAME_TIME:
+        ahead = next(s for s in stops if s > t + SAME_TIME)
+        target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
+        attempt, result = solver.solve(u, target)
+        if stop():
+            raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
+        if result.converged:
+            u, t = attempt, target
+            yield Converged(u, t, result, failures)
+            failures = []
+            if len(result.norms) - 1 <= EASY_ITERATIONS:
+                dt = min(dt * GROWTH, steps.largest)
+            continue
+        failures.append(result)
+        dt = 0.5 * (target - t)
+        on_failure(t, dt, result)
+        if dt < steps.least:
+            last = result.norms[-1] if result.norms else float("nan")
+            raise SolveError(
+                f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "
+                f"{last:.3e} against {result.reference:.3e} after {len(result.norms) - 1} iterations; look for a limit "
+                f"point or zero-energy modes, add or raise the stabilisation, or try -snes_linesearch_type basic, "
+                f"a smaller smallest step or -snes_rtol 1e-8."
+            )

@@ -319,9 +319,7 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation)
 
 
-def _make_solver(
-    model: Model, loading: Loading, assembler: Assembler, stop: Callable[[], bool]
-) -> StaticSolver:
+def _make_solver(model: Model, loading: Loading, assembler: Assembler, stop: Callable[[], bool]) -> StaticSolver:
     from petsc4py import PETSc
 
     try:

@@ -20,7 +20,7 @@ from pdpetsc.errors import CaseError, PdpetscError
 if TYPE_CHECKING:
     from pdpetsc.case import Case
 
-USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE] ...]
+USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE]]
 
   CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
   NAME=VALUE      a parameter of that function

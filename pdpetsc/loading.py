@@ -123,9 +123,7 @@ class Loading:
             P[:, axis, :] = traction.value(value, self._x[owner], t)[:, None] * normal
         return model.weighted_divergence(P)
 
-    def _check_face(
-        self, traction: Traction, normal: Float, where: GlobalIndex, thickness: float, name: str
-    ) -> None:
+    def _check_face(self, traction: Traction, normal: Float, where: GlobalIndex, thickness: float, name: str) -> None:
         """Refuse a face whose neighbourhood reaches another one: there the forces of the two cancel."""
         model = self._model
         P = np.broadcast_to(np.outer(normal, normal), (model.operator.n_points, model.dim, model.dim))

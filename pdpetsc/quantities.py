@@ -13,6 +13,8 @@ from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import All, Nearest, Region
 from pdpetsc.solution import Field, Solution
 
+EVERYWHERE = All()
+
 
 class Quantity(ABC):
     """A number that follows from a converged step."""
@@ -38,7 +40,7 @@ class Mean(Quantity):
 
     field: Field
     component: str = ""
-    region: Region = All()
+    region: Region = EVERYWHERE
 
     def evaluate(self, solution: Solution) -> float:
         """Return the mean."""
@@ -49,7 +51,7 @@ class Mean(Quantity):
         return float(moment / volume)
 
 
-def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:  # noqa: N802 - reads as a noun
+def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:
     """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones)."""
     return Mean(field, component, Nearest(point))
 
@@ -59,7 +61,7 @@ class Reaction(Quantity):
     """Sum of one component of the support forces in a region [force]."""
 
     component: str
-    region: Region = All()
+    region: Region = EVERYWHERE
 
     def evaluate(self, solution: Solution) -> float:
         """Return the sum."""
@@ -105,7 +107,7 @@ class RelativeError(Quantity):
 
     field: Field
     reference: Callable[[Float, float], Float]
-    region: Region = All()
+    region: Region = EVERYWHERE
 
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
@@ -125,7 +127,7 @@ class LargestError(Quantity):
 
     field: Field
     reference: Callable[[Float, float], Float]
-    region: Region = All()
+    region: Region = EVERYWHERE
 
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
@@ -141,4 +143,5 @@ def component(values: Float, name: str) -> Float:
     if len(axes) != values.ndim - 1 or any(not 0 <= a < values.shape[1] for a in axes):
         dim = values.shape[-1] if values.ndim > 1 else 0
         raise CaseError(f"A field of rank {values.ndim - 1} in {dim} dimensions has no component {name!r}.")
-    return np.asarray(values[(slice(None), *axes)])
+    index: tuple[slice | int, ...] = (slice(None), *axes)
+    return np.asarray(values[index])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
@@ -133,7 +135,9 @@ def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], ho
     )
 
 
-def _candidates(comm: Comm, x: Float, arrays: list[np.ndarray], horizon: float) -> tuple[list[np.ndarray], np.ndarray]:
+def _candidates(
+    comm: Comm, x: Float, arrays: list[NDArray[Any]], horizon: float
+) -> tuple[list[NDArray[Any]], GlobalIndex]:
     """Receive the particles of other ranks that lie in this rank's bounding box widened by one horizon."""
     dim = x.shape[1]
     box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
@@ -154,8 +158,8 @@ def _candidates(comm: Comm, x: Float, arrays: list[np.ndarray], horizon: float) 
     return exchange(comm, rank_of, [array[index] for array in arrays])
 
 
-def _within(x: Float, candidates: Float, horizon: float) -> np.ndarray:
+def _within(x: Float, candidates: Float, horizon: float) -> Mask:
     if len(x) == 0 or len(candidates) == 0:
         return np.zeros(len(candidates), dtype=bool)
     distance, _ = cKDTree(x).query(candidates, distance_upper_bound=horizon * (1.0 + 2.0 * HORIZON_TOLERANCE))
-    return np.isfinite(distance)
+    return np.asarray(np.isfinite(distance))

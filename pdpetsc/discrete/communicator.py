@@ -99,7 +99,9 @@ def exchange(
         result = np.empty((int(counts.sum()), *array.shape[1:]), dtype=array.dtype)
         width = int(np.prod(array.shape[1:], dtype=np.int64)) * array.dtype.itemsize
         row = MPI.BYTE.Create_contiguous(width).Commit()
-        comm.Alltoallv([rows.view(np.uint8), send, _starts(send), row], [result.view(np.uint8), counts, _starts(counts), row])
+        comm.Alltoallv(
+            [rows.view(np.uint8), send, _starts(send), row], [result.view(np.uint8), counts, _starts(counts), row]
+        )
         row.Free()
         received.append(result)
     return received, counts

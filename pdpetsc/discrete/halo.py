@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import GlobalIndex, LocalIndex
-from pdpetsc.discrete.communicator import Comm, MPI, exchange
+from pdpetsc.discrete.communicator import Comm, exchange
 
 
 class Halo:

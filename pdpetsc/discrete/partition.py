@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import Comm, largest, smallest, total
 
 # Relative size of the other coordinates in the sort key: splits the ties of a lattice plane along the next axis.
@@ -50,7 +50,7 @@ def bisect(comm: Comm, x: Float) -> LocalIndex:
     return part
 
 
-def _keys(comm: Comm, x: Float, members: np.ndarray) -> Float:
+def _keys(comm: Comm, x: Float, members: Mask) -> Float:
     """Return the position in [0, 1] along the longest side of the members' box, ties broken by the other sides."""
     dim = x.shape[1]
     chosen = x[members]

@@ -181,6 +181,6 @@ def _arrivals(
     in_diag = arriving < n_owned
     n_diag = np.diff(owned.diag_ptr)
     slot = found - row_ptr[row]
-    start = np.where(in_diag, owned.diag_ptr[row], owned.off_ptr[row])
-    width = np.where(in_diag, n_diag[row], np.diff(owned.off_ptr)[row])
-    return Arrivals(np.asarray(row_blocks), start, np.where(in_diag, slot, slot - n_diag[row]), width, in_diag)
+    start = np.asarray(np.where(in_diag, owned.diag_ptr[row], owned.off_ptr[row]))
+    blocks = np.where(in_diag, n_diag[row], np.diff(owned.off_ptr)[row])
+    return Arrivals(np.asarray(row_blocks), start, np.where(in_diag, slot, slot - n_diag[row]), blocks, in_diag)

@@ -34,7 +34,7 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
         changed = np.any(new != label)
         label = new
         if int(total(cloud.comm, int(changed))) == 0:
-            return label[: cloud.n_owned]
+            return np.asarray(label[: cloud.n_owned])
 
 
 def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:

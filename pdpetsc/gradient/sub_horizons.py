@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families, with_centres
@@ -68,9 +68,9 @@ def _shares(xi: Float, horizon: float) -> Float:
     return share
 
 
-def _merging(thin: np.ndarray) -> Float:
+def _merging(thin: Mask) -> Float:
     """Return ``M[i, a, c]``: the share of sector ``a`` of particle ``i`` that point ``c`` takes over."""
-    n, sectors = thin.shape
+    sectors = thin.shape[1]
     flips = np.array([[(a ^ c).bit_count() for c in range(sectors)] for a in range(sectors)], dtype=float)
     distance = np.where(thin[:, None, :], np.inf, flips[None])
     nearest = distance == distance.min(axis=2, keepdims=True)
@@ -79,8 +79,8 @@ def _merging(thin: np.ndarray) -> Float:
 
 
 def _listed(
-    points: np.ndarray, centres: LocalIndex, neighbours: LocalIndex, weight: Float, share: Float
-) -> tuple[LocalIndex, np.ndarray, LocalIndex, Float]:
+    points: Mask, centres: LocalIndex, neighbours: LocalIndex, weight: Float, share: Float
+) -> tuple[LocalIndex, GlobalIndex, LocalIndex, Float]:
     """Return owners, pointers, members and weights of the points, sorted by owner, sector and bond."""
     owner, sector = np.nonzero(points)
     number = np.full(points.shape, -1, dtype=np.int64)

@@ -1,7 +1,7 @@
 """Row-wise (Gustavson) assembly of ``K = G^T (W A) G`` into the value arrays of a block matrix.
 
-The value arrays have the layout of a scalar CSR matrix: row ``i`` of block row ``a`` holds, for each of its ``n`` blocks
-in turn, ``dim`` consecutive values, so block ``q`` starts at ``dim * dim * ptr[a] + i * dim * n + dim * q``.
+The value arrays have the layout of a scalar CSR matrix: row ``i`` of block row ``a`` holds, for each of its ``n``
+blocks in turn, ``dim`` consecutive values, so block ``q`` starts at ``dim * dim * ptr[a] + i * dim * n + dim * q``.
 """
 
 from __future__ import annotations

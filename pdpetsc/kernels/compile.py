@@ -8,17 +8,15 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numba
-
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 # No "nnan"/"ninf": an inadmissible deformation is found by comparing with NaN and infinity.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile ``function`` with numba, caching the machine code on disk.
 
     Parameters
@@ -32,7 +30,7 @@ def compiled(function: Function) -> Function:
         The compiled function, with the same signature.
     """
     jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-    return cast(Function, jit(function))
+    return cast(Callable[..., Any], jit(function))
 
 
 @contextlib.contextmanager

@@ -128,7 +128,7 @@ def determinant_kernel(dim: int) -> Callable[..., Any]:
                     - F[p, 0, 1] * (F[p, 1, 0] * F[p, 2, 2] - F[p, 1, 2] * F[p, 2, 0])
                     + F[p, 0, 2] * (F[p, 1, 0] * F[p, 2, 1] - F[p, 1, 1] * F[p, 2, 0])
                 )
-            if not J >= lowest:
+            if not lowest <= J:
                 lowest = J
                 if np.isnan(J):
                     return J

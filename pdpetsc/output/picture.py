@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -58,7 +59,8 @@ def draw(folder: Path, picture: Picture, dim: int, title: str) -> Path:
     else:
         axes.set_aspect("equal", adjustable="datalim" if dim == 2 else "box")
         limits = np.percentile(values, [0.5, 99.5])
-        drawn = axes.scatter(
+        scatter: Any = axes.scatter
+        drawn = scatter(
             *y[:, :dim].T, c=values, s=_marker_area(y, volume, dim, stride), cmap="viridis", marker="o", linewidths=0,
             vmin=float(limits[0]), vmax=float(limits[1]),
         )  # fmt: skip

@@ -12,7 +12,9 @@ from pdpetsc.solve.static import StepResult
 
 
 class Reporter:
-    """Prints a line per step, with a bar where the output is a terminal.
+    """Prints a line per step, with a bar where one rank writes to a terminal.
+
+    On more ranks there is no bar: mpirun makes every pipe look like a terminal.
 
     Parameters
     ----------
@@ -24,10 +26,9 @@ class Reporter:
 
     def __init__(self, comm: Comm, quiet: bool) -> None:
         self._console = Console(quiet=quiet or not is_root(comm), highlight=False, soft_wrap=True, markup=False)
-        self._progress = Progress(
-            TextColumn("load"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(),
-            console=self._console, transient=True, disable=not self._console.is_terminal or self._console.quiet,
-        )  # fmt: skip
+        columns = TextColumn("load"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn()
+        hidden = quiet or comm.size > 1 or not self._console.is_terminal
+        self._progress = Progress(*columns, console=self._console, transient=True, disable=hidden)
         self._task = self._progress.add_task("load", total=1.0)
 
     def __enter__(self) -> Reporter:

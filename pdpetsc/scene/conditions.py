@@ -96,7 +96,7 @@ class Traction(_Vector):
         return normal / length
 
 
-def Pressure(  # noqa: N802 - reads as the noun it declares
+def Pressure(
     region: Region,
     value: float,
     normal: Sequence[float],
@@ -108,8 +108,8 @@ def Pressure(  # noqa: N802 - reads as the noun it declares
     length = float(np.linalg.norm(n))
     if not (length > 0.0 and math.isfinite(length)):
         raise CaseError(f"A Pressure needs an outward normal, not {list(np.ravel(n))}.")
-    parts = [float(-value * c / length) for c in n] + [None] * (3 - len(n))
-    return Traction(region, *parts[:3], schedule or Ramp(), tuple(normal), distribution)
+    x, y, z = [float(-value * c / length) for c in n] + [None] * (3 - len(n))
+    return Traction(region, x, y, z, schedule or Ramp(), normal=tuple(normal), distribution=distribution)
 
 
 Condition: TypeAlias = Displacement | Force | BodyForce | Traction

@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.particles import Arrays, Chunk, Particles
 
 # Simplices that a cell falls into, by its corner nodes; the first node is shared, so curved nodes are left out.
-_SIMPLICES = {
+_SIMPLICES: dict[str, list[tuple[int, ...]]] = {
     "line": [(0, 1)],
     "triangle": [(0, 1, 2)],
     "quad": [(0, 1, 2), (0, 2, 3)],
@@ -126,7 +127,7 @@ class Mesh(Particles):
         return Arrays(np.concatenate([x for x, _ in cells]), volume, sets, self.thickness)
 
 
-def _table(path: Path, kind: type) -> np.ndarray:
+def _table(path: Path, kind: type) -> NDArray[Any]:
     try:
         return np.loadtxt(path, dtype=kind, ndmin=2)
     except OSError as error:
@@ -156,7 +157,7 @@ def _without_constant(x: Float, at_least: int = 1) -> Float:
     return x[:, :dim]
 
 
-def _centroids(points: Float, nodes: np.ndarray, kind: str) -> tuple[Float, Float]:
+def _centroids(points: Float, nodes: NDArray[Any], kind: str) -> tuple[Float, Float]:
     dim = points.shape[1]
     volume = np.zeros(len(nodes))
     moment = np.zeros((len(nodes), dim))
@@ -170,8 +171,8 @@ def _centroids(points: Float, nodes: np.ndarray, kind: str) -> tuple[Float, Floa
         return moment / volume[:, None], np.abs(volume)
 
 
-def _cell_sets(mesh: Any, chosen: list[int], counts: list[int]) -> dict[str, np.ndarray]:
-    sets: dict[str, np.ndarray] = {}
+def _cell_sets(mesh: Any, chosen: list[int], counts: list[int]) -> dict[str, NDArray[Any]]:
+    sets: dict[str, NDArray[Any]] = {}
     for name, blocks in mesh.cell_sets.items():
         if name.startswith("gmsh:"):
             continue

@@ -83,7 +83,7 @@ class Lattice(Particles):
         for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
             if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
                 raise CaseError(
-                    f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g} long; it needs a whole number."
+                    f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g} long, not a whole number."
                 )
         sides = [sign + axis for axis in "xyz"[: len(low)] for sign in "-+"]
         for side, depth in self.fictitious.items():

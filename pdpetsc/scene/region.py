@@ -175,4 +175,4 @@ def _vector(values: Sequence[float], view: View, what: str) -> Float:
     vector = np.atleast_1d(np.asarray(values, dtype=float))
     if vector.shape != (view.x.shape[1],):
         raise CaseError(f"The {what} needs {view.x.shape[1]} coordinates, not {list(np.ravel(vector))}.")
-    return vector
+    return np.asarray(vector)

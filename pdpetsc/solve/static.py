@@ -235,7 +235,7 @@ class StaticSolver:
         )
         self._reference = float(np.sqrt(max(squares[0], squares[1])))
         self._floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
-        rtol, atol = snes.getTolerances()[:2]
+        rtol = float(snes.getTolerances()[0])
         if residual <= rtol * self._reference or residual == 0.0:
             self._reason = "residual below tolerance"
             return int(reason.CONVERGED_FNORM_RELATIVE)
@@ -257,7 +257,7 @@ def _stiffness_scale(model: Model) -> float:
 
 def _words(reason: int, linear: int) -> str:
     names = {value: name for name, value in vars(PETSc.SNES.ConvergedReason).items() if isinstance(value, int)}
-    name = names.get(reason, str(reason))
+    name: str = names.get(reason, str(reason))
     if name == "DIVERGED_LINEAR_SOLVE":
         kinds = {value: kind for kind, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
         return f"the linear solver failed ({kinds.get(linear, linear)})"

@@ -57,9 +57,7 @@ def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10):
         raise pd.CaseError(f"scheme is one of {', '.join(schemes)}, not {scheme!r}.")
     reference = strip_deflection()
     return pd.Case(
-        particles=pd.Lattice(
-            (0.0, -THICKNESS / 2), (half, THICKNESS / 2), dx, fictitious={"-x": layers * dx}
-        ),
+        particles=pd.Lattice((0.0, -THICKNESS / 2), (half, THICKNESS / 2), dx, fictitious={"-x": layers * dx}),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
         scheme=schemes[scheme],

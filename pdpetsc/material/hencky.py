@@ -38,17 +38,19 @@ class Hencky(Material):
         return stretch
 
 
+@compiled
+def _principal(F, dim, C, squares, N):  # type: ignore[no-untyped-def]
+    """Diagonalise ``C = F^T F``; a function of the module, because numba cannot cache a closure over another one."""
+    for i in range(dim):
+        for j in range(dim):
+            C[i, j] = 0.0
+            for k in range(dim):
+                C[i, j] += F[k, i] * F[k, j]
+    symmetric_eigen(C, squares, N)
+
+
 @lru_cache
 def _kernels(dim: int) -> PointKernels:
-    @compiled
-    def principal(F, C, squares, N):  # type: ignore[no-untyped-def]
-        for i in range(dim):
-            for j in range(dim):
-                C[i, j] = 0.0
-                for k in range(dim):
-                    C[i, j] += F[k, i] * F[k, j]
-        symmetric_eigen(C, squares, N)
-
     @compiled
     def stress(F, select, constants, P):  # type: ignore[no-untyped-def]
         lam, mu = constants[0], constants[1]
@@ -57,7 +59,7 @@ def _kernels(dim: int) -> PointKernels:
         S = np.empty((dim, dim))
         squares = np.empty(dim)
         for p in select:
-            principal(F[p], C, squares, N)
+            _principal(F[p], dim, C, squares, N)
             trace = 0.0
             for a in range(dim):
                 trace += 0.5 * np.log(squares[a])
@@ -84,7 +86,7 @@ def _kernels(dim: int) -> PointKernels:
         strain = np.empty(dim)
         tau = np.empty(dim)
         for p in select:
-            principal(F[p], C, stretch, N)
+            _principal(F[p], dim, C, stretch, N)
             trace = 0.0
             for a in range(dim):
                 strain[a] = 0.5 * np.log(stretch[a])
@@ -134,7 +136,7 @@ def _kernels(dim: int) -> PointKernels:
         N = np.empty((dim, dim))
         squares = np.empty(dim)
         for p in select:
-            principal(F[p], C, squares, N)
+            _principal(F[p], dim, C, squares, N)
             trace = 0.0
             square = 0.0
             for a in range(dim):

@@ -37,28 +37,30 @@ class SaintVenantKirchhoff(Material):
         return stretch
 
 
+@compiled
+def _second_stress(F, dim, lam, mu, S):  # type: ignore[no-untyped-def]
+    """Write the second Piola-Kirchhoff stress to S and return ``tr E``."""
+    trace = 0.0
+    for i in range(dim):
+        for j in range(dim):
+            value = -1.0 if i == j else 0.0
+            for k in range(dim):
+                value += F[k, i] * F[k, j]
+            S[i, j] = mu * value
+            if i == j:
+                trace += 0.5 * value
+    for i in range(dim):
+        S[i, i] += lam * trace
+    return trace
+
+
 @lru_cache
 def _kernels(dim: int) -> PointKernels:
-    @compiled
-    def second_stress(F, lam, mu, S):  # type: ignore[no-untyped-def]
-        trace = 0.0
-        for i in range(dim):
-            for j in range(dim):
-                value = -1.0 if i == j else 0.0
-                for k in range(dim):
-                    value += F[k, i] * F[k, j]
-                S[i, j] = mu * value
-                if i == j:
-                    trace += 0.5 * value
-        for i in range(dim):
-            S[i, i] += lam * trace
-        return trace
-
     @compiled
     def stress(F, select, constants, P):  # type: ignore[no-untyped-def]
         S = np.empty((dim, dim))
         for p in select:
-            second_stress(F[p], constants[0], constants[1], S)
+            _second_stress(F[p], dim, constants[0], constants[1], S)
             for i in range(dim):
                 for j in range(dim):
                     value = 0.0
@@ -71,7 +73,7 @@ def _kernels(dim: int) -> PointKernels:
         lam, mu = constants[0], constants[1]
         S = np.empty((dim, dim))
         for p in select:
-            second_stress(F[p], lam, mu, S)
+            _second_stress(F[p], dim, lam, mu, S)
             for i in range(dim):
                 for k in range(dim):
                     left = 0.0
@@ -91,7 +93,7 @@ def _kernels(dim: int) -> PointKernels:
         lam, mu = constants[0], constants[1]
         S = np.empty((dim, dim))
         for p in select:
-            trace = second_stress(F[p], 0.0, mu, S)
+            trace = _second_stress(F[p], dim, 0.0, mu, S)
             square = 0.0
             for i in range(dim):
                 for j in range(dim):

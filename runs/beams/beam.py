@@ -1,0 +1,57 @@
+"""What the two slender beams of Hashim et al., sections 4.2 and 4.3, share. Units m, N."""
+
+import strip
+
+import pdpetsc as pd
+
+LENGTH = 0.254
+THICKNESS = 5.08e-3
+E = 68.95e9
+NU = 0.25
+PRESSURE = 276e3
+
+SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
+
+
+def scheme_named(name):
+    """Return the gradient scheme a case calls by name."""
+    if name not in SCHEMES:
+        raise pd.CaseError(f"scheme is one of {', '.join(SCHEMES)}, not {name!r}.")
+    return SCHEMES[name]
+
+
+def half_beam(support, ny, horizon, G, scheme, steps, supports):
+    """Return the case of half a beam with the given supports at its fictitious end.
+
+    The lattice has 25 ny columns of real particles and ``int(horizon)`` fictitious ones at x < 0; the last real column
+    lies on the symmetry line. The pressure acts on the outer layer of real particles.
+    """
+    if ny < 1 or ny % 2 == 0:
+        raise pd.CaseError(f"ny must be odd, so that particles lie on the middle of the beam, not {ny}.")
+    dx = THICKNESS / ny
+    half = 25 * ny * dx
+    top = pd.region.Slab("y", low=THICKNESS / 2 - dx) & pd.region.Named("real")
+    reference = strip.deflection(support, PRESSURE, LENGTH, THICKNESS, E, NU)
+
+    def results(history):
+        found = -history["w"][-1] / THICKNESS
+        return {"deflection": found, "reference": reference, "error": found / reference - 1.0}
+
+    return pd.Case(
+        particles=pd.Lattice(
+            (0.0, -THICKNESS / 2), (half, THICKNESS / 2), dx, fictitious={"-x": max(int(horizon), 1) * dx}
+        ),
+        horizon=horizon * dx,
+        material=pd.Hencky(E=E, nu=NU, plane="strain"),
+        scheme=scheme_named(scheme),
+        stabilisation=pd.Silling(G) if G else None,
+        conditions=[
+            *supports(dx),
+            pd.Displacement(pd.region.Slab("x", low=half - dx), x=0.0),
+            pd.Pressure(top, PRESSURE, normal=(0.0, 1.0)),
+        ],
+        steps=pd.Steps(steps),
+        history={"w": pd.At((half, 0.0), pd.displacement, "y"), "energy": pd.StrainEnergy()},
+        results=results,
+        picture=pd.Picture(pd.stress, "xx", scale=5.0),
+    )

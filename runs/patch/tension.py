@@ -1,0 +1,65 @@
+"""Free bar, strip or box, twice as long as wide, under uniform traction on its ends. Units m, N.
+
+With ``distribution=consistent`` the deformation gradient is uniform and exact, whatever the horizon: the patch test of
+a traction. ``distribution=layer`` loads the outer particles and shows what that costs near the ends.
+"""
+
+import math
+
+import numpy as np
+from scipy.optimize import brentq
+
+import pdpetsc as pd
+
+E = 1.0e3
+NU = 0.3
+
+
+def exact_gradient(dim, traction):
+    """Return F of a Hencky bar with P_xx = traction and free sides."""
+    lam, mu = pd.Hencky(E=E, nu=NU).lame(dim)
+    lateral = -lam / (2.0 * mu + (dim - 1) * lam)
+    stiffness = lam * (1.0 + (dim - 1) * lateral) + 2.0 * mu
+    strain = brentq(lambda e: stiffness * e * math.exp(-e) - traction, -0.9, 0.9, xtol=1e-16)
+    return np.diag([math.exp(strain)] + [math.exp(lateral * strain)] * (dim - 1))
+
+
+def case(dim=2, n=10, horizon=2.015, traction=100.0, G=0.5, scheme="correspondence", distribution="consistent", steps=1):
+    if dim not in (1, 2, 3):
+        raise pd.CaseError(f"dim is 1, 2 or 3, not {dim}.")
+    schemes = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
+    if scheme not in schemes:
+        raise pd.CaseError(f"scheme is one of {', '.join(schemes)}, not {scheme!r}.")
+    size = np.array([2.0] + [1.0] * (dim - 1))
+    dx = 1.0 / n
+    normal = [1.0] + [0.0] * (dim - 1)
+    region = pd.region
+    ends = [(1.0, region.Slab("x", low=2.0 - dx)), (-1.0, region.Slab("x", high=dx))]
+    corner = np.full(dim, 0.5 * dx)
+    far = [corner + np.eye(dim)[d] * (size[d] - dx) for d in range(dim)]
+    held = [pd.Displacement(region.Nearest(corner), **dict.fromkeys("xyz"[:dim], 0.0))]
+    if dim > 1:
+        held.append(pd.Displacement(region.Nearest(far[0]), **dict.fromkeys("yz"[: dim - 1], 0.0)))
+    if dim > 2:
+        held.append(pd.Displacement(region.Nearest(far[1]), z=0.0))
+    F = exact_gradient(dim, traction)
+    return pd.Case(
+        particles=pd.Lattice([0.0] * dim, size, dx),
+        horizon=horizon * dx,
+        material=pd.Hencky(E=E, nu=NU),
+        scheme=schemes[scheme],
+        stabilisation=pd.Silling(G) if G else None,
+        conditions=[
+            *held,
+            *(
+                pd.Traction(side, x=sign * traction, normal=[sign * c for c in normal], distribution=distribution)
+                for sign, side in ends
+            ),
+        ],
+        steps=pd.Steps(steps),
+        history={
+            "max_F_error": pd.LargestError(pd.deformation_gradient, lambda x, t: F),
+            "force": pd.Reaction("x"),
+        },
+        results=lambda h: {"max_F_error": h["max_F_error"][-1], "strain": F[0, 0] - 1.0},
+    )

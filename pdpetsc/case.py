@@ -17,11 +17,12 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud, distribute
-from pdpetsc.discrete.communicator import Comm, agreed, is_root, total, world
+from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total, world
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.gradient import Correspondence, Scheme
+from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import Loading, select
 from pdpetsc.material import Material
 from pdpetsc.model import Assembler, Model
@@ -180,6 +181,8 @@ class _Run:
 
     def __call__(self) -> dict[str, float]:
         case, comm = self.case, self.comm
+        with self._timed("kernels"):
+            rehearse(comm, case)
         with self._timed("particles"):
             cloud = make_cloud(comm, case)
         with self._timed("families"):
@@ -317,6 +320,35 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     omega: Float = case.influence(length / case.horizon)
     materials, material_of = _materials(case, cloud)
     return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation)
+
+
+def rehearse(comm: Comm, case: Case) -> None:
+    """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
+
+    The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
+    nor write its cache at once.
+
+    Notes
+    -----
+    Collective.
+    """
+    if is_root(comm):
+        dim = case.particles.dim
+        x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+        materials = [case.material] if isinstance(case.material, Material) else [m for _, m in case.material]
+        with cache_lock():
+            cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
+            families = find_families(cloud)
+            omega = np.ones(len(families.neighbours))
+            law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
+            model = Model(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
+            assembler = Assembler(model)
+            u = np.zeros_like(x)
+            size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
+            assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
+            model.internal_force(u)
+            model.energy(u)
+    comm.Barrier()
 
 
 def _make_solver(model: Model, loading: Loading, assembler: Assembler, stop: Callable[[], bool]) -> StaticSolver:

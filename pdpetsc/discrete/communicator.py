@@ -21,6 +21,11 @@ def world() -> Comm:
     return MPI.COMM_WORLD
 
 
+def alone() -> Comm:
+    """Return the communicator of this rank only."""
+    return MPI.COMM_SELF
+
+
 def is_root(comm: Comm) -> bool:
     """Return whether this rank is the one that prints and writes small files."""
     return bool(comm.rank == 0)

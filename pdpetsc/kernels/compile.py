@@ -35,7 +35,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextlib.contextmanager
 def cache_lock() -> Iterator[None]:
-    """Hold a per-user lock while kernels are compiled.
+    """Hold the lock of the kernel cache while kernels are compiled.
 
     Numba writes its cache index without a lock, so two processes that compile different signatures of one function at
     the same moment can leave an index that names the wrong file. Where no lock file can be made the body runs unlocked,
@@ -43,13 +43,16 @@ def cache_lock() -> Iterator[None]:
 
     Notes
     -----
-    Not collective. One process of a job holds it; jobs that share a home directory exclude each other.
+    Not collective. One process of a job holds it; jobs that share the cache exclude each other.
     """
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or tempfile.gettempdir())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = open(folder / f"pdpetsc-compile-{os.getuid()}.lock", "w")  # noqa: SIM115
-    except OSError:
+    beside = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
+    handle = None
+    for folder in (beside, Path(tempfile.gettempdir())):
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            handle = open(folder / f"pdpetsc-{os.getuid()}.lock", "w")  # noqa: SIM115
+            break
+    if handle is None:
         yield
         return
     with handle:

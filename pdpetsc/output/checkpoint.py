@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
-from pdpetsc.output.files import InCreationOrder, refuse_full_disk, replacing
+from pdpetsc.output.files import InCreationOrder, replacing, reserve
 
 FORMAT = 1
 
@@ -27,7 +27,7 @@ def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float,
     identity = _identity(cloud)
     with agreed(cloud.comm):
         if is_root(cloud.comm):
-            refuse_full_disk(path.parent, cloud.n_global * cloud.dim * 8)
+            reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8)
     failure: OutputError | None = None
     parts = order.parts_on_root(u)
     if is_root(cloud.comm):

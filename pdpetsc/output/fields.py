@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import OutputError
-from pdpetsc.output.files import InCreationOrder, refuse_full_disk, replacing
+from pdpetsc.output.files import InCreationOrder, replacing, reserve
 from pdpetsc.solution import Field, Solution
 
+# Room for the headers of a group or dataset [bytes].
+HEADERS = 2**14
 _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 
 
@@ -75,7 +77,7 @@ class FieldWriter:
         with agreed(comm):
             if is_root(comm):
                 rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in padded.values())
-                refuse_full_disk(self._path.parent, n * rows)
+                reserve(self._path, n * rows + HEADERS * (1 + len(padded)))
         failure: OSError | None = None
         file = None
         for name, array in padded.items():

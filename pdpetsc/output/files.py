@@ -39,14 +39,35 @@ def replacing(path: Path) -> Iterator[Path]:
         raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
 
 
-def refuse_full_disk(folder: Path, size: int) -> None:
-    """Raise OutputError where ``size`` more bytes do not fit: a file that HDF5 cannot finish would be lost whole."""
-    free = shutil.disk_usage(folder).free
+def reserve(path: Path, size: int) -> None:
+    """Make sure that a file can grow by ``size`` bytes, before anything in it is changed.
+
+    An HDF5 file whose write stops half way is lost whole. The blocks are allocated here, so that a full disk, a quota or
+    a file size limit shows while the file is still as it was.
+
+    Raises
+    ------
+    OutputError
+        There is no room; the file is unchanged.
+    """
+    free = shutil.disk_usage(path.parent).free
     if size + RESERVE > free:
         raise OutputError(
-            f"The disk of {folder} has {free / 2**20:.0f} MiB left and the next step needs {size / 2**20:.0f} MiB; "
-            f"results are complete up to the step before."
+            f"The disk of {path.parent} has {free / 2**20:.1f} MiB left and {path.name} needs {size / 2**20:.1f} MiB "
+            f"more; results are complete up to the step before."
         )
+    if not path.exists():
+        return
+    with path.open("r+b") as file:
+        before = os.fstat(file.fileno()).st_size
+        try:
+            os.posix_fallocate(file.fileno(), before, size)
+        except OSError as error:
+            os.ftruncate(file.fileno(), before)
+            raise OutputError(
+                f"{path} cannot grow by {size / 2**20:.1f} MiB ({error.strerror}); results are complete up to the step "
+                f"before."
+            ) from error
 
 
 def prepare_folder(comm: Comm, folder: Path) -> None:

@@ -60,7 +60,7 @@ def set_domain_error(snes: PETSc.SNES) -> None:
 def option_used(name: str) -> bool:
     """Return whether any PETSc object looked up an option, given without its dash."""
     used = ctypes.c_int(0)
-    _check(_library().PetscOptionsUsed(None, f"-{name}".encode(), ctypes.byref(used)))
+    _check(_library().PetscOptionsUsed(None, name.encode(), ctypes.byref(used)))
     return bool(used.value)
 
 

@@ -32,9 +32,7 @@ def case(ny=5, horizon=1.015, G=0.0, scheme="correspondence", steps=10, plane="s
         }
 
     return pd.Case(
-        particles=pd.Lattice(
-            (0.0, -DEPTH / 2), (LENGTH, DEPTH / 2), dx, fictitious={"-x": max(int(horizon), 1) * dx}
-        ),
+        particles=pd.Lattice((0.0, -DEPTH / 2), (LENGTH, DEPTH / 2), dx, fictitious={"-x": max(int(horizon), 1) * dx}),
         horizon=horizon * dx,
         material=pd.Hencky(E=12e6, nu=0.2, plane=plane),
         scheme=beam.scheme_named(scheme),

@@ -1,7 +1,7 @@
 """Square plate under hydrostatic extension to 1.61334 times its size, plane strain. Units m, N.
 
 The exact solution is homogeneous: P = 2 (lambda + mu) ln(L) / L for the stretch L. ``loading`` is ``displacement`` (the
-layer of one horizon follows the exact solution: every scheme then has F exact), ``layer`` or ``consistent`` (that P on
+layer of two horizons follows the exact solution: every scheme then has F exact), ``layer`` or ``consistent`` (that P on
 all four sides). The load of 5000 kN/m^2 in the paper lies above the largest P of the material, 613 kN/m^2; the stretch
 that it states needs 494.1 kN/m^2.
 Reference: Hashim, Coombs, Augarde, Hattori, section 4.1.
@@ -26,7 +26,7 @@ def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="co
     P = 2.0 * (lam + mu) * math.log(STRETCH) / STRETCH
     region = pd.region
     if loading == "displacement":
-        inside = 0.5 - (int(horizon) + 0.1) * dx
+        inside = 0.5 - 2 * int(horizon) * dx
         edge = ~region.Box((-inside, -inside), (inside, inside))
         conditions = [
             pd.Displacement(

@@ -24,7 +24,9 @@ def exact_gradient(dim, traction):
     return np.diag([math.exp(strain)] + [math.exp(lateral * strain)] * (dim - 1))
 
 
-def case(dim=2, n=10, horizon=2.015, traction=100.0, G=0.5, scheme="correspondence", distribution="consistent", steps=1):
+def case(
+    dim=2, n=10, horizon=2.015, traction=100.0, G=0.5, scheme="correspondence", distribution="consistent", steps=1
+):
     if dim not in (1, 2, 3):
         raise pd.CaseError(f"dim is 1, 2 or 3, not {dim}.")
     schemes = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}

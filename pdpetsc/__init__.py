@@ -28,7 +28,8 @@ from pdpetsc.solution import (
 from pdpetsc.stabilisation import Silling
 
 if TYPE_CHECKING:
-    from pdpetsc.case import Case, run
+    from pdpetsc.case import Case
+    from pdpetsc.runner import run
 
 __version__ = "0.1.0"
 
@@ -83,8 +84,12 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import ``Case`` and ``run`` on first use: they load PETSc, which must first see the command line."""
-    if name in ("Case", "run"):
-        from pdpetsc import case
+    if name == "Case":
+        from pdpetsc.case import Case
 
-        return getattr(case, name)
+        return Case
+    if name == "run":
+        from pdpetsc.runner import run
+
+        return run
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -160,8 +160,8 @@ def _run(argv: list[str]) -> int:
     arguments = split(argv)
     petsc4py.init(["pdpetsc", *arguments.petsc])
     from pdpetsc import __version__
-    from pdpetsc.case import run
     from pdpetsc.discrete.communicator import agreed, is_root, world
+    from pdpetsc.runner import run
 
     comm = world()
     if arguments.version or (arguments.help and arguments.path is None) or not argv:

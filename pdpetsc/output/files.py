@@ -42,8 +42,8 @@ def replacing(path: Path) -> Iterator[Path]:
 def reserve(path: Path, size: int) -> None:
     """Make sure that a file can grow by ``size`` bytes, before anything in it is changed.
 
-    An HDF5 file whose write stops half way is lost whole. The blocks are allocated here, so that a full disk, a quota or
-    a file size limit shows while the file is still as it was.
+    An HDF5 file whose write stops half way is lost whole. The blocks are allocated here, so that a full disk, a quota
+    or a file size limit shows while the file is still as it was.
 
     Raises
     ------

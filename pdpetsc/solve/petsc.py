@@ -57,6 +57,11 @@ def set_domain_error(snes: PETSc.SNES) -> None:
     _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
 
 
+def petsc_version() -> str:
+    """Return PETSc's version."""
+    return ".".join(str(part) for part in PETSc.Sys.getVersion())
+
+
 def option_used(name: str) -> bool:
     """Return whether any PETSc object looked up an option, given without its dash."""
     used = ctypes.c_int(0)

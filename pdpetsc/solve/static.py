@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.matrix import TangentMatrix
@@ -55,8 +56,8 @@ def default_options(model: Model) -> dict[str, object]:
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
     algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
     the step, which is right for the gradient of an energy; in slender bending ``bt`` fails because a good first step
-    raises the residual norm a thousandfold. Its secant steps cost residuals only: up to ten of them, against PETSc's one,
-    lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from over 30 to 10.
+    raises the residual norm a thousandfold. Its secant steps cost residuals only: up to ten of them, against PETSc's
+    one, lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from 32 to 10.
     """
     database = PETSc.Options()
     chosen = database.getString("pc_type", "")
@@ -118,7 +119,13 @@ class StaticSolver:
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, self._matrix.mat)
         self.snes.setConvergenceTest(self._test)
-        self.snes.setFromOptions()
+        try:
+            self.snes.setFromOptions()
+        except PETSc.Error as error:
+            self.destroy()
+            raise CaseError(
+                f"PETSc refused the solver options; check their names and values: {_first_line(error)}."
+            ) from error
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property
@@ -256,6 +263,13 @@ def _stiffness_scale(model: Model) -> float:
     cloud = model.cloud
     kappa = max(law.material.bulk_like_modulus(model.dim) for law in model.laws)
     return kappa * float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global / cloud.horizon**2
+
+
+def _first_line(error: PETSc.Error) -> str:
+    """Return what PETSc says is wrong, without its traceback."""
+    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines() if line.strip()]
+    kept = [line for line in lines if not line.startswith(("error code", "SNES", "KSP", "PC"))]
+    return (kept or lines or ["unknown"])[-1].rstrip(".")
 
 
 def _words(reason: int, linear: int) -> str:

@@ -1,0 +1,92 @@
+"""From a case to its distributed model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.case import Case
+from pdpetsc.discrete.cloud import Cloud, distribute
+from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
+from pdpetsc.discrete.families import Families, find_families
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.compile import cache_lock
+from pdpetsc.loading import select
+from pdpetsc.material import Material
+from pdpetsc.model import Assembler, Model
+from pdpetsc.scene.particles import Chunk
+
+
+def make_cloud(comm: Comm, case: Case) -> Cloud:
+    """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
+    with agreed(comm):
+        chunk = case.particles.chunk(comm.rank, comm.size)
+        _refuse_bad_particles(chunk)
+    if int(total(comm, len(chunk.x))) == 0:
+        raise CaseError("The case has no particles.")
+    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon)
+
+
+def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
+    """Return the model of a case on a distributed cloud (collective)."""
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    omega: Float = case.influence(length / case.horizon)
+    materials, material_of = _materials(case, cloud)
+    return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation)
+
+
+def rehearse(comm: Comm, case: Case) -> None:
+    """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
+
+    The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
+    nor write its cache at once.
+
+    Notes
+    -----
+    Collective.
+    """
+    if is_root(comm):
+        dim = case.particles.dim
+        x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+        materials = [case.material] if isinstance(case.material, Material) else [m for _, m in case.material]
+        with cache_lock():
+            cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
+            families = find_families(cloud)
+            omega = np.ones(len(families.neighbours))
+            law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
+            model = Model(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
+            assembler = Assembler(model)
+            u = np.zeros_like(x)
+            size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
+            assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
+            model.internal_force(u)
+            model.energy(u)
+    comm.Barrier()
+
+
+def _materials(case: Case, cloud: Cloud) -> tuple[list[Material], LocalIndex]:
+    """Return the materials and the index of each own particle's (collective)."""
+    if isinstance(case.material, Material):
+        return [case.material], np.zeros(cloud.n_owned, dtype=np.int32)
+    count = np.zeros(cloud.n_owned, dtype=np.int32)
+    index = np.zeros(cloud.n_owned, dtype=np.int32)
+    for number, (region, _) in enumerate(case.material):
+        mask = select(cloud, region, f"material {number + 1}")
+        count += mask
+        index[mask] = number
+    with agreed(cloud.comm):
+        wrong = np.flatnonzero(count != 1)
+        if len(wrong):
+            gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
+            raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
+    return [material for _, material in case.material], index
+
+
+def _refuse_bad_particles(chunk: Chunk) -> None:
+    bad = np.flatnonzero(~np.isfinite(chunk.x).all(axis=1))
+    if len(bad):
+        raise CaseError(f"{len(bad)} particles have a position that is not a number, the first at {chunk.x[bad[0]]}.")
+    bad = np.flatnonzero(~(np.isfinite(chunk.volume) & (chunk.volume > 0.0)))
+    if len(bad):
+        volume, x = chunk.volume[bad[0]], chunk.x[bad[0]]
+        raise CaseError(f"{len(bad)} particles have no positive volume, the first has {volume:g} at {x}.")

@@ -1,0 +1,263 @@
+"""Running a case: steps, records, results."""
+
+from __future__ import annotations
+
+import platform
+import resource
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.build import make_cloud, make_model, rehearse
+from pdpetsc.case import Case
+from pdpetsc.discrete.communicator import is_root, total, world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.discrete.pieces import refuse_rigid_motion
+from pdpetsc.errors import PdpetscError
+from pdpetsc.loading import Loading
+from pdpetsc.model import Assembler, Model
+from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
+from pdpetsc.output.fields import FieldWriter
+from pdpetsc.output.files import InCreationOrder, prepare_folder
+from pdpetsc.output.picture import draw
+from pdpetsc.output.progress import Reporter
+from pdpetsc.output.records import HistoryWriter, write_summary
+from pdpetsc.signals import stop_on_signals
+from pdpetsc.solution import Field, Solution, displacement
+from pdpetsc.solve.matrix import predicted_bytes
+from pdpetsc.solve.petsc import options as petsc_options
+from pdpetsc.solve.petsc import petsc_version
+from pdpetsc.solve.static import StaticSolver, StepResult, default_options
+from pdpetsc.solve.steps import load_steps
+
+
+def run(
+    case: Case,
+    output: str | Path,
+    options: Mapping[str, Any] | None = None,
+    restart: str | Path | None = None,
+    quiet: bool = False,
+    parameters: Mapping[str, Any] | None = None,
+) -> dict[str, float]:
+    """Run a case and return its named results.
+
+    Parameters
+    ----------
+    case : Case
+        What to run.
+    output : str or Path
+        Folder for ``summary.json``, ``history.csv``, ``fields.h5``, ``fields.xdmf``, ``checkpoint.h5``.
+    options : mapping, optional
+        PETSc options without dash; they win over the case's.
+    restart : str or Path, optional
+        Checkpoint to go on from.
+    quiet : bool
+        Print nothing.
+    parameters : mapping, optional
+        Written to the summary: what the case was made with.
+
+    Returns
+    -------
+    dict of str to float
+        The case's results.
+
+    Raises
+    ------
+    CaseError
+        The case is wrong; nothing was run.
+    SolveError, OutputError, Interrupted
+        The run ended early; the folder holds everything up to the last converged step.
+
+    Notes
+    -----
+    Collective.
+    """
+    comm = world()
+    folder = Path(output)
+    prepare_folder(comm, folder)
+    with Reporter(comm, quiet) as report:
+        return _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))()
+
+
+class _Run:
+    """One run: builds the model, drives the steps, keeps the records."""
+
+    def __init__(
+        self,
+        case: Case,
+        folder: Path,
+        options: Mapping[str, Any],
+        restart: str | Path | None,
+        report: Reporter,
+        parameters: dict[str, Any],
+    ) -> None:
+        self.case = case
+        self.folder = folder
+        self.options = options
+        self.restart = restart
+        self.report = report
+        self.comm = world()
+        self.timings: dict[str, float] = {}
+        self.steps: list[dict[str, Any]] = []
+        self.history: dict[str, list[float]] = {name: [] for name in ("step", "t", *case.history)}
+        self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
+
+    def __call__(self) -> dict[str, float]:
+        case, comm = self.case, self.comm
+        with self._timed("kernels"):
+            rehearse(comm, case)
+        with self._timed("particles"):
+            cloud = make_cloud(comm, case)
+        with self._timed("families"):
+            families = find_families(cloud)
+        with self._timed("model"):
+            model = make_model(case, cloud, families)
+            loading = Loading(model, case.conditions, case.particles.thickness)
+            refuse_rigid_motion(cloud, families, loading.fixed)
+        self._describe(model)
+        with stop_on_signals(comm) as stop, petsc_options(self.options, default_options(model)):
+            with self._timed("pattern"):
+                assembler = Assembler(model)
+                predicted = predicted_bytes(assembler.pattern, model.dim)
+                self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
+            with self._timed("allocation"):
+                solver = StaticSolver(model, loading, assembler, stop)
+            self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
+            self.summary["solver"] = solver.description()
+            self.report.say(f"solver: {solver.description()}")
+            try:
+                return self._march(model, loading, solver, stop)
+            finally:
+                solver.destroy()
+
+    def _march(
+        self, model: Model, loading: Loading, solver: StaticSolver, stop: Callable[[], bool]
+    ) -> dict[str, float]:
+        case, cloud = self.case, model.cloud
+        order = InCreationOrder(cloud)
+        u, t, step = np.zeros((cloud.n_owned, model.dim)), 0.0, 0
+        if self.restart is not None:
+            u, t, step = read_checkpoint(cloud, order, Path(self.restart))
+        with self._timed("output"):
+            writer = FieldWriter(cloud, order, self.folder, self._fields()) if self._fields() else None
+            records = HistoryWriter(self.comm, self.folder, list(case.history))
+            self._record(Solution(model, loading, u, t, step), writer, records)
+        failed: list[StepResult] = []
+
+        def on_failure(at: float, dt: float, result: StepResult) -> None:
+            failed.append(result)
+            self.report.cut_back(at, dt, result)
+
+        status = "converged"
+        try:
+            before = time.perf_counter()
+            for converged in load_steps(solver, case.steps, u, t, stop, on_failure):
+                self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
+                step += 1
+                self.report.step(step, converged.t, converged.result)
+                self.steps.append(_step_summary(step, converged.t, converged.result, converged.failures))
+                failed.clear()
+                with self._timed("output"):
+                    self._record(Solution(model, loading, converged.u, converged.t, step), writer, records)
+                    write_checkpoint(cloud, order, self.folder / "checkpoint.h5", converged.u, converged.t, step)
+                before = time.perf_counter()
+        except PdpetscError as error:
+            status = str(error)
+            raise
+        finally:
+            self._finish(status, failed)
+        return self._end(model.dim)
+
+    def _fields(self) -> list[Field]:
+        """Return the fields to write: the declared ones, and what the picture shows."""
+        wanted = list(self.case.fields)
+        if self.case.picture is not None:
+            wanted += [f for f in (displacement, self.case.picture.field) if f not in wanted]
+        return wanted
+
+    def _record(self, solution: Solution, writer: FieldWriter | None, records: HistoryWriter) -> None:
+        if writer is not None:
+            writer.write(solution)
+        row = [float(solution.step), solution.t]
+        row += [quantity.evaluate(solution) for quantity in self.case.history.values()]
+        for name, value in zip(self.history, row, strict=True):
+            self.history[name].append(value)
+        records.write(row)
+
+    def _finish(self, status: str, failed: list[StepResult]) -> None:
+        memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+        results = {}
+        if status == "converged" and self.case.results is not None:
+            results = {name: float(value) for name, value in self.case.results(self.history).items()}
+        self.summary |= {
+            "status": status,
+            "results": results,
+            "steps": self.steps,
+            "failed_attempts": [_attempt(result) for result in failed],
+            "timings": self.timings,
+            "peak_memory_bytes": memory,
+        }
+        write_summary(self.comm, self.folder, self.summary)
+
+    def _end(self, dim: int) -> dict[str, float]:
+        results: dict[str, float] = self.summary["results"]
+        self.report.results(results)
+        self.report.say(f"results in {self.folder}")
+        if self.case.picture is not None and is_root(self.comm):
+            with self._timed("picture"):
+                path = draw(self.folder, self.case.picture, dim, self.folder.name)
+            self.report.say(f"picture in {path}")
+        return results
+
+    def _describe(self, model: Model) -> None:
+        cloud, comm = model.cloud, self.comm
+        bonds, points, ghosts = total(comm, [len(model.families.neighbours), model.operator.n_points, cloud.n_ghost])
+        counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
+        self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
+        self.summary["allocated"] = _allocated(model)
+        self.report.say(
+            f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, {int(points)} gradient points, "
+            f"{comm.size} rank{'s' if comm.size > 1 else ''}"
+        )
+
+    @contextmanager
+    def _timed(self, phase: str) -> Iterator[None]:
+        before = time.perf_counter()
+        yield
+        self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
+
+
+def _allocated(model: Model) -> list[str]:
+    """Return what this scene made the model hold."""
+    held = ["families", "gradient operator", "tangent matrix"]
+    held += [f"material {type(law.material).__name__}" for law in model.laws]
+    return held + ([type(model.control).__name__ + " control"] if model.control is not None else [])
+
+
+def _step_summary(step: int, t: float, result: StepResult, failures: Sequence[StepResult]) -> dict[str, Any]:
+    return {"step": step, "t": t, **_attempt(result), "cut_backs": [_attempt(failure) for failure in failures]}
+
+
+def _attempt(result: StepResult) -> dict[str, Any]:
+    return {
+        "reason": result.reason,
+        "norms": result.norms,
+        "reference": result.reference,
+        "newton_iterations": max(len(result.norms) - 1, 0),
+        "linear_iterations": result.linear_iterations,
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "petsc": petsc_version()}
+    for package in ("pdpetsc", "numpy", "scipy", "numba"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found

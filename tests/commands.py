@@ -1,0 +1,45 @@
+"""Running pdpetsc as its users do."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+ROOT = Path(__file__).parent.parent
+TIMEOUT = 300
+
+
+def command(case, *arguments, ranks=1, output=None):
+    """Return the command line for a case file, on ``ranks`` ranks."""
+    words = [sys.executable, "-m", "pdpetsc", str(case), *map(str, arguments)]
+    if output is not None:
+        words += ["-o", str(output)]
+    return words if ranks == 1 else [str(ROOT / ".ci" / "mpirun"), str(ranks), *words]
+
+
+def run(case, *arguments, ranks=1, output=None, **options):
+    """Run a case file to its end; return the finished process with its output as text."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    words = command(case, *arguments, ranks=ranks, output=output)
+    return subprocess.run(
+        words, capture_output=True, text=True, timeout=TIMEOUT, cwd=ROOT, env=environment, check=False, **options
+    )
+
+
+def results(case, *arguments, ranks=1, output):
+    """Run a case file, which must succeed, and return its summary."""
+    finished = run(case, *arguments, "--quiet", ranks=ranks, output=output)
+    assert finished.returncode == 0, finished.stderr
+    return json.loads((output / "summary.json").read_text())
+
+
+def field(output, name, step=-1):
+    """Return a field of a step by global id."""
+    with h5py.File(output / "fields.h5", "r") as file:
+        steps = sorted(group for group in file if group.startswith("step_"))
+        assert np.array_equal(file["particles/id"], np.arange(len(file["particles/id"])))
+        return np.asarray(file[steps[step]][name])

@@ -1,0 +1,47 @@
+"""Numpy versions of the compiled loops, written for reading: the definition of correct."""
+
+import numpy as np
+
+
+def families(x, horizon):
+    """Return the neighbours of every particle by comparing all pairs."""
+    distance = np.linalg.norm(x[:, None] - x[None], axis=2)
+    return [np.flatnonzero((row <= horizon * (1 + 1e-9)) & (np.arange(len(x)) != i)) for i, row in enumerate(distance)]
+
+
+def dense_operator(operator, n):
+    """Return G as (n_points, dim, n): H_pim = sum_k u_ki G_pmk."""
+    G = np.zeros((operator.n_points, operator.g.shape[1], n))
+    for p in range(operator.n_points):
+        for t in range(operator.point_ptr[p], operator.point_ptr[p + 1]):
+            G[p, :, operator.members[t]] += operator.g[t]
+    return G
+
+
+def gradient(G, u):
+    """Return H = grad u at every point."""
+    return np.einsum("pmk,ki->pim", G, u)
+
+
+def divergence(G, volume, P):
+    """Return f = G^T W P."""
+    return np.einsum("p,pim,pmk->ki", volume, P, G)
+
+
+def tangent(G, volume, A):
+    """Return K = G^T W A G as (n dim, n dim)."""
+    K = np.einsum("p,pma,pimkn,pnb->aibk", volume, G, A, G)
+    size = K.shape[0] * K.shape[1]
+    return K.reshape(size, size)
+
+
+def silling_energy(x, volume, neighbours, G, kappa, u):
+    """Return 1/2 sum_i V_i sum_j V_j c_i |z_ij|^2, z = eta - H xi, c_i = G kappa / sum_j |xi|^2 V_j, omega = 1."""
+    energy = 0.0
+    for i, family in enumerate(neighbours):
+        xi, eta, V = x[family] - x[i], u[family] - u[i], volume[family]
+        K = np.einsum("j,jm,jn->mn", V, xi, xi)
+        H = np.einsum("j,jm,jn->mn", V, eta, xi) @ np.linalg.inv(K)
+        z = eta - xi @ H.T
+        energy += 0.5 * volume[i] * G * kappa / np.trace(K) * (V @ (z**2).sum(axis=1))
+    return energy

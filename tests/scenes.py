@@ -1,0 +1,82 @@
+"""Tables of what the property tests run over, and small bodies. A new model gets one row here."""
+
+import itertools
+
+import numpy as np
+
+import pdpetsc as pd
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.model import Assembler, Model
+
+DIMS = (1, 2, 3)
+MATERIALS = {
+    "hencky": pd.Hencky(E=10.0, nu=0.3),
+    "neo_hookean": pd.NeoHookean(E=10.0, nu=0.3),
+    "saint_venant_kirchhoff": pd.SaintVenantKirchhoff(E=10.0, nu=0.3),
+    "linear_elastic": pd.LinearElastic(E=10.0, nu=0.3),
+}
+PLANE_STRESS = {f"{name}_plane_stress": type(m)(m.E, m.nu, "stress") for name, m in MATERIALS.items()}
+SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
+STABILISATIONS = {"none": None, "silling": pd.Silling(0.5)}
+SIDES = {1: (12,), 2: (6, 5), 3: (4, 3, 4)}
+
+
+def material_cases():
+    """Return (material, dim) for every material in every dimension, and in plane stress."""
+    everywhere = [(m, dim) for m in MATERIALS.values() for dim in DIMS]
+    return everywhere + [(m, 2) for m in PLANE_STRESS.values()]
+
+
+def lattice(dim, rng=None, shake=0.15):
+    """Return lattice positions with unit spacing, shaken where a generator is given."""
+    axes = [np.arange(float(n)) for n in SIDES[dim]]
+    x = np.array(list(itertools.product(*axes)))
+    return x if rng is None else x + shake * rng.uniform(-1.0, 1.0, x.shape)
+
+
+def body(
+    dim, scheme=SCHEMES["correspondence"], stabilisation=None, material=MATERIALS["hencky"], horizon=2.015, rng=None
+):
+    """Return the model of a small body on this process, with a volume per particle that varies where shaken."""
+    x = lattice(dim, rng)
+    volume = np.ones(len(x)) if rng is None else rng.uniform(0.8, 1.2, len(x))
+    cloud = distribute(world(), x, volume, {}, horizon)
+    families = find_families(cloud)
+    omega = np.ones(len(families.neighbours))
+    material_of = np.zeros(cloud.n_owned, dtype=np.int32)
+    return Model(cloud, families, omega, scheme, [material], material_of, stabilisation)
+
+
+def bodies(rng):
+    """Yield (label, model) for every dimension, scheme and stabilisation, on shaken clouds."""
+    for dim, (s, scheme), (c, control) in itertools.product(DIMS, SCHEMES.items(), STABILISATIONS.items()):
+        yield f"{dim}D {s} {c}", body(dim, scheme, control, rng=rng)
+
+
+def displacement(model, rng, size=0.05):
+    """Return a rough displacement of the own particles that keeps det F > 0."""
+    return size * rng.uniform(-1.0, 1.0, (model.cloud.n_owned, model.dim))
+
+
+def dense_tangent(model, u):
+    """Return K(u) of a model on one process as a dense matrix."""
+    assembler = Assembler(model)
+    dim, rows = model.dim, assembler.pattern.owned
+    values = np.empty(dim * dim * int(rows.diag_ptr[-1]))
+    assembler.assemble(u, values, np.empty(0))
+    n = model.cloud.n_owned
+    K = np.zeros((n, dim, n, dim))
+    for a in range(n):
+        first, last = rows.diag_ptr[a], rows.diag_ptr[a + 1]
+        block = values[dim * dim * first : dim * dim * last].reshape(dim, last - first, dim)
+        K[a][:, rows.columns[first:last], :] = block
+    return K.reshape(n * dim, n * dim)
+
+
+def rotation(dim, rng):
+    """Return a random rotation."""
+    Q, _ = np.linalg.qr(rng.standard_normal((dim, dim)))
+    Q[:, 0] *= np.sign(np.linalg.det(Q))
+    return Q

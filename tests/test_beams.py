@@ -1,0 +1,92 @@
+"""The beams of Hashim et al. from the command line, against the paper's Table 1 and closed forms."""
+
+import numpy as np
+import pytest
+
+from tests.commands import field, results
+
+# ny, horizon / dx, error of the deflection in per cent: prototype of the same equations, which agrees with Table 1 of
+# the paper to 0.02 points except for 9 x 225 particles, where the paper prints 1.032.
+TABLE_1 = [
+    (3, 1.015, 6.683),
+    (5, 1.015, 2.682),
+    (7, 1.015, 1.649),
+    (9, 1.015, 1.225),
+    (3, 2.015, 27.325),
+    (5, 2.015, 12.166),
+    (3, 3.015, 63.804),
+    (5, 3.015, 40.498),
+]
+
+
+@pytest.mark.parametrize(("ny", "horizon", "error"), TABLE_1)
+def test_clamped_beam_reproduces_table_1(ny, horizon, error, tmp_path):
+    summary = results("runs/beams/clamped.py", f"ny={ny}", f"horizon={horizon}", output=tmp_path)
+    assert 100.0 * summary["results"]["error"] == pytest.approx(error, abs=0.01)
+    assert summary["results"]["reference"] == pytest.approx(0.586082, abs=5e-7)
+    iterations = [step["newton_iterations"] for step in summary["steps"]]
+    assert len(iterations) == 10
+    assert iterations[0] <= 7
+    assert max(iterations[1:]) <= 5
+
+
+def test_newton_ends_quadratically(tmp_path):
+    """The last contraction is far stronger than the one before, until the round-off floor is met."""
+    summary = results("runs/beams/clamped.py", "ny=3", "steps=4", output=tmp_path)
+    for step in summary["steps"]:
+        norms = np.array(step["norms"]) / step["reference"]
+        before = norms[norms > 1e-9]
+        assert norms[-1] < 1e-10
+        assert norms[len(before)] < 10.0 * before[-1] ** 1.5
+
+
+# Errors of the same equations in plain SciPy.
+@pytest.mark.parametrize(("ny", "error"), [(3, -3.2), (5, -1.0), (9, 0.0)])
+def test_sub_horizons_on_the_clamped_beam(ny, error, tmp_path):
+    summary = results("runs/beams/clamped.py", f"ny={ny}", "scheme=sub_horizons", output=tmp_path)
+    assert 100.0 * summary["results"]["error"] == pytest.approx(error, abs=0.06)
+
+
+def test_stabilised_clamped_beam_is_close_to_the_strip(tmp_path):
+    for horizon, bound in ((1.015, 0.04), (2.015, 0.04), (3.015, 0.18)):
+        summary = results("runs/beams/clamped.py", "ny=3", f"horizon={horizon}", "G=0.55", output=tmp_path)
+        assert abs(summary["results"]["error"]) < bound
+
+
+def test_simply_supported_beam_converges_to_the_hinged_strip(tmp_path):
+    errors = [
+        abs(results("runs/beams/simply_supported.py", f"ny={ny}", output=tmp_path)["results"]["error"])
+        for ny in (3, 5, 9)
+    ]
+    assert errors[0] < 0.025
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_cantilever_bends_as_the_elastica(tmp_path):
+    found = results("runs/beams/cantilever.py", "scheme=sub_horizons", output=tmp_path)
+    assert abs(found["results"]["w_error"]) < 0.02
+    assert abs(found["results"]["u_error"]) < 0.02
+    assert all(not step["cut_backs"] for step in found["steps"])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("ny", [5, 9, 15])
+@pytest.mark.parametrize("horizon", [1.015, 2.015, 3.015])
+def test_cantilever_converges_for_every_horizon(ny, horizon, tmp_path):
+    G = 0.0 if horizon < 2 else 0.5
+    found = results("runs/beams/cantilever.py", f"ny={ny}", f"horizon={horizon}", f"G={G}", output=tmp_path)
+    assert abs(found["results"]["w_error"]) < 0.08
+    assert all(not step["cut_backs"] for step in found["steps"])
+
+
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+def test_displacements_do_not_depend_on_the_rank_count(ranks, tmp_path):
+    for case, arguments in (
+        ("clamped", ("ny=3", "horizon=2.015", "G=0.5", "steps=4")),
+        ("clamped", ("ny=3", "scheme=sub_horizons", "steps=4")),
+    ):
+        path = f"runs/beams/{case}.py"
+        results(path, *arguments, output=tmp_path / "one")
+        results(path, *arguments, output=tmp_path / "many", ranks=ranks)
+        one, many = (field(tmp_path / name, "displacement") for name in ("one", "many"))
+        assert np.abs(many - one).max() <= 1e-10 * np.abs(one).max()

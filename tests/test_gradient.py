@@ -1,0 +1,110 @@
+"""Gradient schemes: affine displacements are exact, loops agree with numpy, bad families are refused."""
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from tests import reference
+from tests.scenes import DIMS, SCHEMES, body, displacement, lattice
+
+CASES = [(dim, name) for dim in DIMS for name in SCHEMES]
+
+
+@pytest.fixture(params=CASES, ids=lambda case: f"{case[0]}D-{case[1]}")
+def model(request, rng):
+    dim, name = request.param
+    return body(dim, SCHEMES[name], rng=rng)
+
+
+def test_families_are_all_pairs_within_the_horizon(rng):
+    for dim in DIMS:
+        x = lattice(dim, rng)
+        cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015)
+        families = find_families(cloud)
+        found = np.split(families.neighbours, families.indptr[1:-1])
+        for one, other in zip(found, reference.families(x, 2.015), strict=True):
+            assert one.tolist() == other.tolist()
+
+
+def test_a_bond_as_long_as_the_horizon_belongs_to_the_family():
+    x = 0.1 * np.arange(11.0)[:, None]
+    families = find_families(distribute(world(), x, np.ones(11), {}, 0.3))
+    assert np.diff(families.indptr).tolist() == [3, 4, 5, 6, 6, 6, 6, 6, 5, 4, 3]
+
+
+def test_affine_displacements_have_their_exact_gradient(model, rng):
+    H = rng.standard_normal((model.dim, model.dim))
+    u = model.cloud.x @ H.T + rng.standard_normal(model.dim)
+    assert np.abs(model.operator.gradient(u) - H).max() < 1e-12
+
+
+def test_loops_agree_with_numpy(model, rng):
+    u = displacement(model, rng)
+    G = reference.dense_operator(model.operator, model.cloud.n_local)
+    assert np.allclose(model.operator.gradient(u), reference.gradient(G, u), atol=1e-14)
+    P = rng.standard_normal((model.operator.n_points, model.dim, model.dim))
+    f = np.zeros_like(u)
+    model.operator.divergence(P, f)
+    assert np.allclose(f, reference.divergence(G, model.operator.volume, P), atol=1e-13)
+
+
+def test_quadrature_volumes_add_up_to_the_particles(model):
+    sums = np.bincount(model.operator.owner, model.operator.volume)
+    assert np.allclose(sums, model.cloud.volume, rtol=1e-14)
+
+
+def test_interior_lattice_particle_has_a_point_per_sector():
+    for dim in DIMS:
+        operator = body(dim, pd.SubHorizons(), horizon=1.015).operator
+        count = np.bincount(operator.owner)
+        assert count.max() == 2**dim
+        assert count.min() == 1
+
+
+def test_sub_horizons_share_the_bonds_on_an_axis_in_equal_parts():
+    """On a lattice with diagonals, the +x bond counts one half in each of the two quadrants beside it."""
+    operator = body(2, pd.SubHorizons(), horizon=1.5).operator
+    cloud = body(2, horizon=1.5).cloud
+    centre = int(np.flatnonzero((cloud.x == [2.0, 2.0]).all(axis=1))[0])
+    points = np.flatnonzero(operator.owner == centre)
+    assert len(points) == 4
+    for p in points:
+        members = operator.members[operator.point_ptr[p] + 1 : operator.point_ptr[p + 1]]
+        xi = cloud.x[members] - cloud.x[centre]
+        assert len(xi) == 3
+        weight = np.where(np.abs(xi).sum(axis=1) > 1.5, 1.0, 0.5)
+        K = np.einsum("k,km,kn->mn", weight, xi, xi)
+        g = operator.g[operator.point_ptr[p] + 1 : operator.point_ptr[p + 1]]
+        assert np.allclose(g, (weight[:, None] * xi) @ np.linalg.inv(K), atol=1e-14)
+
+
+def test_zero_energy_sawtooth_is_seen_by_sub_horizons_only():
+    x = np.arange(20.0)
+    sawtooth = ((-1.0) ** x)[:, None]
+    inner = slice(5, 15)
+    for scheme, least in ((pd.Correspondence(), 0.0), (pd.SubHorizons(), 1.0)):
+        cloud = distribute(world(), x[:, None], np.ones(20), {}, 1.015)
+        families = find_families(cloud)
+        operator = scheme.build(cloud, families, np.ones(len(families.neighbours)))
+        energy = np.bincount(operator.owner, operator.gradient(sawtooth)[:, 0, 0] ** 2 * operator.volume)
+        assert energy[inner].min() >= least
+        if least == 0.0:
+            assert energy[inner].max() == 0.0
+
+
+@pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES.keys())
+def test_a_flat_family_is_refused_with_ids(scheme):
+    x = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
+    cloud = distribute(world(), x, np.ones(4), {}, 1.5)
+    families = find_families(cloud)
+    with pytest.raises(pd.CaseError, match=r"4 particles have a family too small or too flat .*ids 0, 1, 2, 3"):
+        scheme.build(cloud, families, np.ones(len(families.neighbours)))
+
+
+def test_coincident_particles_are_refused_with_ids():
+    x = np.array([[0.0], [1.0], [1.0], [2.0]])
+    with pytest.raises(pd.CaseError, match="Particles 1 and 2 coincide"):
+        find_families(distribute(world(), x, np.ones(4), {}, 1.5))

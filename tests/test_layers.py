@@ -1,0 +1,73 @@
+"""Lower layers never import higher ones, and PETSc and MPI stay where they belong."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "pdpetsc"
+# From bottom to top; a module may import from its own layer and from lower ones.
+LAYERS = [
+    {"errors", "arrays"},
+    {"kernels"},
+    {"scene"},
+    {"discrete", "signals"},
+    {"gradient", "material"},
+    {"stabilisation"},
+    {"model"},
+    {"loading"},
+    {"solution"},
+    {"quantities"},
+    {"solve"},
+    {"output"},
+    {"case"},
+    {"build"},
+    {"runner"},
+    {"cli", "__init__", "__main__"},
+]
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def imported(path):
+    """Return the full names of all modules that a file imports, wherever in the file."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names += [node.module]
+    return names
+
+
+def layer_of(name):
+    for level, members in enumerate(LAYERS):
+        if name in members:
+            return level
+    raise AssertionError(f"{name} has no layer")
+
+
+def part(path):
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0] if len(relative.parts) > 1 else relative.stem
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_flow_downward(path):
+    here = layer_of(part(path))
+    for name in imported(path):
+        if name.startswith("pdpetsc."):
+            assert layer_of(name.split(".")[1]) <= here, name
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_petsc_and_mpi_stay_in_their_layers(path):
+    names = {name.split(".")[0] for name in imported(path)}
+    if "petsc4py" in names:
+        assert part(path) in ("solve", "cli")
+    if "mpi4py" in names:
+        assert part(path) in ("discrete", "output")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_stay_short(path):
+    assert len(path.read_text().splitlines()) <= 320

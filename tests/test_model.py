@@ -1,0 +1,130 @@
+"""The discrete body: tangent, symmetry, balance, objectivity, energy, for every scheme and control."""
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests import reference
+from tests.scenes import (
+    DIMS,
+    MATERIALS,
+    PLANE_STRESS,
+    SCHEMES,
+    STABILISATIONS,
+    bodies,
+    body,
+    dense_tangent,
+    displacement,
+    rotation,
+)
+
+STEP = 1e-6
+
+
+def differences(model, u, columns):
+    """Return the given columns of the tangent by central differences of the internal force."""
+    found = []
+    for column in columns:
+        d = np.zeros(u.size)
+        d[column] = STEP
+        d = d.reshape(u.shape)
+        found.append((model.internal_force(u + d) - model.internal_force(u - d)).ravel() / (2.0 * STEP))
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES.keys())
+@pytest.mark.parametrize("control", STABILISATIONS.values(), ids=STABILISATIONS.keys())
+@pytest.mark.parametrize("dim", DIMS)
+def test_tangent_agrees_with_differences_for_every_material(dim, control, scheme, rng):
+    materials = [*MATERIALS.values(), *(PLANE_STRESS.values() if dim == 2 else [])]
+    for material in materials:
+        model = body(dim, scheme, control, material, rng=rng)
+        u = displacement(model, rng)
+        K = dense_tangent(model, u)
+        columns = rng.choice(u.size, 8, replace=False)
+        assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()
+        assert np.abs(K - K.T).max() < 1e-13 * np.abs(K).max()
+
+
+def test_assembly_agrees_with_numpy_and_with_the_operator_applied(rng):
+    for label, model in bodies(rng):
+        u = displacement(model, rng)
+        K = dense_tangent(model, u)
+        du = rng.standard_normal(u.shape)
+        assert np.allclose(K @ du.ravel(), model.tangent_times(u, du).ravel(), atol=1e-11 * np.abs(K).max()), label
+        if model.control is None:
+            F = model.deformation(model.with_ghosts(u))
+            G = reference.dense_operator(model.operator, len(u))
+            assert np.allclose(K, reference.tangent(G, model.operator.volume, model.moduli(F)), atol=1e-12), label
+
+
+def test_force_is_the_derivative_of_the_energy(rng):
+    for label, model in bodies(rng):
+        u = displacement(model, rng)
+        du = rng.standard_normal(u.shape)
+        work = np.vdot(model.internal_force(u), du)
+        change = (sum(model.energy(u + STEP * du)) - sum(model.energy(u - STEP * du))) / (2.0 * STEP)
+        assert work == pytest.approx(change, rel=1e-6, abs=1e-7), label
+
+
+def test_forces_and_moments_balance(rng):
+    for label, model in bodies(rng):
+        u = displacement(model, rng)
+        f = model.internal_force(u)
+        y = model.cloud.x + u
+        size = np.abs(f).sum()
+        assert np.abs(f.sum(axis=0)).max() < 1e-13 * size, label
+        if model.control is None:
+            moment = y.T @ f
+            assert np.abs(moment - moment.T).max() < 1e-12 * size * len(u), label
+
+
+def test_rotation_rotates_the_forces(rng):
+    for label, model in bodies(rng):
+        if model.dim == 1 or model.control is not None:
+            continue
+        u = displacement(model, rng)
+        Q = rotation(model.dim, rng)
+        turned = (model.cloud.x + u) @ Q.T - model.cloud.x
+        f = model.internal_force(u)
+        assert np.allclose(model.internal_force(turned), f @ Q.T, atol=1e-11 * np.abs(f).max()), label
+
+
+def test_uniform_deformation_is_in_equilibrium_away_from_the_boundary():
+    for scheme in SCHEMES.values():
+        model = body(1, scheme, pd.Silling(0.5), horizon=1.015)
+        f = model.internal_force(0.3 * model.cloud.x)
+        assert np.abs(f[2:-2]).max() < 1e-13
+
+
+def test_inadmissible_deformation_gives_no_force():
+    model = body(2)
+    reflected = model.cloud.x * [-1.5, 0.0]
+    assert model.internal_force(reflected) is None
+    assert body(2, material=MATERIALS["linear_elastic"]).internal_force(reflected) is not None
+
+
+def test_cauchy_stress_of_a_stretched_bar_counts_its_lateral_contraction():
+    model = body(1, material=pd.Hencky(E=10.0, nu=0.3))
+    F = np.full((model.operator.n_points, 1, 1), 1.5)
+    area = 1.5**-0.6
+    assert np.allclose(model.cauchy_stress(F), 10.0 * np.log(1.5) / 1.5 / area, rtol=1e-13)
+
+
+def test_several_materials_share_a_body(rng):
+    """Half a body of each of two materials: the tangent is that of the points of each."""
+    from pdpetsc.model import Model
+
+    one = body(2, rng=rng)
+    half = (one.cloud.x[:, 0] > 2.5).astype(np.int32)
+    materials = [MATERIALS["hencky"], MATERIALS["neo_hookean"]]
+    omega = np.ones(len(one.families.neighbours))
+    model = Model(one.cloud, one.families, omega, pd.Correspondence(), materials, half, None)
+    u = displacement(model, rng)
+    K = dense_tangent(model, u)
+    columns = rng.choice(u.size, 8, replace=False)
+    assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()
+    P = model.stress(model.deformation(u))
+    for number, material in enumerate(materials):
+        alone = body(2, material=material).stress(model.deformation(u))
+        assert np.array_equal(P[half == number], alone[half == number])

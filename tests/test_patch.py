@@ -1,0 +1,78 @@
+"""Patch tests from the command line: prescribed affine boundary displacements and consistent tractions."""
+
+import pytest
+
+from tests.commands import ROOT, results, run
+
+
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+@pytest.mark.parametrize("loading", ["displacement", "consistent"])
+@pytest.mark.parametrize("horizon", [1.015, 2.015, 3.015])
+def test_hydrostatic_extension_is_exact(scheme, loading, horizon, tmp_path):
+    arguments = (f"scheme={scheme}", f"loading={loading}", f"horizon={horizon}", "G=0.5", "n=15", "steps=2")
+    found = results("runs/patch/hydrostatic.py", *arguments, output=tmp_path)["results"]
+    assert found["max_F_error"] < 1e-10
+    assert found["max_P_error"] < 1e-10
+
+
+def test_hydrostatic_load_on_the_outer_layer_converges_with_the_spacing(tmp_path):
+    errors = []
+    for n in (9, 17, 33):
+        arguments = (f"n={n}", "loading=layer", "horizon=2.015", "G=0.5")
+        errors.append(results("runs/patch/hydrostatic.py", *arguments, output=tmp_path)["results"]["error"])
+    assert errors[0] > 1.5 * errors[1] > 2.25 * errors[2]
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+def test_consistent_traction_gives_a_uniform_gradient(dim, scheme, tmp_path):
+    for horizon in (1.015, 2.015) if dim == 3 else (1.015, 2.015, 3.015):
+        arguments = (f"dim={dim}", f"scheme={scheme}", f"horizon={horizon}", f"n={8 if dim == 3 else 10}")
+        found = results("runs/patch/tension.py", *arguments, output=tmp_path)["results"]
+        assert found["max_F_error"] < 1e-10
+
+
+def test_consistent_traction_is_exact_on_more_ranks(tmp_path):
+    for ranks in (2, 3):
+        found = results("runs/patch/tension.py", "horizon=3.015", output=tmp_path, ranks=ranks)["results"]
+        assert found["max_F_error"] < 1e-10
+
+
+def test_a_load_on_the_outer_layer_is_wrong_near_the_face(tmp_path):
+    found = results("runs/patch/tension.py", "distribution=layer", output=tmp_path)["results"]
+    assert found["max_F_error"] > 0.08 * found["strain"]
+
+
+def test_consistent_traction_on_a_body_thinner_than_its_reach_is_refused(tmp_path):
+    finished = run("runs/patch/tension.py", "n=3", "horizon=3.015", "dim=2", output=tmp_path)
+    assert finished.returncode == 2
+    assert "another face is within two horizons" in finished.stderr
+
+
+@pytest.mark.parametrize("case", sorted((ROOT / "runs").glob("*/*.py")), ids=lambda p: p.stem)
+def test_every_case_states_its_parameters(case):
+    """-h lists the parameters of a case; helper modules, which define no case, are passed over."""
+    if "def case(" not in case.read_text():
+        pytest.skip("no case")
+    finished = run(case, "-h")
+    assert finished.returncode == 0
+    assert "parameters:" in finished.stdout
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+def test_petsc_finds_the_jacobian_correct(dim, scheme, ranks, tmp_path):
+    """-snes_test_jacobian compares with differences of the residual, prescribed rows included."""
+    finished = run(
+        "runs/patch/tension.py", f"dim={dim}", "n=4", "horizon=1.015", f"scheme={scheme}", "-snes_test_jacobian",
+        output=tmp_path, ranks=ranks,
+    )  # fmt: skip
+    ratios = [
+        float(line.split("||J - Jfd||_F/||J||_F = ")[1].split(",")[0])
+        for line in finished.stdout.splitlines()
+        if "||J - Jfd||_F/||J||_F = " in line
+    ]
+    assert finished.returncode == 0
+    assert len(ratios) >= 2
+    assert max(ratios) < 1e-7

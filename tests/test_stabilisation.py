@@ -1,0 +1,100 @@
+"""Zero-energy controls: they resist what a uniform gradient does not explain and leave affine fields alone."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.model import Model
+from tests import reference
+from tests.scenes import DIMS, STABILISATIONS, body, dense_tangent, displacement
+
+CONTROLS = {name: control for name, control in STABILISATIONS.items() if control is not None}
+
+
+@pytest.fixture(params=[(dim, name) for dim in DIMS for name in CONTROLS], ids=lambda c: f"{c[0]}D-{c[1]}")
+def model(request, rng):
+    dim, name = request.param
+    return body(dim, stabilisation=CONTROLS[name], rng=rng)
+
+
+def control_force(model, u):
+    f = np.zeros_like(u)
+    energy = model.control.force(u, f)
+    return f, energy
+
+
+def test_affine_displacements_meet_no_force(model, rng):
+    u = model.cloud.x @ rng.standard_normal((model.dim, model.dim)).T + rng.standard_normal(model.dim)
+    f, energy = control_force(model, u)
+    assert np.abs(f).max() < 1e-12
+    assert energy < 1e-24
+
+
+def test_matrix_is_the_force_of_unit_displacements(model, rng):
+    with_control = dense_tangent(model, np.zeros_like(model.cloud.x))
+    plain = body(model.dim, rng=np.random.default_rng(20240607))
+    assert np.array_equal(plain.cloud.x, model.cloud.x)
+    M = with_control - dense_tangent(plain, np.zeros_like(model.cloud.x))
+    u = displacement(model, rng)
+    f, energy = control_force(model, u)
+    assert np.allclose(M @ u.ravel(), f.ravel(), atol=1e-12)
+    assert energy == pytest.approx(0.5 * np.vdot(f, u), rel=1e-11)
+
+
+def test_silling_agrees_with_numpy(rng):
+    for dim in DIMS:
+        model = body(dim, stabilisation=pd.Silling(0.7), rng=rng)
+        cloud = model.cloud
+        u = displacement(model, rng)
+        kappa = model.laws[0].material.bulk_like_modulus(dim)
+        expected = reference.silling_energy(
+            cloud.x, cloud.volume, reference.families(cloud.x, cloud.horizon), 0.7, kappa, u
+        )
+        assert control_force(model, u)[1] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("control", CONTROLS.values(), ids=CONTROLS.keys())
+def test_checkerboard_in_a_cube_is_resisted(control):
+    """Every particle of a 12^3 cube moves by +-0.05 spacings, alternating: the restoring force must not vanish."""
+    x = np.array(list(itertools.product(range(12), repeat=3)), dtype=float)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 3.015)
+    families = find_families(cloud)
+    omega = np.ones(len(families.neighbours))
+    material_of = np.zeros(len(x), dtype=np.int32)
+    u = np.where(x.sum(axis=1) % 2 == 0, 0.05, -0.05)[:, None] * np.array([1.0, 0.0, 0.0])
+    work = {}
+    for name, chosen in (("plain", None), ("controlled", control)):
+        model = Model(cloud, families, omega, pd.Correspondence(), [pd.LinearElastic(1.0)], material_of, chosen)
+        inner = np.all((x > 2.5) & (x < 8.5), axis=1)
+        work[name] = np.vdot(model.internal_force(u)[inner], u[inner]) / np.vdot(u[inner], u[inner])
+    # Only next to the boundary, where families are cut, does the plain scheme resist at all.
+    kappa = pd.LinearElastic(1.0).bulk_like_modulus(3)
+    assert abs(work["plain"]) < 0.1 * kappa
+    assert work["controlled"] - work["plain"] > 0.1 * kappa
+
+
+def test_silling_is_unit_free():
+    """The same body in mm and MPa and in m and Pa resists alike."""
+    ratios = []
+    for length, pressure in ((1.0, 1.0), (1e-3, 1e6)):
+        x = length * np.array(list(itertools.product(range(5), repeat=2)), dtype=float)
+        cloud = distribute(world(), x, np.full(len(x), length**2), {}, 2.015 * length)
+        families = find_families(cloud)
+        model = Model(
+            cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [pd.Hencky(E=10.0 * pressure)],
+            np.zeros(len(x), dtype=np.int32), pd.Silling(0.5),
+        )  # fmt: skip
+        u = 0.01 * length * np.sin(7.0 * np.arange(x.size)).reshape(x.shape)
+        elastic, control = model.energy(u)
+        ratios.append(control / elastic)
+    assert ratios[0] == pytest.approx(ratios[1], rel=1e-12)
+
+
+def test_a_negative_coefficient_is_refused():
+    with pytest.raises(pd.CaseError, match="G >= 0"):
+        pd.Silling(-0.1)

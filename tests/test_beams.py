@@ -53,13 +53,11 @@ def test_stabilised_clamped_beam_is_close_to_the_strip(tmp_path):
         assert abs(summary["results"]["error"]) < bound
 
 
-def test_simply_supported_beam_converges_to_the_hinged_strip(tmp_path):
-    errors = [
-        abs(results("runs/beams/simply_supported.py", f"ny={ny}", output=tmp_path)["results"]["error"])
-        for ny in (3, 5, 9)
-    ]
-    assert errors[0] < 0.025
-    assert errors[0] > errors[1] > errors[2]
+def test_simply_supported_beam_is_close_to_the_hinged_strip(tmp_path):
+    """The pin is a point support whose indentation grows with the logarithm of ny, so the error does not vanish."""
+    for ny, scheme, bound in ((3, "correspondence", 0.03), (9, "correspondence", 0.04), (3, "sub_horizons", 0.01)):
+        found = results("runs/beams/simply_supported.py", f"ny={ny}", f"scheme={scheme}", output=tmp_path)
+        assert 0.0 < found["results"]["error"] < bound
 
 
 def test_cantilever_bends_as_the_elastica(tmp_path):

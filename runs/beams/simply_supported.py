@@ -1,7 +1,8 @@
 """Simply supported slender beam under uniform pressure, one half of it. Units m, N.
 
 The pin holds the one fictitious particle at mid-height next to the body. Result: midpoint deflection over the
-thickness, against Timoshenko's hinged strip with immovable ends.
+thickness, against Timoshenko's hinged strip with immovable ends. A pin on one particle is a point support: its
+indentation grows with the logarithm of ny, so the result does not converge to the strip, which has none.
 Reference: Hashim, Coombs, Augarde, Hattori, section 4.3.
 """
 

@@ -35,7 +35,7 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation)
 
 
-def rehearse(comm: Comm, case: Case) -> None:
+def rehearse(comm: Comm, case: Case, dim: int) -> None:
     """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
 
     The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
@@ -45,23 +45,22 @@ def rehearse(comm: Comm, case: Case) -> None:
     -----
     Collective.
     """
-    if is_root(comm):
-        dim = case.particles.dim
-        x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-        materials = [case.material] if isinstance(case.material, Material) else [m for _, m in case.material]
-        with cache_lock():
-            cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
-            families = find_families(cloud)
-            omega = np.ones(len(families.neighbours))
-            law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
-            model = Model(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
-            assembler = Assembler(model)
-            u = np.zeros_like(x)
-            size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
-            assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
-            model.internal_force(u)
-            model.energy(u)
-    comm.Barrier()
+    with agreed(comm):
+        if is_root(comm):
+            x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+            materials = [case.material] if isinstance(case.material, Material) else [m for _, m in case.material]
+            with cache_lock():
+                cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
+                families = find_families(cloud)
+                omega = np.ones(len(families.neighbours))
+                law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
+                model = Model(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
+                assembler = Assembler(model)
+                u = np.zeros_like(x)
+                size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
+                assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
+                model.internal_force(u)
+                model.energy(u)
 
 
 def _materials(case: Case, cloud: Cloud) -> tuple[list[Material], LocalIndex]:

@@ -109,10 +109,10 @@ class _Run:
 
     def __call__(self) -> dict[str, float]:
         case, comm = self.case, self.comm
-        with self._timed("kernels"):
-            rehearse(comm, case)
         with self._timed("particles"):
             cloud = make_cloud(comm, case)
+        with self._timed("kernels"):
+            rehearse(comm, case, cloud.dim)
         with self._timed("families"):
             families = find_families(cloud)
         with self._timed("model"):

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 ROOT = Path(__file__).parent.parent
-TIMEOUT = 300
+TIMEOUT = 120
 
 
 def command(case, *arguments, ranks=1, output=None):

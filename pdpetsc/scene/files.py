@@ -55,11 +55,6 @@ class TextFile(Particles):
     node_sets: Mapping[str, str | Path] = field(default_factory=dict)
     thickness: float = 1.0
 
-    @property
-    def dim(self) -> int:  # type: ignore[override]
-        """Return the number of coordinates that vary."""
-        return self._arrays().dim
-
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the file."""
         return self._arrays().chunk(part, parts)
@@ -95,11 +90,6 @@ class Mesh(Particles):
 
     path: str | Path
     thickness: float = 1.0
-
-    @property
-    def dim(self) -> int:  # type: ignore[override]
-        """Return the dimension of the cells."""
-        return self._arrays().dim
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the cells."""

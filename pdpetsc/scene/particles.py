@@ -29,7 +29,6 @@ class Chunk:
 class Particles(ABC):
     """A cloud of particles that can be created in parts."""
 
-    dim: int
     thickness: float
 
     @abstractmethod
@@ -93,7 +92,7 @@ class Lattice(Particles):
                 raise CaseError(f"The fictitious layer {side} is {depth:g} deep, less than one spacing.")
 
     @property
-    def dim(self) -> int:  # type: ignore[override]
+    def dim(self) -> int:
         """Return the number of coordinates."""
         return len(np.atleast_1d(np.asarray(self.low, float)))
 
@@ -156,11 +155,6 @@ class Arrays(Particles):
         for name, members in self.sets.items():
             if np.asarray(members).dtype == bool and np.shape(members) != (len(x),):
                 raise CaseError(f"Set {name!r} must be ({len(x)},) bool or indices, not {np.shape(members)} bool.")
-
-    @property
-    def dim(self) -> int:  # type: ignore[override]
-        """Return the number of coordinates."""
-        return int(np.asarray(self.x).shape[1])
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return rows ``part`` of ``parts`` of the arrays."""

@@ -1,0 +1,149 @@
+"""The command line: splitting, conversion, help, and wrong input that ends with status 2 and one sentence."""
+
+import re
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.cli import arguments_of, split
+from tests.commands import run
+
+GOOD = """
+    import numpy as np
+    import pdpetsc as pd
+
+    def case(n=4, pull=0.1, name="x", flag=False, nu=0.3):
+        return pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (1.0, 1.0), 1.0 / n),
+            horizon=2.015 / n,
+            material=pd.Hencky(E=1.0, nu=nu),
+            conditions=[
+                pd.Displacement(pd.region.Slab("x", high=1.0 / n), x=0.0, y=0.0),
+                pd.Displacement(pd.region.Slab("x", low=1.0 - 1.0 / n), x=pull),
+            ],
+            results=lambda h: {"end": h["t"][-1]},
+        )
+"""
+
+
+def write(folder, text=GOOD, *changes):
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "case.py"
+    path.write_text(textwrap.dedent(text))
+    return path
+
+
+def test_words_go_where_they_belong():
+    line = "a.py n=3 -o out -snes_monitor x=1 -ksp_rtol 1e-8 -pc_type gamg --quiet -snes_rtol -1 --restart c.h5 s=a=b"
+    found = split(line.split())
+    assert found.path == Path("a.py")
+    assert found.parameters == {"n": "3", "x": "1", "s": "a=b"}
+    assert found.petsc == ["-snes_monitor", "-ksp_rtol", "1e-8", "-pc_type", "gamg", "-snes_rtol", "-1"]
+    assert (found.output, found.restart, found.quiet) == (Path("out"), Path("c.h5"), True)
+
+
+def test_values_take_the_type_of_their_default():
+    def case(n=1, x=1.0, s="a", flag=True, pair=(1, 2), anything=None):
+        raise AssertionError
+
+    found = arguments_of(case, {"n": "7", "x": "2", "s": "3", "flag": "no", "pair": "[3, 4]", "anything": "{1: 2}"})
+    assert found == {"n": 7, "x": 2.0, "s": "3", "flag": False, "pair": (3, 4), "anything": {1: 2}}
+    for name, text in {"n": "2.5", "x": "two", "flag": "maybe", "pair": "3,"}.items():
+        if name == "pair":
+            continue
+        with pytest.raises(pd.CaseError, match=f"Parameter {name} takes"):
+            arguments_of(case, {name: text})
+    with pytest.raises(pd.CaseError, match="no parameter 'm'; it has n, x, s"):
+        arguments_of(case, {"m": "1"})
+
+
+def test_help_and_version(tmp_path):
+    finished = run(write(tmp_path), "-h", ranks=2)
+    assert finished.returncode == 0
+    assert finished.stdout.count("usage:") == 1
+    assert "pull=0.1" in finished.stdout
+    assert run("--version").stdout.strip() == f"pdpetsc {pd.__version__}"
+
+
+def test_an_option_that_nothing_used_is_reported(tmp_path):
+    finished = run(write(tmp_path), "-snes_monitr", "-snes_rtol", "1e-9", output=tmp_path / "out")
+    assert finished.returncode == 0
+    assert "nothing used the option -snes_monitr." in finished.stderr
+
+
+def test_the_command_line_wins_over_the_case_and_the_defaults(tmp_path):
+    path = write(tmp_path, GOOD, ("results=", 'options={"ksp_type": "cg", "pc_type": "jacobi"}, results='))
+    assert "ksp cg, pc jacobi" in run(path, output=tmp_path / "out").stdout
+    assert "ksp gmres, pc jacobi" in run(path, "-ksp_type", "gmres", output=tmp_path / "out").stdout
+    assert (
+        "ksp preonly, pc lu (mumps)" in run(write(tmp_path), "-pc_type", "lu", output=tmp_path / "out", ranks=2).stdout
+    )
+
+
+LEFT = 'pd.Displacement(pd.region.Slab("x", high=1.0 / n), x=0.0, y=0.0)'
+LATTICE = "pd.Lattice((0.0, 0.0), (1.0, 1.0), 1.0 / n)"
+WRONG = {
+    "unknown parameter": ((), ("m=3",), "The case has no parameter 'm'; it has n, pull"),
+    "value of the wrong type": ((), ("n=two",), "Parameter n takes int like 4, not 'two'"),
+    "unknown pdpetsc option": ((), ("--fast",), "Unknown option --fast"),
+    "PETSc option value": ((), ("-ksp_type", "foo"), "PETSc refused the solver options; .*foo"),
+    "syntax error": ((("def case", "def def case"),), (), "syntax error in line 5"),
+    "error in the case": ((("nu=nu)", "nu=nu / 0)"),), (), "failed in line 9: ZeroDivisionError"),
+    "no case function": ((("def case", "def scene"),), (), r"defines no function case"),
+    "not a Case": ((("return pd.Case", "return dict"),), (), "must return a pdpetsc.Case, not dict"),
+    "material out of range": ((), ("nu=0.5",), "Poisson's ratio -1 < nu < 0.5, not 0.5"),
+    "missing mesh": (((LATTICE, 'pd.Mesh("nowhere.msh")'),), (), "nowhere.msh: file not found"),
+    "missing text file": (((LATTICE, 'pd.TextFile("nowhere.txt")'),), (), "Cannot read nowhere.txt"),
+    "NaN position": (((LATTICE, "pd.Arrays([[0.0, 0.0], [np.nan, 1.0]], 1.0)"),), (), "position that is not a number"),
+    "coincident": (
+        ((LATTICE, "pd.Arrays([[0, 0], [0.2, 0], [0.2, 0], [0.1, 0.1]], 1.0)"),), (), "Particles 1 and 2 coincide",
+    ),
+    "negative volume": (((LATTICE, "pd.Arrays([[0, 0], [0.2, 0], [0.1, 0.1]], -1.0)"),), (), "no positive volume"),
+    "horizon below the spacing": ((("2.015 / n", "0.9 / n"),), (), "horizon 0.225 is below the spacing 0.25"),
+    "flat families": (
+        ((LATTICE, "pd.Lattice((0.0, 0.0), (1.0, 0.25), 0.25)"),), (), r"4 particles have a family .*ids 0, 1, 2, 3\)",
+    ),
+    "empty region": ((('low=1.0 - 1.0 / n), x=pull', "low=3.0), x=pull"),), (), "selects no particle: Slab"),
+    "condition given twice": ((("low=1.0 - 1.0 / n)", "low=0.0)"),), (), "prescribes x of 4 particles a second time"),
+    "rigid motion": (((LEFT, 'pd.Displacement(pd.region.Slab("x", high=1.0 / n), x=0.0)'),), (), "1 of 3 rigid"),
+    "unknown set": ((('pd.region.Slab("x", high=1.0 / n)', 'pd.region.Named("left")'),), (), "no set 'left'"),
+    "component out of dimension": (((LEFT, LEFT.replace("y=0.0", "z=0.0")),), (), "component z of a 2-dim"),
+    "not a whole number of cells": ((("(1.0, 1.0), 1.0 / n", "(1.0, 1.1), 1.0 / n"),), (), "Side y .* not a whole"),
+    "steps": ((("results=", "steps=pd.Steps(0), results="),), (), "Steps needs a positive whole number"),
+    "checkpoint": ((), ("--restart", "nowhere.h5"), "Cannot read the checkpoint nowhere.h5"),
+    "output folder": ((), ("-o", "/dev/null/out"), "Cannot write to the output folder /dev/null/out"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input_ends_with_one_sentence(name, ranks, tmp_path):
+    if ranks == 2 and name in ("unknown pdpetsc option", "syntax error", "no case function", "not a Case", "steps"):
+        pytest.skip("found before anything parallel")
+    changes, arguments, message = WRONG[name]
+    path = write(tmp_path, GOOD, *changes)
+    words = arguments if "-o" in arguments else (*arguments, "-o", tmp_path / "out")
+    finished = run(path, "--quiet", *words, ranks=ranks)
+    assert finished.returncode == 2, finished.stderr
+    said = [line for line in finished.stderr.splitlines() if line.startswith("pdpetsc:")]
+    assert len(said) == 1
+    assert re.search(message, said[0]), said[0]
+    assert "Traceback" not in finished.stderr
+    assert not (tmp_path / "out" / "fields.h5").exists()
+
+
+def test_a_missing_case_file_is_one_sentence():
+    finished = run("nowhere.py")
+    assert finished.returncode == 2
+    assert finished.stderr.strip() == "pdpetsc: Cannot read the case file nowhere.py: file not found."
+
+
+def test_more_ranks_than_particles_are_refused(tmp_path):
+    path = write(tmp_path, GOOD, (LATTICE, "pd.Arrays([[0.0, 0.0], [0.2, 0.0], [0.1, 0.1]], 1.0)"))
+    finished = run(path, ranks=4, output=tmp_path / "out")
+    assert finished.returncode == 2
+    assert "3 particles for 4 ranks" in finished.stderr

@@ -100,7 +100,11 @@ def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], ho
     """
     dim = x.shape[1]
     names = sorted({name for part in comm.allgather(sorted(sets)) for name in part})
-    flags = np.array([sets.get(name, np.zeros(len(x), bool)) for name in names], dtype=np.uint8).reshape(-1, len(x)).T
+    flags = (
+        np.array([sets.get(name, np.zeros(len(x), bool)) for name in names], dtype=np.uint8)
+        .reshape(len(names), len(x))
+        .T
+    )
     gid = offset(comm, len(x)) + np.arange(len(x), dtype=np.int64)
     n_global = int(total(comm, len(x)))
     if n_global < comm.size:

@@ -1,8 +1,8 @@
 """Time set-up, residual and tangent assembly into the PETSc matrix: python runs/bench/assembly.py [n] [horizon].
 
 Medians of five on a square lattice of n x n particles with plain correspondence and Hencky material; under mpirun the
-slowest rank counts. Published single-core figures of PeriLab for 40,401 particles: assembly 4.00 s and 0.80 s at horizons
-3.015 and 2.015.
+slowest rank counts. Published single-core figures of PeriLab for 40,401 particles: assembly 4.00 s and 0.80 s at
+horizons 3.015 and 2.015.
 """
 
 import sys

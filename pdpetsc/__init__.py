@@ -11,6 +11,7 @@ from pdpetsc.material import Hencky, LinearElastic, NeoHookean, SaintVenantKirch
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
 from pdpetsc.scene import influence, region
+from pdpetsc.scene.choice import choose
 from pdpetsc.scene.conditions import BodyForce, Displacement, Force, Pressure, Traction
 from pdpetsc.scene.files import Mesh, TextFile
 from pdpetsc.scene.particles import Arrays, Lattice
@@ -70,6 +71,7 @@ __all__ = [
     "Table",
     "TextFile",
     "Traction",
+    "choose",
     "deformation_gradient",
     "displacement",
     "energy_density",

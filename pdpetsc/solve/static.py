@@ -17,7 +17,7 @@ from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.petsc import set_domain_error
 
 # Largest number of unknowns for which the direct solver is the default, by dimension.
-DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 20_000}
+DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
 # The residual cannot fall below about this multiple of the round-off of K u.
 FLOOR = 20.0
 # A residual at the floor that an iteration did not lower by this factor has stagnated.

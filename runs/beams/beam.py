@@ -13,13 +13,6 @@ PRESSURE = 276e3
 SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
 
 
-def scheme_named(name):
-    """Return the gradient scheme a case calls by name."""
-    if name not in SCHEMES:
-        raise pd.CaseError(f"scheme is one of {', '.join(SCHEMES)}, not {name!r}.")
-    return SCHEMES[name]
-
-
 def half_beam(support, ny, horizon, G, scheme, steps, supports):
     """Return the case of half a beam with the given supports at its fictitious end.
 
@@ -43,7 +36,7 @@ def half_beam(support, ny, horizon, G, scheme, steps, supports):
         ),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
-        scheme=scheme_named(scheme),
+        scheme=pd.choose("scheme", scheme, SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=[
             *supports(dx),

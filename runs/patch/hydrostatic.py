@@ -16,6 +16,7 @@ import pdpetsc as pd
 STRETCH = 1.61334
 E = 1.2e6
 NU = 0.2
+SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
 
 
 def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="correspondence"):
@@ -44,16 +45,13 @@ def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="co
                 conditions.append(pd.Pressure(side, -P, [sign * c for c in normal], loading))
     else:
         raise pd.CaseError(f"loading is displacement, layer or consistent, not {loading!r}.")
-    schemes = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
-    if scheme not in schemes:
-        raise pd.CaseError(f"scheme is one of {', '.join(schemes)}, not {scheme!r}.")
     exact_F = np.eye(2) * STRETCH
 
     return pd.Case(
         particles=pd.Lattice((-0.5, -0.5), (0.5, 0.5), dx),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
-        scheme=schemes[scheme],
+        scheme=pd.choose("scheme", scheme, SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=conditions,
         steps=pd.Steps(steps),

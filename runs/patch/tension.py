@@ -13,6 +13,7 @@ import pdpetsc as pd
 
 E = 1.0e3
 NU = 0.3
+SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
 
 
 def exact_gradient(dim, traction):
@@ -29,9 +30,6 @@ def case(
 ):
     if dim not in (1, 2, 3):
         raise pd.CaseError(f"dim is 1, 2 or 3, not {dim}.")
-    schemes = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
-    if scheme not in schemes:
-        raise pd.CaseError(f"scheme is one of {', '.join(schemes)}, not {scheme!r}.")
     size = np.array([2.0] + [1.0] * (dim - 1))
     dx = 1.0 / n
     normal = [1.0] + [0.0] * (dim - 1)
@@ -49,7 +47,7 @@ def case(
         particles=pd.Lattice([0.0] * dim, size, dx),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU),
-        scheme=schemes[scheme],
+        scheme=pd.choose("scheme", scheme, SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=[
             *held,

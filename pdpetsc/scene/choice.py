@@ -1,0 +1,30 @@
+"""A word of the command line that stands for an object."""
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+from pdpetsc.errors import CaseError
+
+T = TypeVar("T")
+
+
+def choose(parameter: str, word: str, choices: Mapping[str, T]) -> T:
+    """Return what a case calls by name.
+
+    Parameters
+    ----------
+    parameter : str
+        Name of the case's parameter, for the message.
+    word : str
+        Its value.
+    choices : mapping of str to object
+        What each word stands for.
+
+    Raises
+    ------
+    CaseError
+        No choice has that name.
+    """
+    if word not in choices:
+        raise CaseError(f"{parameter} is one of {', '.join(choices)}, not {word!r}.")
+    return choices[word]

@@ -26,7 +26,7 @@ from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder, prepare_folder
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
-from pdpetsc.output.records import HistoryWriter, write_summary
+from pdpetsc.output.records import HistoryWriter, earlier_history, write_summary
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
 from pdpetsc.solve.matrix import predicted_bytes
@@ -144,8 +144,10 @@ class _Run:
         if self.restart is not None:
             u, t, step = read_checkpoint(cloud, order, Path(self.restart))
         with self._timed("output"):
-            writer = FieldWriter(cloud, order, self.folder, self._fields()) if self._fields() else None
-            records = HistoryWriter(self.comm, self.folder, list(case.history))
+            kept = self._earlier(step)
+            first = step if self.restart is not None and _same_folder(Path(self.restart).parent, self.folder) else 0
+            writer = FieldWriter(cloud, order, self.folder, self._fields(), first) if self._fields() else None
+            records = HistoryWriter(self.comm, self.folder, list(self.history), kept)
             self._record(Solution(model, loading, u, t, step), writer, records)
         failed: list[StepResult] = []
 
@@ -172,6 +174,19 @@ class _Run:
         finally:
             self._finish(status, failed)
         return self._end(model.dim)
+
+    def _earlier(self, step: int) -> list[list[float]]:
+        """Return the history before a restart at ``step``, from beside the checkpoint, and take it over."""
+        if self.restart is None:
+            return []
+        beside = Path(self.restart).parent / "history.csv"
+        rows = earlier_history(self.comm, beside, list(self.history), step)
+        if rows is None:
+            self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
+        for row in rows or []:
+            for name, value in zip(self.history, row, strict=True):
+                self.history[name].append(value)
+        return rows or []
 
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""
@@ -230,6 +245,10 @@ class _Run:
         before = time.perf_counter()
         yield
         self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
+
+
+def _same_folder(one: Path, other: Path) -> bool:
+    return one.resolve() == other.resolve()
 
 
 def _allocated(model: Model) -> list[str]:

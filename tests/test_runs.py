@@ -165,6 +165,28 @@ def test_restart_continues_to_the_same_fields(ranks, tmp_path):
     assert np.abs(one - other).max() <= 1e-10 * np.abs(one).max()
 
 
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_restart_in_its_own_folder_keeps_what_is_there(ranks, tmp_path):
+    arguments = ("ny=3", "steps=4")
+    results(CLAMPED, *arguments, output=tmp_path / "whole")
+    results(CLAMPED, *arguments, output=tmp_path / "part")
+    with h5py.File(tmp_path / "part" / "checkpoint.h5", "r+") as file:
+        file["u"][:] = field(tmp_path / "whole", "displacement", 2)[:, :2]
+        file.attrs["t"], file.attrs["step"] = 0.5, 2
+    results(CLAMPED, *arguments, "--restart", tmp_path / "part/checkpoint.h5", output=tmp_path / "part", ranks=ranks)
+    one, other = ((tmp_path / name / "history.csv").read_text().split() for name in ("whole", "part"))
+    assert len(one) == len(other) == 6
+    assert np.allclose(
+        *(np.array([row.split(",") for row in rows[1:]], dtype=float) for rows in (one, other)), rtol=1e-9
+    )
+    with h5py.File(tmp_path / "part" / "fields.h5") as file:
+        assert sorted(file) == ["particles", *(f"step_{i:05d}" for i in range(5))]
+    for step in range(5):
+        one, other = (field(tmp_path / name, "displacement", step) for name in ("whole", "part"))
+        assert np.abs(one - other).max() <= 1e-10 * np.abs(field(tmp_path / "whole", "displacement")).max()
+    assert (tmp_path / "part" / "fields.xdmf").read_text() == (tmp_path / "whole" / "fields.xdmf").read_text()
+
+
 def test_a_checkpoint_of_another_body_is_refused(tmp_path):
     pd.run(strip(), output=tmp_path, quiet=True)
     other = strip(particles=pd.Lattice((0.0, 0.0), (11.0, 4.0), 1.0))

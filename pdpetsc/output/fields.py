@@ -36,6 +36,8 @@ class FieldWriter:
         Where ``fields.h5`` and ``fields.xdmf`` go.
     fields : sequence of Field
         What is written; the names on disk are the functions' names.
+    first : int
+        Steps before it that the folder holds are kept: a restart goes on in its own folder.
 
     Raises
     ------
@@ -47,31 +49,37 @@ class FieldWriter:
     Construction and ``write`` are collective.
     """
 
-    def __init__(self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field]) -> None:
+    def __init__(
+        self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field], first: int = 0
+    ) -> None:
         self._cloud = cloud
         self._order = order
         self._path = folder / "fields.h5"
         self._xdmf = folder / "fields.xdmf"
         self._fields = fields
         self._steps: list[tuple[int, float, dict[str, int]]] = []
-        if is_root(cloud.comm):
-            self._path.unlink(missing_ok=True)
-        n = cloud.n_owned
-        self._store("particles", {"position": cloud.x[:n], "id": cloud.gid[:n], "volume": cloud.volume[:n]})
+        with agreed(cloud.comm):
+            if is_root(cloud.comm):
+                self._steps = _kept_steps(self._path, first)
+                if not self._steps:
+                    self._path.unlink(missing_ok=True)
+        if not cloud.comm.bcast(bool(self._steps)):
+            n = cloud.n_owned
+            self._store("particles", {"position": cloud.x[:n], "id": cloud.gid[:n], "volume": cloud.volume[:n]})
 
     def write(self, solution: Solution) -> None:
         """Append one step."""
         values = {field.__name__: field(solution) for field in self._fields}
         group = f"step_{solution.step:05d}"
-        widths = self._store(group, values)
+        widths = self._store(group, values, solution.t)
         self._steps.append((solution.step, solution.t, widths))
         with agreed(self._cloud.comm):
             if is_root(self._cloud.comm):
                 with replacing(self._xdmf) as aside:
                     aside.write_text(self._markup())
 
-    def _store(self, group: str, values: dict[str, NDArray[Any]]) -> dict[str, int]:
-        """Write named arrays into a new group; return the number of components of each."""
+    def _store(self, group: str, values: dict[str, NDArray[Any]], t: float = 0.0) -> dict[str, int]:
+        """Write named arrays into a new group of step time ``t``; return the number of components of each."""
         comm, n = self._cloud.comm, self._cloud.n_global
         padded = {name: _padded(array) for name, array in values.items()}
         with agreed(comm):
@@ -96,6 +104,8 @@ class FieldWriter:
         with agreed(comm):
             try:
                 if file is not None:
+                    if failure is None:
+                        file[group].attrs["t"] = t
                     file.close()
             except (OSError, RuntimeError) as error:
                 failure = OSError(str(error))
@@ -129,6 +139,25 @@ class FieldWriter:
                 )
             lines.append("</Grid>")
         return "\n".join([*lines, "</Grid></Domain></Xdmf>", ""])
+
+
+def _kept_steps(path: Path, first: int) -> list[tuple[int, float, dict[str, int]]]:
+    """Delete the steps from ``first`` on in a file of fields; return number, time and components of the others."""
+    if first == 0 or not path.exists():
+        return []
+    kept = []
+    try:
+        with h5py.File(path, "a") as file:
+            for group in sorted(name for name in file if name.startswith("step_")):
+                number = int(group.removeprefix("step_"))
+                if number >= first:
+                    del file[group]
+                    continue
+                widths = {name: int(np.prod(data.shape[1:])) for name, data in file[group].items()}
+                kept.append((number, float(file[group].attrs["t"]), widths))
+    except (OSError, KeyError, RuntimeError) as error:
+        raise OutputError(f"Cannot go on in {path}: {error}; restart into another folder.") from error
+    return kept
 
 
 def _padded(values: NDArray[Any]) -> NDArray[Any]:

@@ -14,19 +14,48 @@ from pdpetsc.errors import OutputError
 from pdpetsc.output.files import replacing
 
 
+def earlier_history(comm: Comm, path: Path, names: Sequence[str], first: int) -> list[list[float]] | None:
+    """Return the rows before step ``first`` of a ``history.csv`` with these columns, or None (collective)."""
+    rows: list[list[float]] | None = None
+    if is_root(comm):
+        try:
+            with path.open(newline="") as file:
+                header, *body = csv.reader(file)
+            values = [[float(value) for value in row] for row in body]
+            if header == [*names] and all(len(row) == len(header) for row in values):
+                rows = [row for row in values if row[0] < first]
+        except (OSError, ValueError):
+            rows = None
+    shared: list[list[float]] | None = comm.bcast(rows)
+    return shared
+
+
 class HistoryWriter:
     """Appends one row of numbers per step to ``history.csv``.
+
+    Parameters
+    ----------
+    comm : Comm
+        All ranks.
+    folder : Path
+        Where the file goes.
+    names : sequence of str
+        The columns.
+    kept : sequence of rows
+        What an earlier run wrote before this one goes on.
 
     Notes
     -----
     Construction and ``write`` are collective; rank 0 writes.
     """
 
-    def __init__(self, comm: Comm, folder: Path, names: Sequence[str]) -> None:
+    def __init__(self, comm: Comm, folder: Path, names: Sequence[str], kept: Sequence[Sequence[float]] = ()) -> None:
         self._comm = comm
         self._path = folder / "history.csv"
         with agreed(comm):
-            self._append("w", ["step", "t", *names])
+            self._append("w", names)
+        for row in kept:
+            self.write(row)
 
     def write(self, row: Sequence[float]) -> None:
         """Append a row: step, step time and the values in the order of the names."""

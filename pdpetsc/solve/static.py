@@ -79,7 +79,7 @@ def default_options(model: Model) -> dict[str, object]:
         }
     defaults |= {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if not chosen:
-        defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.02}
+        defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
     return defaults
 
 

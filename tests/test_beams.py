@@ -1,9 +1,15 @@
 """The beams of Hashim et al. from the command line, against the paper's Table 1 and closed forms."""
 
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
-from tests.commands import field, results
+from tests.commands import ROOT, field, results
 
 # ny, horizon / dx, error of the deflection in per cent: prototype of the same equations, which agrees with Table 1 of
 # the paper to 0.02 points except for 9 x 225 particles, where the paper prints 1.032.
@@ -65,6 +71,43 @@ def test_cantilever_bends_as_the_elastica(tmp_path):
     assert abs(found["results"]["w_error"]) < 0.02
     assert abs(found["results"]["u_error"]) < 0.02
     assert all(not step["cut_backs"] for step in found["steps"])
+
+
+def test_cantilever_approaches_finite_elements(tmp_path):
+    """The same material, the same loaded cell; runs/beams/finite_elements.py made the reference."""
+    reference = json.loads((ROOT / "runs/beams/finite_elements.json").read_text())
+    for scheme, bounds in (("correspondence", (0.013, 0.008)), ("sub_horizons", (0.006, 0.002))):
+        for ny, bound in zip((5, 9), bounds, strict=True):
+            exact = reference[f"ny={ny} plane=stress"]["w_over_L"]
+            found = results("runs/beams/cantilever.py", f"ny={ny}", f"scheme={scheme}", output=tmp_path)["results"]
+            assert abs(found["w_over_L"] / exact - 1.0) < bound
+
+
+# w / L that section 4.4 states under 10 kN without control; the paper's solver and supports differ in details.
+@pytest.mark.parametrize(("horizon", "paper"), [(1.015, 0.302), (2.015, 0.342), (3.015, 0.529)])
+def test_cantilever_without_control_has_the_deflection_of_the_paper(horizon, paper, tmp_path):
+    arguments = ("plane=strain", "force=10e3", f"horizon={horizon}")
+    found = results("runs/beams/cantilever.py", *arguments, output=tmp_path)["results"]
+    assert found["w_over_L"] == pytest.approx(paper, rel=0.02)
+
+
+def test_elastica_has_the_tabulated_values():
+    specification = importlib.util.spec_from_file_location("elastica", ROOT / "runs/beams/elastica.py")
+    elastica = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(elastica)
+    assert elastica.tip(10.0) == pytest.approx((0.81061, 0.55500), abs=6e-6)
+    assert elastica.tip(1.0) == pytest.approx((0.30172, 0.05643), abs=6e-6)
+
+
+@pytest.mark.long
+def test_figures_are_drawn_on_two_ranks(tmp_path):
+    words = [str(ROOT / ".ci/mpirun"), "2", sys.executable, "runs/beams/figures.py", str(tmp_path), "12", "17"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run(words, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=600)
+    assert "G = 0.5: order 1.00" in (tmp_path / "fig_12.csv").read_text()
+    for G in ("G = 0.63", "G = 0.59", "G = 0.52"):
+        assert G in (tmp_path / "fig_17.csv").read_text()
+    assert (tmp_path / "fig_17.png").stat().st_size > 10_000
 
 
 @pytest.mark.long

@@ -6,7 +6,7 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 from typing import TYPE_CHECKING, Any
 
 from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
-from pdpetsc.gradient import Correspondence, SubHorizons
+from pdpetsc.gradient import BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
 from pdpetsc.material import Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
@@ -39,13 +39,16 @@ __all__ = [
     "Arrays",
     "At",
     "BodyForce",
+    "BondAssociated",
     "Case",
     "CaseError",
     "ControlEnergy",
+    "Corrected",
     "Correspondence",
     "Displacement",
     "Force",
     "Hencky",
+    "HigherOrder",
     "Hold",
     "Interrupted",
     "LargestError",
@@ -67,6 +70,7 @@ __all__ = [
     "SolveError",
     "Steps",
     "StrainEnergy",
+    "StressPoints",
     "SubHorizons",
     "Table",
     "TextFile",

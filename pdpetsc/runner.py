@@ -239,6 +239,9 @@ class _Run:
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, {int(points)} gradient points, "
             f"{comm.size} rank{'s' if comm.size > 1 else ''}"
         )
+        self.summary["scheme"] = {"name": type(self.case.scheme).__name__, "note": model.operator.note}
+        if model.operator.note:
+            self.report.say(f"scheme: {model.operator.note}")
 
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:

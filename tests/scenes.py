@@ -18,7 +18,15 @@ MATERIALS = {
     "linear_elastic": pd.LinearElastic(E=10.0, nu=0.3),
 }
 PLANE_STRESS = {f"{name}_plane_stress": type(m)(m.E, m.nu, "stress") for name, m in MATERIALS.items()}
-SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
+SCHEMES = {
+    "correspondence": pd.Correspondence(),
+    "sub_horizons": pd.SubHorizons(),
+    "four_sub_horizons": pd.SubHorizons(4),
+    "stress_points": pd.StressPoints(),
+    "corrected": pd.Corrected(2),
+    "higher_order": pd.HigherOrder(2),
+    "bond_associated": pd.BondAssociated(),
+}
 STABILISATIONS = {"none": None, "silling": pd.Silling(0.5)}
 SIDES = {1: (12,), 2: (6, 5), 3: (4, 3, 4)}
 

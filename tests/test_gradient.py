@@ -108,3 +108,83 @@ def test_coincident_particles_are_refused_with_ids():
     x = np.array([[0.0], [1.0], [1.0], [2.0]])
     with pytest.raises(pd.CaseError, match="Particles 1 and 2 coincide"):
         find_families(distribute(world(), x, np.ones(4), {}, 1.5))
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_a_corrected_gradient_is_exact_for_polynomials_of_its_order(dim, rng):
+    """A Taylor term of degree 2 to N around the middle particle has gradient 0 there."""
+    side = np.arange(-3.0, 4.0)
+    x = np.stack(np.meshgrid(*[side] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    x += 0.1 * rng.uniform(-1.0, 1.0, x.shape)
+    cloud = distribute(world(), x, rng.uniform(0.8, 1.2, len(x)), {}, 3.015)
+    families = find_families(cloud)
+    middle = int(np.argmin(np.linalg.norm(cloud.x, axis=1)))
+    for scheme, order in ((pd.Corrected(3), 3), (pd.HigherOrder(2), 2)):
+        operator = scheme.build(cloud, families, np.ones(len(families.neighbours)))
+        y = cloud.x - cloud.x[middle]
+        for degree in range(1, order + 1):
+            direction = rng.standard_normal(dim)
+            u = np.zeros_like(y)
+            u[:, 0] = (y @ direction) ** degree
+            H = operator.gradient(u)[middle]
+            exact = np.zeros((dim, dim))
+            exact[0] = direction if degree == 1 else 0.0
+            assert np.abs(H - exact).max() < 1e-9
+
+
+def test_orders_that_a_family_cannot_carry_are_lowered_and_said():
+    x = np.arange(12.0)[:, None]
+    cloud = distribute(world(), x, np.ones(12), {}, 1.015)
+    families = find_families(cloud)
+    operator = pd.Corrected(3).build(cloud, families, np.ones(len(families.neighbours)))
+    plain = pd.Correspondence().build(cloud, families, np.ones(len(families.neighbours)))
+    assert "lowered" in operator.note
+    assert np.allclose(operator.g, plain.g, atol=1e-14)
+
+
+def test_stress_points_of_nearest_neighbours_are_those_of_the_paper():
+    """Two points inside, one at every boundary particle, each over the two bonds on its side; both choices occur."""
+    x = np.stack(np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 1.015)
+    families = find_families(cloud)
+    operator = pd.StressPoints().build(cloud, families, np.ones(len(families.neighbours)))
+    inside = np.all((cloud.x > 0.5) & (cloud.x < 7.5), axis=1)
+    count = np.bincount(operator.owner)
+    assert (count[inside] == 2).all()
+    assert (count[~inside] == 1).all()
+    choices = set()
+    for p in range(operator.n_points):
+        if inside[operator.owner[p]]:
+            members = operator.members[operator.point_ptr[p] + 1 : operator.point_ptr[p + 1]]
+            sum_of_bonds = (cloud.x[members] - cloud.x[operator.owner[p]]).sum(axis=0)
+            assert len(members) == 2
+            choices.add((*np.abs(sum_of_bonds), np.prod(sum_of_bonds)))
+    assert choices == {(1.0, 1.0, 1.0), (1.0, 1.0, -1.0)}
+
+
+@pytest.mark.parametrize(
+    ("dim", "sectors", "points"), [(1, 2, 2), (1, 4, 4), (2, 3, 3), (2, 8, 8), (3, 4, 4), (3, 8, 8), (3, 12, 12)]
+)
+def test_any_number_of_sectors(dim, sectors, points):
+    side = np.arange(-4.0, 5.0)
+    x = np.stack(np.meshgrid(*[side] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 4.015)
+    families = find_families(cloud)
+    operator = pd.SubHorizons(sectors).build(cloud, families, np.ones(len(families.neighbours)))
+    middle = int(np.argmin(np.linalg.norm(cloud.x, axis=1)))
+    assert np.count_nonzero(operator.owner == middle) == points
+    with pytest.raises(pd.CaseError, match="sectors"):
+        pd.SubHorizons(1).build(cloud, families, np.ones(len(families.neighbours)))
+
+
+def test_the_family_of_a_bond_is_what_lies_near_both_particles():
+    x = np.stack(np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015)
+    families = find_families(cloud)
+    operator = pd.BondAssociated().build(cloud, families, np.ones(len(families.neighbours)))
+    assert operator.n_points == len(families.neighbours)
+    near = reference.families(cloud.x, 2.015)
+    for bond in (40, 333, 700):
+        i, j = operator.owner[bond], families.neighbours[bond]
+        members = operator.members[operator.point_ptr[bond] + 1 : operator.point_ptr[bond + 1]]
+        assert set(members) == (set(near[i]) & set(near[j])) | {j}

@@ -1,7 +1,20 @@
 """Gradient schemes: where deformation gradients are evaluated and with which weights, one file per published scheme."""
 
 from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.gradient.bond_associated import BondAssociated
+from pdpetsc.gradient.corrected import Corrected
 from pdpetsc.gradient.correspondence import Correspondence
+from pdpetsc.gradient.higher_order import HigherOrder
+from pdpetsc.gradient.stress_points import StressPoints
 from pdpetsc.gradient.sub_horizons import SubHorizons
 
-__all__ = ["Correspondence", "GradientOperator", "Scheme", "SubHorizons"]
+__all__ = [
+    "BondAssociated",
+    "Corrected",
+    "Correspondence",
+    "GradientOperator",
+    "HigherOrder",
+    "Scheme",
+    "StressPoints",
+    "SubHorizons",
+]

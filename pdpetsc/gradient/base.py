@@ -60,6 +60,8 @@ class GradientOperator:
         Weights [1 / length]; those of a point sum to zero.
     volume : (n_points,) float64
         Quadrature volumes ``W_p = V_i / (points of i)`` [volume].
+    note : str
+        What the scheme had to adapt to this body, for the log; the same on all ranks.
     """
 
     owner: LocalIndex
@@ -67,6 +69,7 @@ class GradientOperator:
     members: LocalIndex
     g: Float
     volume: Float
+    note: str = ""
 
     @property
     def n_points(self) -> int:
@@ -133,15 +136,32 @@ def with_centres(owner: LocalIndex, point_ptr: GlobalIndex, members: LocalIndex,
     )
 
 
-def operator(cloud: Cloud, stencils: Stencils) -> GradientOperator:
+def operator(cloud: Cloud, stencils: Stencils, note: str = "") -> GradientOperator:
     """Return the operator with ``g_pk = weight_pk K_p^-1 xi_pk`` and ``W_p = V_i / (points of i)``."""
     dim = cloud.dim
     K_inverse = np.linalg.inv(stencils.shape_tensors(cloud.x))
     g = np.empty((len(stencils.members), dim))
     weights_kernel(dim)(stencils.owner, stencils.point_ptr, stencils.members, stencils.weight, cloud.x, K_inverse, g)
-    count = np.bincount(stencils.owner, minlength=cloud.n_owned)
-    volume = cloud.volume[stencils.owner] / count[stencils.owner]
-    return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, volume)
+    volume = shared_volume(cloud, stencils.owner)
+    return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, volume, note)
+
+
+def from_bond_weights(cloud: Cloud, families: Families, g: Float, note: str = "") -> GradientOperator:
+    """Return the operator with one point per particle and the given weights of its bonds (n_bonds, dim)."""
+    stencils = whole_families(cloud, families, np.zeros(len(g)))
+    at = families.indptr[:-1]
+    own = np.zeros((cloud.n_owned, cloud.dim))
+    np.subtract.at(own, families.centres, g)
+    volume = cloud.volume[: cloud.n_owned].copy()
+    return GradientOperator(
+        stencils.owner, stencils.point_ptr, stencils.members, np.insert(g, at, own, axis=0), volume, note
+    )
+
+
+def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
+    """Return ``W_p = V_i / (points of i)`` (n_points,) [volume]."""
+    count = np.bincount(owner, minlength=cloud.n_owned)
+    return np.asarray(cloud.volume[owner] / count[owner])
 
 
 def refuse_flat(comm: Comm, gid: GlobalIndex, what: str, remedy: str) -> None:

@@ -1,93 +1,100 @@
-"""Sub-horizons: one gradient point per half, quadrant or octant of the family."""
+"""Sub-horizons: one gradient point per sector of the family."""
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families, with_centres
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.gradient.sectors import sector_operator
 
-# A bond component below this share of the horizon lies on the border of two sectors.
+# A bond this close to a border, as a share of a sector or of the horizon, lies on it.
 ON_BORDER = 1e-8
-# A sector is merged with its neighbours when the smallest eigenvalue of its shape tensor is below this share of the
-# mean one: sectors of a lattice stay above 0.2.
-THIN = 1e-2
 
 
 @dataclass(frozen=True)
 class SubHorizons(Scheme):
-    """Sub-horizons: ``2^dim`` gradient points per particle, one per half (1D), quadrant (2D) or octant (3D).
+    """Sub-horizons: a gradient point for each sector of the family.
 
     ``F_ia = I + sum_j chi_a omega V_j eta_ij (x) K_ia^-1 xi_ij`` with ``chi_a`` the share of the bond in sector ``a``.
     A bond on the border of sectors is shared by them in equal parts, which the open sectors of the paper leave out and
     which a lattice with nearest neighbours needs. A sector whose own bonds are too flat to give a gradient hands them
-    to the sectors it shares most borders with, in equal parts, and has no point; the others share the volume.
+    to the nearest others, in equal parts, and has no point; the others share the volume.
+
+    Parameters
+    ----------
+    sectors : int, optional
+        Number of sectors. Halves, quadrants and octants where absent. In 1D an even number: shells of equal width on
+        each side; in 2D any number from 2: equal angles from the x axis; in 3D an even number from 4: equal longitudes
+        from the x axis, above and below.
 
     References
     ----------
     Chowdhury, Roy, Roy, Reddy, section 4, Eq. (19)-(34).
     """
 
+    sectors: int | None = None
+
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where no sector of a family gives a gradient."""
-        weight = omega * cloud.volume[families.neighbours]
-        share = _shares(families.bonds(cloud.x), cloud.horizon)
-        sectors = share.shape[1]
-        thin = np.empty((cloud.n_owned, sectors), dtype=bool)
-        for a in range(sectors):
-            K = whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x)
-            mean = np.einsum("pii->p", K) / cloud.dim
-            thin[:, a] = np.linalg.eigvalsh(K)[:, 0] <= THIN * mean
-        whole = whole_families(cloud, families, weight)
-        lost = thin.all(axis=1)
-        singular = lost & flat(whole.shape_tensors(cloud.x))
-        refuse_flat(
-            cloud.comm, cloud.gid[: cloud.n_owned][singular], "sub-horizons", "widen the horizon or add particles there"
-        )
-        centres = families.centres
-        share = np.einsum("ba,bac->bc", share, _merging(thin)[centres])
-        share[lost[centres], 0] = 1.0
-        points = ~thin
-        points[lost, 0] = True
-        return operator(cloud, with_centres(*_listed(points, centres, families.neighbours, weight, share)))
+        xi = families.bonds(cloud.x)
+        number = self.sectors if self.sectors is not None else 2**cloud.dim
+        least, even = {1: (2, True), 2: (2, False), 3: (4, True)}[cloud.dim]
+        if number < least or (even and number % 2):
+            kind = "an even number of sectors" if even else "sectors"
+            raise CaseError(f"Sub-horizons in {cloud.dim}D need {kind} from {least}, not {number}.")
+        if cloud.dim == 1:
+            shells = number // 2
+            outward = _between(np.abs(xi[:, 0]) / cloud.horizon * shells, shells)
+            share = _product(_side(xi[:, 0], cloud.horizon), outward)
+            distance = _apart(2, shells, shells)
+        elif cloud.dim == 2:
+            share, distance = _around(xi, number), _apart(number, 1, 1)
+        else:
+            above = _side(xi[:, 2], cloud.horizon)
+            share, distance = _product(_around(xi, number // 2), above), _apart(number // 2, 2, 1)
+        return sector_operator(cloud, families, omega, share, distance, "sub-horizons")
 
 
-def _shares(xi: Float, horizon: float) -> Float:
-    """Return the share of every bond in every sector, (n_bonds, 2^dim); a row sums to 1."""
-    dim = xi.shape[1]
-    positive = np.where(np.abs(xi) < ON_BORDER * horizon, 0.5, (xi > 0.0).astype(float))
-    share = np.ones((len(xi), 2**dim))
-    for a, signs in enumerate(itertools.product((False, True), repeat=dim)):
-        for d, up in enumerate(signs):
-            share[:, a] *= positive[:, d] if up else 1.0 - positive[:, d]
+def _side(component: Float, horizon: float) -> Float:
+    """Return the shares below and above zero, (n, 2)."""
+    above = np.where(np.abs(component) < ON_BORDER * horizon, 0.5, (component > 0.0).astype(float))
+    return np.stack([1.0 - above, above], axis=1)
+
+
+def _between(position: Float, count: int, periodic: bool = False) -> Float:
+    """Return the shares of ``count`` unit intervals from 0 on, (n, count); on a border half to each side."""
+    nearest = np.rint(position)
+    on_border = np.abs(position - nearest) < ON_BORDER
+    low = np.where(on_border, nearest - 1, np.floor(position)).astype(int)
+    high = np.where(on_border, nearest, np.floor(position)).astype(int)
+    share = np.zeros((len(position), count))
+    for index in (low, high):
+        inside = index % count if periodic else np.clip(index, 0, count - 1)
+        np.add.at(share, (np.arange(len(position)), inside), 0.5)
     return share
 
 
-def _merging(thin: Mask) -> Float:
-    """Return ``M[i, a, c]``: the share of sector ``a`` of particle ``i`` that point ``c`` takes over."""
-    sectors = thin.shape[1]
-    flips = np.array([[(a ^ c).bit_count() for c in range(sectors)] for a in range(sectors)], dtype=float)
-    distance = np.where(thin[:, None, :], np.inf, flips[None])
-    nearest = distance == distance.min(axis=2, keepdims=True)
-    nearest &= np.isfinite(distance)
-    return np.asarray(nearest / np.maximum(nearest.sum(axis=2, keepdims=True), 1))
+def _around(xi: Float, count: int) -> Float:
+    """Return the shares of ``count`` equal angles in the x-y plane, (n, count); on the z axis equal ones."""
+    angle = np.arctan2(xi[:, 1], xi[:, 0]) % (2.0 * np.pi)
+    share = _between(angle * count / (2.0 * np.pi), count, periodic=True)
+    on_axis = np.hypot(xi[:, 0], xi[:, 1]) < ON_BORDER * np.linalg.norm(xi, axis=1)
+    share[on_axis] = 1.0 / count
+    return share
 
 
-def _listed(
-    points: Mask, centres: LocalIndex, neighbours: LocalIndex, weight: Float, share: Float
-) -> tuple[LocalIndex, GlobalIndex, LocalIndex, Float]:
-    """Return owners, pointers, members and weights of the points, sorted by owner, sector and bond."""
-    owner, sector = np.nonzero(points)
-    number = np.full(points.shape, -1, dtype=np.int64)
-    number[owner, sector] = np.arange(len(owner))
-    bond, taken = np.nonzero(share)
-    point = number[centres[bond], taken]
-    order = np.argsort(point, kind="stable")
-    point_ptr = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(owner)))])
-    members = neighbours[bond[order]]
-    return owner.astype(np.int32), point_ptr, members, weight[bond[order]] * share[bond[order], taken[order]]
+def _product(one: Float, other: Float) -> Float:
+    return np.asarray(np.einsum("ba,bc->bac", one, other).reshape(len(one), -1))
+
+
+def _apart(ring: int, layers: int, weight: int) -> Float:
+    """Return how far sectors ``(place on a ring, layer)`` lie apart; a step on the ring counts ``weight``."""
+    place, layer = (index.ravel() for index in np.divmod(np.arange(ring * layers), layers))
+    step = np.abs(place[:, None] - place[None])
+    return np.asarray(weight * np.minimum(step, ring - step) + np.abs(layer[:, None] - layer[None]), dtype=float)

@@ -135,3 +135,45 @@ def determinant_kernel(dim: int) -> Callable[..., Any]:
         return lowest
 
     return smallest
+
+
+@lru_cache
+def bond_family_sizes_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``sizes(indptr, neighbours, x, radius, size)``: how many members of ``i`` lie that near to ``j``."""
+
+    @compiled
+    def sizes(indptr, neighbours, x, radius, size):  # type: ignore[no-untyped-def]
+        for i in range(indptr.size - 1):
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                count = 0
+                for t in range(indptr[i], indptr[i + 1]):
+                    square = 0.0
+                    for m in range(dim):
+                        square += (x[neighbours[t], m] - x[j, m]) ** 2
+                    if square <= radius[b] * radius[b]:
+                        count += 1
+                size[b] = count
+
+    return sizes
+
+
+@lru_cache
+def bond_families_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``list(indptr, neighbours, x, radius, point_ptr, bonds)``: the bonds to those members, in family order."""
+
+    @compiled
+    def members(indptr, neighbours, x, radius, point_ptr, bonds):  # type: ignore[no-untyped-def]
+        for i in range(indptr.size - 1):
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                at = point_ptr[b]
+                for t in range(indptr[i], indptr[i + 1]):
+                    square = 0.0
+                    for m in range(dim):
+                        square += (x[neighbours[t], m] - x[j, m]) ** 2
+                    if square <= radius[b] * radius[b]:
+                        bonds[at] = t
+                        at += 1
+
+    return members

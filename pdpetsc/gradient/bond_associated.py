@@ -1,0 +1,77 @@
+"""Bond-associated gradients: one gradient point per bond."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families, with_centres
+from pdpetsc.gradient.sectors import thin
+from pdpetsc.kernels.gradient import bond_families_kernel, bond_family_sizes_kernel
+
+# Radii of the family of a bond that are tried in turn, over the one asked for; the last takes in the whole family.
+GROWTH = (1.0, 1.25, 1.5, 1.75, 2.0, math.inf)
+
+
+@dataclass(frozen=True)
+class BondAssociated(Scheme):
+    """Bond-associated correspondence: a gradient point for every bond of a particle, over the family of the bond.
+
+    The family of bond ``ij`` are the members of the family of ``i`` within ``radius`` horizons of ``j``; the points of
+    a particle share its volume in equal parts. A bond with too flat a family, as on a lattice of nearest neighbours,
+    takes the next of the radii 1.25, 1.5, 1.75, 2 times as large that has a gradient. Forces derive from the energy of
+    the points, so force and moment balance and the tangent is symmetric; the original sums force states bond by bond.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of the family of a bond, in horizons.
+
+    References
+    ----------
+    Chen, Spencer (2019), Peridynamic bond-associated correspondence model: stability and convergence properties.
+    """
+
+    radius: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.radius) and self.radius > 0.0):
+            raise CaseError(f"The radius of a bond's family is a positive number of horizons, not {self.radius}.")
+
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        weight = omega * cloud.volume[families.neighbours]
+        singular = flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
+        refuse_flat(
+            cloud.comm, cloud.gid[: cloud.n_owned][singular], "bond-associated gradients",
+            "widen the horizon or add particles there",
+        )  # fmt: skip
+        centres = families.centres
+        radius = np.full(len(centres), self.radius * cloud.horizon * (1.0 + HORIZON_TOLERANCE))
+        wider = 0
+        for factor, following in zip(GROWTH, (*GROWTH[1:], None), strict=True):
+            size = np.empty(len(centres), dtype=np.int64)
+            bond_family_sizes_kernel(cloud.dim)(families.indptr, families.neighbours, cloud.x, radius, size)
+            point_ptr = np.concatenate([[0], np.cumsum(size)])
+            bonds = np.empty(point_ptr[-1], dtype=np.int64)
+            fill = bond_families_kernel(cloud.dim)
+            fill(families.indptr, families.neighbours, cloud.x, radius, point_ptr, bonds)
+            stencils = with_centres(centres, point_ptr, families.neighbours[bonds], weight[bonds])
+            if following is None:
+                break
+            bad = thin(stencils.shape_tensors(cloud.x))
+            if factor == 1.0:
+                wider = int(bad.sum())
+            if not bad.any():
+                break
+            radius[bad] *= following / factor
+        number, every = total(cloud.comm, [wider, len(centres)])
+        note = f"{int(number)} of {int(every)} bonds have a wider family, their own is too flat" if number else ""
+        return operator(cloud, stencils, note)

@@ -1,0 +1,75 @@
+"""Corrected gradients: exact for polynomials up to a given degree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator, Scheme, from_bond_weights, refuse_flat
+from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, largest_gain, solve
+
+
+@dataclass(frozen=True)
+class Corrected(Scheme):
+    """Corrected gradient of order N, ``g_ij = omega V_j (c_i . q(xi_ij))`` with all monomials q of degrees 1 to N.
+
+    The coefficients make the gradient exact for polynomials of degree N (order 1 is plain correspondence):
+    ``sum_j g_ij q(xi_ij)`` is 1 for the linear monomial of its component and 0 for every other. The moment matrix is
+    scaled by the horizon; directions that the family cannot tell apart are left out. Where a condition then fails, or
+    the weights nearly cancel, the particle takes the next lower order.
+
+    Parameters
+    ----------
+    order : int
+        Degree N, at least 1; order N needs about N / 2 shells of neighbours.
+
+    References
+    ----------
+    Chowdhury, Roy, Roy, Reddy, section 3, Eq. (8)-(15), there in one dimension.
+    """
+
+    order: int = 2
+
+    def __post_init__(self) -> None:
+        if self.order < 1:
+            raise CaseError(f"The order of a corrected gradient is at least 1, not {self.order}.")
+
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        weight = omega * cloud.volume[families.neighbours]
+        xi = families.bonds(cloud.x) / cloud.horizon
+        g = np.zeros((len(weight), cloud.dim))
+        left = np.flatnonzero(np.diff(families.indptr) > 0)
+        alone = np.flatnonzero(np.diff(families.indptr) == 0)
+        worst, lowered = 1.0, 0
+        for order in range(self.order, 0, -1):
+            conditions = Conditions.of_degrees(cloud.dim, 1, order)
+            target = np.eye(len(conditions.exponents), cloud.dim)
+            remaining = [alone[:0]]
+            for part, bonds, first in blocks(families.indptr, left, len(conditions.exponents)):
+                q = conditions.values(xi[bonds])
+                c, unmet, condition = solve(
+                    q, weight[bonds], first, np.broadcast_to(target, (len(part), *target.shape))
+                )
+                owner = np.repeat(np.arange(len(part)), np.diff(np.append(first, len(bonds))))
+                g[bonds] = np.einsum("bq,bqm->bm", q, c[owner]) * weight[bonds, None] / cloud.horizon
+                met = unmet <= MET
+                if order > 1:
+                    met &= largest_gain(g[bonds], first, cloud.horizon) <= GAIN
+                remaining.append(part[~met])
+                worst = max(worst, float(condition[met].max(initial=1.0)))
+            left = np.concatenate(remaining)
+            lowered += len(left) if order > 1 else 0
+        failed = np.concatenate([left, alone])
+        refuse_flat(cloud.comm, cloud.gid[failed], "a corrected gradient", "widen the horizon or add particles there")
+        steps, condition_number = int(total(cloud.comm, lowered)), largest(cloud.comm, worst)
+        note = f"moment matrices have condition numbers up to {condition_number:.1e}"
+        if steps:
+            note += f"; the order was lowered {steps} times where families are too small for it"
+        return from_bond_weights(cloud, families, g, note)

@@ -1,0 +1,79 @@
+"""Higher-order weights: plain correspondence with an influence whose higher moments vanish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families
+from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, largest_gain, solve
+
+
+@dataclass(frozen=True)
+class HigherOrder(Scheme):
+    """Higher-order correspondence: scalar weights ``omega C(xi)`` whose moments of degree 3 to N + 1 vanish.
+
+    ``F_i = I + sum_j omega C_ij V_j eta_ij (x) K_i^-1 xi_ij`` as in plain correspondence and with its shape tensor, but
+    the terms of degree 2 to N of a Taylor series of u drop out of the sum. ``C = 1 + c . q(xi)`` departs least from 1,
+    with monomials q of degrees 2 to N + 1. Weights may be negative. Where the family is too small for the conditions
+    the particle takes the next lower order; order 1 is plain correspondence.
+
+    Parameters
+    ----------
+    order : int
+        Degree N of the Taylor series, at least 1. On a symmetric lattice even orders equal the odd ones below them.
+
+    References
+    ----------
+    Yaghoobi, Chorzepa (2017), title, abstract and sections 1-2; the conditions on the moments follow from these.
+    """
+
+    order: int = 3
+
+    def __post_init__(self) -> None:
+        if self.order < 1:
+            raise CaseError(f"The order of higher-order weights is at least 1, not {self.order}.")
+
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        weight = omega * cloud.volume[families.neighbours]
+        K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
+        refuse_flat(
+            cloud.comm, cloud.gid[: cloud.n_owned][flat(K)], "higher-order weights",
+            "widen the horizon or add particles there",
+        )  # fmt: skip
+        xi = families.bonds(cloud.x)
+        plain = weight[:, None] * np.einsum("bmn,bn->bm", np.linalg.inv(K)[families.centres], xi)
+        C = np.ones(len(weight))
+        left = np.arange(cloud.n_owned)
+        worst, lowered = 1.0, 0
+        for order in range(self.order, 1, -1):
+            conditions = Conditions.of_degrees(cloud.dim, 2, order + 1)
+            higher = conditions.exponents.sum(axis=1) > 2
+            remaining = [left[:0]]
+            for part, bonds, first in blocks(families.indptr, left, len(conditions.exponents)):
+                q = conditions.values(xi[bonds] / cloud.horizon)
+                moments = np.add.reduceat(weight[bonds, None] * q, first, axis=0)
+                target = np.where(higher, -moments, 0.0)[:, :, None]
+                c, unmet, condition = solve(q, weight[bonds], first, target)
+                size = np.abs(moments).max(axis=1)
+                owner = np.repeat(np.arange(len(part)), np.diff(np.append(first, len(bonds))))
+                correction = 1.0 + np.einsum("bq,bqm->b", q, c[owner])
+                met = unmet * np.abs(target).max(axis=(1, 2)) <= MET * size
+                met &= largest_gain(plain[bonds] * correction[:, None], first, cloud.horizon) <= GAIN
+                remaining.append(part[~met])
+                worst = max(worst, float(condition[met].max(initial=1.0)))
+                C[bonds] = np.where(met[owner], correction, 1.0)
+            left = np.concatenate(remaining)
+            lowered += len(left)
+        steps, condition_number = int(total(cloud.comm, lowered)), largest(cloud.comm, worst)
+        note = f"moment matrices have condition numbers up to {condition_number:.1e}"
+        if steps:
+            note += f"; the order was lowered {steps} times where families are too small for it"
+        return operator(cloud, whole_families(cloud, families, C * weight), note)

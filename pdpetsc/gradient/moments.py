@@ -1,0 +1,98 @@
+"""Weights of the bonds of a family from conditions on their polynomial moments."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+
+# Eigenvalues of a moment matrix, scaled by the horizon, below this share of the largest count as zero.
+RANK = 1e-10
+# A condition on a moment holds when it is met to this share of its size.
+MET = 1e-8
+# A gradient is refused where it could exceed the largest relative displacement by more than this over the horizon: its
+# weights then nearly cancel, as for a family with hardly more bonds than conditions.
+GAIN = 100.0
+# Entries of the moment matrices that are held at once.
+BLOCK = 2**22
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What the weights of one family must satisfy, ``sum_k weight_k C_k q(xi_k) = target``.
+
+    Attributes
+    ----------
+    exponents : (n_basis, dim) int64
+        Monomials q, in powers of ``xi / horizon``.
+    """
+
+    exponents: GlobalIndex
+
+    @classmethod
+    def of_degrees(cls, dim: int, lowest: int, highest: int) -> Conditions:
+        """Return all monomials of the given degrees, lowest first."""
+        powers = itertools.product(range(highest + 1), repeat=dim)
+        kept = sorted((p for p in powers if lowest <= sum(p) <= highest), key=lambda p: (sum(p), [-n for n in p]))
+        return cls(np.array(kept, dtype=np.int64).reshape(-1, dim))
+
+    def values(self, xi: Float) -> Float:
+        """Return q at scaled bonds (n, dim), (n, n_basis)."""
+        return np.asarray(np.prod(xi[:, None, :] ** self.exponents[None], axis=2))
+
+
+def blocks(
+    indptr: GlobalIndex, chosen: GlobalIndex, width: int
+) -> Iterator[tuple[GlobalIndex, GlobalIndex, GlobalIndex]]:
+    """Yield chosen families in blocks: their numbers, their bonds, and where each of them starts among these."""
+    size = np.diff(indptr)[chosen]
+    start = 0
+    while start < len(chosen):
+        stop = start + max(1, int(np.searchsorted(np.cumsum(size[start:]) * width**2, BLOCK)))
+        part = chosen[start:stop]
+        first: GlobalIndex = np.concatenate([[0], np.cumsum(size[start:stop])])
+        bonds: GlobalIndex = np.repeat(indptr[part] - first[:-1], size[start:stop]) + np.arange(first[-1])
+        yield part, bonds, first[:-1]
+        start = stop
+
+
+def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[Float, Float, Float]:
+    """Return the coefficients c of ``C_k = c . q_k`` that meet the targets with the least weighted norm.
+
+    Parameters
+    ----------
+    q : (n_bonds, n_basis) float64
+        Monomials.
+    weight : (n_bonds,) float64
+        Positive weights.
+    first : (n,) int
+        Where each family starts; none is empty.
+    target : (n, n_basis, m) float64
+        Right hand sides.
+
+    Returns
+    -------
+    c : (n, n_basis, m) float64
+    unmet : (n,) float64
+        Largest violation of a condition, as a share of the largest target.
+    condition : (n,) float64
+        Largest over smallest kept eigenvalue of the moment matrix ``sum_k weight_k q_k (x) q_k``.
+    """
+    M = np.add.reduceat(weight[:, None, None] * q[:, :, None] * q[:, None, :], first, axis=0)
+    values, vectors = np.linalg.eigh(M)
+    kept = values > RANK * values[:, -1:]
+    inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+    c = vectors @ (inverse[:, :, None] * (np.swapaxes(vectors, 1, 2) @ target))
+    violation = np.abs(M @ c - target).max(axis=(1, 2))
+    size = np.maximum(np.abs(target).max(axis=(1, 2)), np.finfo(float).tiny)
+    lowest = np.where(kept, values, np.inf).min(axis=1)
+    return c, violation / size, values[:, -1] / lowest
+
+
+def largest_gain(g: Float, first: GlobalIndex, horizon: float) -> Float:
+    """Return ``horizon sum_k |g_k|`` of every family for the weights of its bonds (n_bonds, dim)."""
+    return np.asarray(np.add.reduceat(np.linalg.norm(g, axis=1), first) * horizon)

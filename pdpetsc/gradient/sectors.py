@@ -1,0 +1,82 @@
+"""Families divided into sectors, each with a gradient point of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.families import Families
+from pdpetsc.gradient.base import GradientOperator, flat, operator, refuse_flat, whole_families, with_centres
+
+# A sector is merged with its neighbours when the smallest eigenvalue of its shape tensor is below this share of the
+# mean one: sectors of a lattice stay above 0.2.
+THIN = 1e-2
+
+
+def thin(K: Float) -> Mask:
+    """Return which shape tensors are too close to singular to stand alone."""
+    mean = np.einsum("pii->p", K) / K.shape[1]
+    return np.asarray(np.linalg.eigvalsh(K)[:, 0] <= THIN * mean)
+
+
+def sector_operator(
+    cloud: Cloud, families: Families, omega: Float, share: Float, distance: Float, name: str
+) -> GradientOperator:
+    """Return the operator with one point per sector that has a gradient (collective).
+
+    Parameters
+    ----------
+    cloud, families, omega
+        The bonds and their influence.
+    share : (n_bonds, n_sectors) float64
+        Share of every bond in every sector; a row sums to 1.
+    distance : (n_sectors, n_sectors) float64
+        How far sectors lie apart: one whose own bonds are too flat hands them to the nearest others, in equal parts.
+    name : str
+        Name of the scheme, for messages.
+
+    Raises
+    ------
+    CaseError
+        No sector of a family gives a gradient, nor does the whole family.
+    """
+    weight = omega * cloud.volume[families.neighbours]
+    empty = np.empty((cloud.n_owned, share.shape[1]), dtype=bool)
+    for a in range(share.shape[1]):
+        empty[:, a] = thin(whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x))
+    lost = empty.all(axis=1)
+    singular = lost & flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
+    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][singular], name, "widen the horizon or add particles there")
+    centres = families.centres
+    share = np.einsum("ba,bac->bc", share, _merging(empty, distance)[centres])
+    share[lost[centres], 0] = 1.0
+    points = ~empty
+    points[lost, 0] = True
+    merged, particles = total(cloud.comm, [empty.sum(), empty.any(axis=1).sum()])
+    note = f"{int(merged)} sectors at {int(particles)} particles are too flat and merged with others" if merged else ""
+    return operator(cloud, with_centres(*_listed(points, centres, families.neighbours, weight, share)), note)
+
+
+def _merging(empty: Mask, distance: Float) -> Float:
+    """Return ``M[i, a, c]``: the share of sector ``a`` of particle ``i`` that point ``c`` takes over."""
+    reach = np.where(empty[:, None, :], np.inf, distance[None])
+    nearest = reach == reach.min(axis=2, keepdims=True)
+    nearest &= np.isfinite(reach)
+    return np.asarray(nearest / np.maximum(nearest.sum(axis=2, keepdims=True), 1))
+
+
+def _listed(
+    points: Mask, centres: LocalIndex, neighbours: LocalIndex, weight: Float, share: Float
+) -> tuple[LocalIndex, GlobalIndex, LocalIndex, Float]:
+    """Return owners, pointers, members and weights of the points, sorted by owner, sector and bond."""
+    owner, sector = np.nonzero(points)
+    number = np.full(points.shape, -1, dtype=np.int64)
+    number[owner, sector] = np.arange(len(owner))
+    bond, taken = np.nonzero(share)
+    point = number[centres[bond], taken]
+    order = np.argsort(point, kind="stable")
+    point_ptr = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(owner)))])
+    members = neighbours[bond[order]]
+    return owner.astype(np.int32), point_ptr, members, weight[bond[order]] * share[bond[order], taken[order]]

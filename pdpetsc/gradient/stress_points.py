@@ -1,0 +1,61 @@
+"""Stress points: two gradient points per particle, on opposite sides along a diagonal drawn at random."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.gradient.sectors import sector_operator
+
+# A bond whose angle to the dividing plane has a smaller sine lies in it.
+IN_PLANE = 1e-8
+
+
+@dataclass(frozen=True)
+class StressPoints(Scheme):
+    """Stress points: a family is halved by the plane across a diagonal, each half has a gradient point.
+
+    The diagonal (1, +-1, +-1) is drawn per particle: one choice in 1D, two in 2D, four in 3D. A bond in the dividing
+    plane, which nearest neighbours on a lattice never have, belongs to both halves in equal parts; this extends the
+    method to wider horizons. A particle with a half too flat to give a gradient, as at every boundary of a lattice of
+    nearest neighbours, has one point over all bonds.
+
+    Parameters
+    ----------
+    seed : int
+        Of the draw, which depends on it and on the particle's number only: it is the same on any rank count.
+
+    References
+    ----------
+    Luo, Sundararaghavan (2018), section 3, Fig. 3-5.
+    """
+
+    seed: int = 1
+
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        draw = _drawn(cloud.gid[: cloud.n_owned], self.seed)
+        diagonal = np.ones((cloud.n_owned, cloud.dim))
+        for d in range(1, cloud.dim):
+            diagonal[:, d] -= 2.0 * ((draw >> np.uint64(d - 1)) & np.uint64(1)).astype(float)
+        xi = families.bonds(cloud.x)
+        along = np.einsum("bd,bd->b", xi, diagonal[families.centres])
+        length = np.linalg.norm(xi, axis=1) * np.sqrt(cloud.dim)
+        ahead = np.where(np.abs(along) < IN_PLANE * length, 0.5, (along > 0.0).astype(float))
+        share = np.stack([1.0 - ahead, ahead], axis=1)
+        distance = np.array([[0.0, 1.0], [1.0, 0.0]])
+        return sector_operator(cloud, families, omega, share, distance, "stress points")
+
+
+def _drawn(gid: GlobalIndex, seed: int) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+    """Return 64 random bits per particle: the SplitMix64 sequence of ``seed`` at place ``gid``."""
+    with np.errstate(over="ignore"):
+        z = np.uint64(seed % 2**64) + (gid.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return np.asarray(z ^ (z >> np.uint64(31)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
 from pdpetsc.gradient import BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
-from pdpetsc.material import Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
+from pdpetsc.material import Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
 from pdpetsc.scene import influence, region
@@ -26,7 +26,7 @@ from pdpetsc.solution import (
     reaction,
     stress,
 )
-from pdpetsc.stabilisation import Silling
+from pdpetsc.stabilisation import AveragedDisplacement, Littlewood, Silling, Springs, Wan
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -38,6 +38,7 @@ __all__ = [
     "AdaptiveSteps",
     "Arrays",
     "At",
+    "AveragedDisplacement",
     "BodyForce",
     "BondAssociated",
     "Case",
@@ -47,6 +48,7 @@ __all__ = [
     "Correspondence",
     "Displacement",
     "Force",
+    "Graded",
     "Hencky",
     "HigherOrder",
     "Hold",
@@ -54,6 +56,7 @@ __all__ = [
     "LargestError",
     "Lattice",
     "LinearElastic",
+    "Littlewood",
     "Mean",
     "Mesh",
     "NeoHookean",
@@ -68,6 +71,7 @@ __all__ = [
     "Silling",
     "Solution",
     "SolveError",
+    "Springs",
     "Steps",
     "StrainEnergy",
     "StressPoints",
@@ -75,6 +79,7 @@ __all__ = [
     "Table",
     "TextFile",
     "Traction",
+    "Wan",
     "choose",
     "deformation_gradient",
     "displacement",

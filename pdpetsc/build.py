@@ -12,7 +12,7 @@ from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
-from pdpetsc.material import Material
+from pdpetsc.material import Graded, Material
 from pdpetsc.model import Assembler, Model
 from pdpetsc.scene.particles import Chunk
 
@@ -31,8 +31,8 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     """Return the model of a case on a distributed cloud (collective)."""
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     omega: Float = case.influence(length / case.horizon)
-    materials, material_of = _materials(case, cloud)
-    return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation)
+    materials, material_of, factor = _materials(case, cloud)
+    return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation, factor)
 
 
 def rehearse(comm: Comm, case: Case, dim: int) -> None:
@@ -48,7 +48,7 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
     with agreed(comm):
         if is_root(comm):
             x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-            materials = [case.material] if isinstance(case.material, Material) else [m for _, m in case.material]
+            materials = [_law(material) for _, material in case.materials]
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
                 families = find_families(cloud)
@@ -63,22 +63,42 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 model.energy(u)
 
 
-def _materials(case: Case, cloud: Cloud) -> tuple[list[Material], LocalIndex]:
-    """Return the materials and the index of each own particle's (collective)."""
-    if isinstance(case.material, Material):
-        return [case.material], np.zeros(cloud.n_owned, dtype=np.int32)
+def _law(material: Material | Graded) -> Material:
+    return material.material if isinstance(material, Graded) else material
+
+
+def _materials(case: Case, cloud: Cloud) -> tuple[list[Material], LocalIndex, Float | None]:
+    """Return the materials, the index of each own particle's, and its factor where any is graded (collective)."""
     count = np.zeros(cloud.n_owned, dtype=np.int32)
     index = np.zeros(cloud.n_owned, dtype=np.int32)
-    for number, (region, _) in enumerate(case.material):
+    factor = np.ones(cloud.n_owned)
+    x = cloud.x[: cloud.n_owned]
+    for number, (region, material) in enumerate(case.materials):
         mask = select(cloud, region, f"material {number + 1}")
         count += mask
         index[mask] = number
+        with agreed(cloud.comm):
+            if isinstance(material, Graded):
+                factor[mask] = _factors(material, x[mask])
     with agreed(cloud.comm):
         wrong = np.flatnonzero(count != 1)
         if len(wrong):
             gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
             raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
-    return [material for _, material in case.material], index
+    graded = any(isinstance(material, Graded) for _, material in case.materials)
+    return [_law(material) for _, material in case.materials], index, factor if graded else None
+
+
+def _factors(material: Graded, x: Float) -> Float:
+    values = np.asarray(material.factor(x), dtype=float)
+    if values.shape != (len(x),):
+        raise CaseError(
+            f"The factor of a graded material must return one number per particle, not shape {values.shape}."
+        )
+    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    if len(bad):
+        raise CaseError(f"The factor of a graded material is {values[bad[0]]:g} at {x[bad[0]]}; it must be positive.")
+    return values
 
 
 def _refuse_bad_particles(chunk: Chunk) -> None:

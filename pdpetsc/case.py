@@ -9,13 +9,13 @@ from typing import Any
 
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Correspondence, Scheme
-from pdpetsc.material import Material
+from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import Quantity
 from pdpetsc.scene.conditions import Condition
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
-from pdpetsc.scene.region import Region
+from pdpetsc.scene.region import All, Region
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import Field, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
@@ -33,7 +33,7 @@ class Case:
         Where the particles are.
     horizon : float
         Radius of the families [length].
-    material : Material or sequence of (Region, Material)
+    material : Material, Graded, or sequence of (Region, Material or Graded)
         One material, or one per region; every particle needs exactly one.
     conditions : sequence of Condition
         Displacements and loads.
@@ -59,7 +59,7 @@ class Case:
 
     particles: Particles
     horizon: float
-    material: Material | Sequence[tuple[Region, Material]]
+    material: Material | Graded | Sequence[tuple[Region, Material | Graded]]
     conditions: Sequence[Condition]
     scheme: Scheme = field(default_factory=Correspondence)
     influence: Influence = field(default_factory=Constant)
@@ -70,6 +70,13 @@ class Case:
     fields: Sequence[Field] = (displacement, stress)
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def materials(self) -> list[tuple[Region, Material | Graded]]:
+        """Return the materials with the regions they are in."""
+        if isinstance(self.material, Material | Graded):
+            return [(All(), self.material)]
+        return list(self.material)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.horizon) and self.horizon > 0.0):

@@ -13,19 +13,35 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern, Rows, build_pattern
 from pdpetsc.gradient.base import GradientOperator, Scheme
-from pdpetsc.kernels.assembly import add_isotropic_kernel, assemble_kernel
+from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.pattern import transpose
 from pdpetsc.material.base import Material
-from pdpetsc.stabilisation.base import Control, Stabilisation
+from pdpetsc.stabilisation.base import Control, Stabilisation, Stiffness
 
 
 @dataclass(frozen=True)
 class Law:
-    """A material and the gradient points that obey it."""
+    """A material and the gradient points that obey it.
+
+    Attributes
+    ----------
+    material : Material
+        The law.
+    points : int64
+        Its gradient points.
+    factor : (n_points,) float64 or None
+        What multiplies its moduli at each of these points [-], where it is graded.
+    """
 
     material: Material
     points: GlobalIndex
+    factor: Float | None = None
+
+    def scale(self, values: Float) -> None:
+        """Multiply what the law gave at its points, (all points, ...), by its factor."""
+        if self.factor is not None:
+            values[self.points] *= self.factor.reshape(-1, *(1,) * (values.ndim - 1))
 
 
 class Model:
@@ -45,6 +61,8 @@ class Model:
         Index into ``materials`` of each own particle.
     stabilisation : Stabilisation or None
         Zero-energy control.
+    factor : (n_owned,) float64, optional
+        What multiplies the moduli of each own particle [-].
 
     Raises
     ------
@@ -65,17 +83,22 @@ class Model:
         materials: Sequence[Material],
         material_of: LocalIndex,
         stabilisation: Stabilisation | None,
+        factor: Float | None = None,
     ) -> None:
         self.cloud = cloud
         self.families = families
         self.operator: GradientOperator = scheme.build(cloud, families, omega)
         law_of = material_of[self.operator.owner]
-        self.laws = [Law(material, np.flatnonzero(law_of == m)) for m, material in enumerate(materials)]
+        self.laws = []
+        for number, material in enumerate(materials):
+            points = np.flatnonzero(law_of == number)
+            at_points = None if factor is None else factor[self.operator.owner[points]]
+            self.laws.append(Law(material, points, at_points))
         self.linear = all(material.linear for material in materials)
         self.control: Control | None = None
         if stabilisation is not None:
-            kappa = np.array([material.bulk_like_modulus(cloud.dim) for material in materials])[material_of]
-            self.control = stabilisation.build(cloud, families, omega, kappa)
+            stiffness = _stiffness(materials, material_of, factor, cloud)
+            self.control = stabilisation.build(cloud, families, omega, stiffness)
         self._u = np.zeros((cloud.n_local, cloud.dim))
 
     @property
@@ -104,6 +127,7 @@ class Model:
         P = np.empty_like(F)
         for law in self.laws:
             law.material.kernels(self.dim).stress(F, law.points, law.material.constants(self.dim), P)
+            law.scale(P)
         return P
 
     def moduli(self, F: Float) -> Float:
@@ -111,6 +135,7 @@ class Model:
         A = np.empty((len(F), *(self.dim,) * 4))
         for law in self.laws:
             law.material.kernels(self.dim).tangent(F, law.points, law.material.constants(self.dim), A)
+            law.scale(A)
         return A
 
     def internal_force(self, u: Float) -> Float | None:
@@ -168,6 +193,7 @@ class Model:
         psi = np.empty(len(F))
         for law in self.laws:
             law.material.kernels(self.dim).energy(F, law.points, law.material.constants(self.dim), psi)
+            law.scale(psi)
         return psi
 
     def cauchy_stress(self, F: Float) -> Float:
@@ -179,6 +205,18 @@ class Model:
                 J = np.linalg.det(part) * law.material.thickness_stretch(part)
                 sigma[law.points] = np.einsum("pik,pjk->pij", sigma[law.points], part) / J[:, None, None]
         return sigma
+
+
+def _stiffness(materials: Sequence[Material], material_of: LocalIndex, factor: Float | None, cloud: Cloud) -> Stiffness:
+    dim = cloud.dim
+    factor = np.ones(cloud.n_owned) if factor is None else factor
+    kappa = np.array([material.bulk_like_modulus(dim) for material in materials])[material_of] * factor
+    moduli = np.empty((len(materials), *(dim,) * 4))
+    undeformed = np.eye(dim)[None]
+    for number, material in enumerate(materials):
+        constants = material.constants(dim)
+        material.kernels(dim).tangent(undeformed, np.zeros(1, np.int64), constants, moduli[number : number + 1])
+    return Stiffness(kappa, moduli, material_of, factor)
 
 
 class Assembler:
@@ -217,9 +255,7 @@ class Assembler:
         self._rows(pattern.ghost, A, self._ghost, off)
         pattern.complete(self._ghost, diag, off, dim)
         if self._control is not None:
-            add = add_isotropic_kernel(dim)
-            add(pattern.owned.diag_ptr, self._control[0], diag)
-            add(pattern.owned.off_ptr, self._control[1], off)
+            self._control.add(dim, diag, off)
 
     def _rows(self, rows: Rows, A: Float, diag: Float, off: Float) -> None:
         operator = self.model.operator

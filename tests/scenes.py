@@ -27,7 +27,16 @@ SCHEMES = {
     "higher_order": pd.HigherOrder(2),
     "bond_associated": pd.BondAssociated(),
 }
-STABILISATIONS = {"none": None, "silling": pd.Silling(0.5)}
+STABILISATIONS = {
+    "none": None,
+    "silling": pd.Silling(0.5),
+    "littlewood": pd.Littlewood(0.2),
+    "wan": pd.Wan(),
+    "springs": pd.Springs(0.3),
+    "averaged_displacement": pd.AveragedDisplacement(0.02),
+}
+# Controls that resist affine displacements too, by what they are.
+NOT_AFFINE = ("springs", "averaged_displacement")
 SIDES = {1: (12,), 2: (6, 5), 3: (4, 3, 4)}
 
 
@@ -64,8 +73,11 @@ def bodies(rng):
 
 
 def displacement(model, rng, size=0.05):
-    """Return a rough displacement of the own particles that keeps det F > 0."""
-    return size * rng.uniform(-1.0, 1.0, (model.cloud.n_owned, model.dim))
+    """Return a rough displacement of the own particles, as large as keeps det F > 0 at every gradient point."""
+    u = size * rng.uniform(-1.0, 1.0, (model.cloud.n_owned, model.dim))
+    while not model.all_admissible(2.0 * u):
+        u *= 0.5
+    return u
 
 
 def dense_tangent(model, u):

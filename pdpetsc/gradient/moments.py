@@ -54,9 +54,10 @@ def blocks(
     while start < len(chosen):
         stop = start + max(1, int(np.searchsorted(np.cumsum(size[start:]) * width**2, BLOCK)))
         part = chosen[start:stop]
-        first: GlobalIndex = np.concatenate([[0], np.cumsum(size[start:stop])])
-        bonds: GlobalIndex = np.repeat(indptr[part] - first[:-1], size[start:stop]) + np.arange(first[-1])
-        yield part, bonds, first[:-1]
+        first = np.zeros(len(part) + 1, dtype=np.int64)
+        np.cumsum(size[start:stop], out=first[1:])
+        bonds = np.arange(first[-1]) + np.repeat(indptr[part] - first[:-1], size[start:stop])
+        yield part, np.asarray(bonds, dtype=np.int64), first[:-1]
         start = stop
 
 

@@ -1,4 +1,4 @@
-"""Loops of Silling's zero-energy control: forces, energy and the constant scalar matrix."""
+"""Loops of the zero-energy controls: forces, energy and the constant matrix."""
 
 from __future__ import annotations
 
@@ -125,3 +125,163 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
                     off[off_ptr[row] + q - n_diag] += centre
 
     return matrix
+
+
+@lru_cache
+def directed_force_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``force(indptr, neighbours, S, g, x, u, f)`` -> energy.
+
+    Adds the forces of ``psi = 1/2 sum_i sum_j z_ij . S_ij z_ij``, ``z_ij = eta_ij - H_i xi_ij``,
+    ``H_i = sum_j eta_ij (x) g_ij``: on ``j`` ``S_ij z_ij - R_i g_ij`` with ``R_i = sum_j S_ij z_ij (x) xi_ij``.
+    """
+
+    @compiled
+    def force(indptr, neighbours, S, g, x, u, f):  # type: ignore[no-untyped-def]
+        H = np.empty((dim, dim))
+        R = np.empty((dim, dim))
+        z = np.empty(dim)
+        energy = 0.0
+        for i in range(indptr.size - 1):
+            H[:] = 0.0
+            R[:] = 0.0
+            for t in range(indptr[i], indptr[i + 1]):
+                j = neighbours[t]
+                for m in range(dim):
+                    for n in range(dim):
+                        H[m, n] += (u[j, m] - u[i, m]) * g[t, n]
+            for t in range(indptr[i], indptr[i + 1]):
+                j = neighbours[t]
+                for m in range(dim):
+                    z[m] = u[j, m] - u[i, m]
+                    for n in range(dim):
+                        z[m] -= H[m, n] * (x[j, n] - x[i, n])
+                for m in range(dim):
+                    value = 0.0
+                    for n in range(dim):
+                        value += S[t, m, n] * z[n]
+                    energy += 0.5 * value * z[m]
+                    f[j, m] += value
+                    f[i, m] -= value
+                    for n in range(dim):
+                        R[m, n] += value * (x[j, n] - x[i, n])
+            for t in range(indptr[i], indptr[i + 1]):
+                j = neighbours[t]
+                for m in range(dim):
+                    value = 0.0
+                    for n in range(dim):
+                        value += R[m, n] * g[t, n]
+                    f[j, m] -= value
+                    f[i, m] += value
+        return energy
+
+    return force
+
+
+@lru_cache
+def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
+    """Return the kernel that fills the block matrix of the control, ``dim x dim`` values per block.
+
+    For neighbours ``j, k`` of ``i``: ``M_jk = S_j delta_jk - S_j (xi_j . g_k) - S_k (g_j . xi_k) + g_j . T . g_k`` with
+    ``T = sum_j S_j (x) xi_j (x) xi_j``; rows and columns of ``i`` follow from the sum of each being zero.
+    ``point_ptr`` and ``members`` are the families with the centre first; ``S`` and ``g`` are without it.
+    """
+    size = dim * dim
+
+    @compiled
+    def matrix(  # type: ignore[no-untyped-def]
+        first_row, diag_ptr, off_ptr, columns, local_of_column, entry_ptr, entries, entry_point,
+        point_ptr, members, S, g, T, x, diag, off,
+    ):  # fmt: skip
+        slot = np.zeros(entry_ptr.size, np.int64)
+        widest = 0
+        for row in range(diag_ptr.size - 1):
+            widest = max(widest, diag_ptr[row + 1] - diag_ptr[row] + off_ptr[row + 1] - off_ptr[row])
+        blocks = np.empty((widest, dim, dim))
+        block = np.empty((dim, dim))
+        centre = np.empty((dim, dim))
+        for row in range(diag_ptr.size - 1):
+            begin = diag_ptr[row] + off_ptr[row]
+            n_diag = diag_ptr[row + 1] - diag_ptr[row]
+            n_off = off_ptr[row + 1] - off_ptr[row]
+            for q in range(n_diag + n_off):
+                local = local_of_column[columns[begin + q]]
+                if local >= 0:
+                    slot[local] = q
+            blocks[: n_diag + n_off] = 0.0
+            a = first_row + row
+            for e in range(entry_ptr[a], entry_ptr[a + 1]):
+                t = entries[e]
+                i = entry_point[e]
+                first = point_ptr[i]
+                # A row of the centre is minus the sum of the rows of its neighbours.
+                begin_rows = t
+                end_rows = t + 1
+                sign = 1.0
+                if t == first:
+                    begin_rows = first + 1
+                    end_rows = point_ptr[i + 1]
+                    sign = -1.0
+                for r in range(begin_rows, end_rows):
+                    j = members[r]
+                    bj = r - i - 1
+                    centre[:] = 0.0
+                    for s in range(first + 1, point_ptr[i + 1]):
+                        k = members[s]
+                        bk = s - i - 1
+                        j_on_k = 0.0
+                        k_on_j = 0.0
+                        for m in range(dim):
+                            j_on_k += (x[j, m] - x[i, m]) * g[bk, m]
+                            k_on_j += g[bj, m] * (x[k, m] - x[i, m])
+                        for m in range(dim):
+                            for n in range(dim):
+                                value = -S[bj, m, n] * j_on_k - S[bk, m, n] * k_on_j
+                                if s == r:
+                                    value += S[bj, m, n]
+                                for c in range(dim):
+                                    for d in range(dim):
+                                        value += g[bj, c] * T[i, m, n, c, d] * g[bk, d]
+                                block[m, n] = sign * value
+                        q = slot[k]
+                        for m in range(dim):
+                            for n in range(dim):
+                                blocks[q, m, n] += block[m, n]
+                                centre[m, n] -= block[m, n]
+                    q = slot[i]
+                    for m in range(dim):
+                        for n in range(dim):
+                            blocks[q, m, n] += centre[m, n]
+            for i in range(dim):
+                start = size * diag_ptr[row] + i * dim * n_diag
+                for q in range(n_diag):
+                    for k in range(dim):
+                        diag[start + dim * q + k] = blocks[q, i, k]
+                start = size * off_ptr[row] + i * dim * n_off
+                for q in range(n_off):
+                    for k in range(dim):
+                        off[start + dim * q + k] = blocks[n_diag + q, i, k]
+
+    return matrix
+
+
+@lru_cache
+def average_force_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``force(point_ptr, members, b, c, u, f)`` -> energy.
+
+    Adds the forces of ``psi = 1/2 sum_i c_i |a_i|^2``, ``a_i = sum_k b_ik u_k``.
+    """
+
+    @compiled
+    def force(point_ptr, members, b, c, u, f):  # type: ignore[no-untyped-def]
+        energy = 0.0
+        for i in range(point_ptr.size - 1):
+            for m in range(dim):
+                a = 0.0
+                for t in range(point_ptr[i], point_ptr[i + 1]):
+                    a += b[t] * u[members[t], m]
+                energy += 0.5 * c[i] * a * a
+                for t in range(point_ptr[i], point_ptr[i + 1]):
+                    f[members[t], m] += c[i] * a * b[t]
+        return energy
+
+    return force

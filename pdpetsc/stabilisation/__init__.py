@@ -1,6 +1,10 @@
 """Zero-energy controls: forces linear in the displacement, one file per published control."""
 
+from pdpetsc.stabilisation.averaged_displacement import AveragedDisplacement
 from pdpetsc.stabilisation.base import Control, Stabilisation
+from pdpetsc.stabilisation.littlewood import Littlewood
 from pdpetsc.stabilisation.silling import Silling
+from pdpetsc.stabilisation.springs import Springs
+from pdpetsc.stabilisation.wan import Wan
 
-__all__ = ["Control", "Silling", "Stabilisation"]
+__all__ = ["AveragedDisplacement", "Control", "Littlewood", "Silling", "Springs", "Stabilisation", "Wan"]

@@ -9,10 +9,69 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.kernels.assembly import add_isotropic_kernel
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """Small-strain stiffness of the own particles, which scales a control.
+
+    Attributes
+    ----------
+    kappa : (n_owned,) float64
+        ``lambda + 2 mu / dim`` [stress].
+    moduli : (n_materials, dim, dim, dim, dim) float64
+        ``dP/dF`` at F = I of each material [stress].
+    material_of : (n_owned,) int32
+        Index into ``moduli``.
+    factor : (n_owned,) float64
+        What grading multiplies the moduli by [-]; already in ``kappa``.
+    """
+
+    kappa: Float
+    moduli: Float
+    material_of: LocalIndex
+    factor: Float
+
+
+class ControlMatrix(ABC):
+    """The constant matrix of a control in the layout of a pattern."""
+
+    @abstractmethod
+    def add(self, dim: int, diag: Float, off: Float) -> None:
+        """Add it to the values of the own rows."""
+
+
+@dataclass(frozen=True)
+class IsotropicMatrix(ControlMatrix):
+    """One scalar per block, times the identity."""
+
+    pattern: Pattern
+    diag: Float
+    off: Float
+
+    def add(self, dim: int, diag: Float, off: Float) -> None:
+        """Add it to the values of the own rows."""
+        kernel = add_isotropic_kernel(dim)
+        kernel(self.pattern.owned.diag_ptr, self.diag, diag)
+        kernel(self.pattern.owned.off_ptr, self.off, off)
+
+
+@dataclass(frozen=True)
+class BlockMatrix(ControlMatrix):
+    """Full blocks, in scalar CSR layout."""
+
+    diag: Float
+    off: Float
+
+    def add(self, dim: int, diag: Float, off: Float) -> None:
+        """Add it to the values of the own rows."""
+        diag += self.diag
+        off += self.off
 
 
 class Control(ABC):
-    """A control built for one cloud: forces linear in u and isotropic, so its matrix has one scalar per block.
+    """A control built for one cloud: forces linear in u, so that its matrix is constant.
 
     Attributes
     ----------
@@ -28,8 +87,8 @@ class Control(ABC):
         """Add the internal forces of ``u`` (n_local, dim) to ``f`` and return this rank's energy [energy]."""
 
     @abstractmethod
-    def matrix(self, pattern: Pattern) -> tuple[Float, Float]:
-        """Return the scalars of the own columns and of the others in ``pattern`` order (collective)."""
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the matrix for ``pattern`` (collective)."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +96,8 @@ class Stabilisation(ABC):
     """A zero-energy control as a case declares it."""
 
     @abstractmethod
-    def build(self, cloud: Cloud, families: Families, omega: Float, kappa: Float) -> Control:
-        """Return the control for influence ``omega`` (n_bonds,) and modulus ``kappa`` (n_owned,) [stress].
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control for influence ``omega`` (n_bonds,) and the stiffness of the own particles.
 
         Notes
         -----

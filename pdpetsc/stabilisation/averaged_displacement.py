@@ -1,0 +1,81 @@
+"""Averaged displacement states."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import whole_families
+from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.stabilisation import average_force_kernel
+from pdpetsc.stabilisation.base import Control, ControlMatrix, IsotropicMatrix, Stabilisation, Stiffness
+
+
+@dataclass(frozen=True)
+class AveragedDisplacement(Stabilisation):
+    """Averaged displacement states, ``T_a = C2 omega a_i`` with ``a_i = sum_j omega eta_ij V_j``.
+
+    The factor omega, which the paper leaves out, makes the force derive from the energy ``1/2 C2 sum_i V_i |a_i|^2``;
+    with constant influence it makes no difference. Where families are cut, ``a`` does not vanish for affine
+    displacements and the patch test fails. ``C2`` carries a unit and its best value depends on the spacing: it is here
+    for comparison.
+
+    Parameters
+    ----------
+    C2 : float
+        Constant [force / length^10; force / length^4 for a bar], not negative.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8) and Table 1.
+    """
+
+    C2: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.C2) and self.C2 >= 0.0):
+            raise CaseError(f"Averaged displacement needs C2 >= 0, not {self.C2}.")
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective)."""
+        return _Averaged(cloud, families, omega, self.C2 * cloud.volume[: cloud.n_owned])
+
+
+class _Averaged(Control):
+    """Energy ``1/2 sum_i c_i |a_i|^2``."""
+
+    def __init__(self, cloud: Cloud, families: Families, omega: Float, c: Float) -> None:
+        stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
+        self._cloud = cloud
+        self._c = c
+        self.point_ptr, self.members = stencils.point_ptr, stencils.members
+        self._b = stencils.weight
+        self._b[self.point_ptr[:-1]] = -np.add.reduceat(self._b, self.point_ptr[:-1])
+
+    def force(self, u: Float, f: Float) -> float:
+        """Add ``c_i a_i b_ik`` to every member ``k`` of ``i``; return the energy."""
+        return float(average_force_kernel(self._cloud.dim)(self.point_ptr, self.members, self._b, self._c, u, f))
+
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
+        transposed = transpose(self.point_ptr, self.members, self._cloud.n_local)
+        one = np.ones((len(self._c), 1, 1, 1, 1))
+        values = []
+        for rows in (pattern.owned, pattern.ghost):
+            diag, off = np.empty(rows.diag_ptr[-1]), np.empty(rows.off_ptr[-1])
+            assemble_kernel(1)(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
+                self.point_ptr, self.members, self._b[:, None], self._c, one, diag, off,
+            )  # fmt: skip
+            values.append((diag, off))
+        diag, off = values[0]
+        pattern.complete(values[1][0], diag, off, 1)
+        return IsotropicMatrix(pattern, diag, off)

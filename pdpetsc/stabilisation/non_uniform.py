@@ -1,0 +1,113 @@
+"""Controls on ``z = eta - H xi``, what a gradient of the whole family leaves unexplained."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.gradient.base import whole_families
+from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.stabilisation import (
+    directed_force_kernel,
+    directed_matrix_kernel,
+    non_uniform_force_kernel,
+    non_uniform_matrix_kernel,
+)
+from pdpetsc.stabilisation.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix
+
+
+class NonUniform(Control):
+    """Energy ``1/2 sum_i sum_j s_ij |z_ij|^2`` with scalar bond stiffness.
+
+    Parameters
+    ----------
+    cloud, families
+        The bonds.
+    stiffness : (n_bonds,) float64
+        ``s_ij`` [force / length].
+    K_inverse : (n_owned, dim, dim) float64
+        Inverse of ``sum_j s_ij xi (x) xi``, which makes H the gradient that fits the family best; zero for H = 0.
+    """
+
+    def __init__(self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float) -> None:
+        self._cloud = cloud
+        self._families = families
+        self._stiffness = stiffness
+        self._K_inverse = K_inverse
+        with_centre = whole_families(cloud, families, stiffness)
+        self.point_ptr, self.members = with_centre.point_ptr, with_centre.members
+        self._with_centre = with_centre.weight
+
+    def force(self, u: Float, f: Float) -> float:
+        """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum s |z|^2``."""
+        kernel = non_uniform_force_kernel(self._cloud.dim)
+        family = self._families
+        energy = kernel(family.indptr, family.neighbours, self._stiffness, self._K_inverse, self._cloud.x, u, f)
+        return float(energy)
+
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the scalar matrix of the control (collective)."""
+        transposed = transpose(self.point_ptr, self.members, self._cloud.n_local)
+        kernel = non_uniform_matrix_kernel(self._cloud.dim)
+        values = []
+        for rows in (pattern.owned, pattern.ghost):
+            diag, off = np.empty(rows.diag_ptr[-1]), np.empty(rows.off_ptr[-1])
+            kernel(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
+                self.point_ptr, self.members, self._with_centre, self._K_inverse, self._cloud.x, diag, off,
+            )  # fmt: skip
+            values.append((diag, off))
+        diag, off = values[0]
+        pattern.complete(values[1][0], diag, off, 1)
+        return IsotropicMatrix(pattern, diag, off)
+
+
+class Directed(Control):
+    """Energy ``1/2 sum_i sum_j z_ij . S_ij z_ij`` with a tensor ``S_ij`` per bond.
+
+    Parameters
+    ----------
+    cloud, families
+        The bonds.
+    S : (n_bonds, dim, dim) float64
+        Symmetric stiffness of the bonds [force / length].
+    g : (n_bonds, dim) float64
+        Weights of the gradient, ``H_i = sum_j eta_ij (x) g_ij`` [1 / length].
+    """
+
+    def __init__(self, cloud: Cloud, families: Families, S: Float, g: Float) -> None:
+        self._cloud = cloud
+        self._families = families
+        self._S = S
+        self._g = g
+        stencils = whole_families(cloud, families, np.zeros(len(g)))
+        self.point_ptr, self.members = stencils.point_ptr, stencils.members
+
+    def force(self, u: Float, f: Float) -> float:
+        """Add the forces and return the energy."""
+        family = self._families
+        kernel = directed_force_kernel(self._cloud.dim)
+        return float(kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, u, f))
+
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the block matrix of the control (collective)."""
+        dim, cloud = self._cloud.dim, self._cloud
+        xi = self._families.bonds(cloud.x)
+        T = np.zeros((cloud.n_owned, dim, dim, dim, dim))
+        np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
+        transposed = transpose(self.point_ptr, self.members, cloud.n_local)
+        kernel = directed_matrix_kernel(dim)
+        values = []
+        for rows in (pattern.owned, pattern.ghost):
+            diag, off = np.zeros(dim**2 * rows.diag_ptr[-1]), np.zeros(dim**2 * rows.off_ptr[-1])
+            kernel(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
+                self.point_ptr, self.members, self._S, self._g, T, cloud.x, diag, off,
+            )  # fmt: skip
+            values.append((diag, off))
+        diag, off = values[0]
+        pattern.complete(values[1][0], diag, off, dim)
+        return BlockMatrix(diag, off)

@@ -6,7 +6,7 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 from typing import TYPE_CHECKING, Any
 
 from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
-from pdpetsc.gradient import BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
+from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
 from pdpetsc.material import Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
@@ -26,7 +26,7 @@ from pdpetsc.solution import (
     reaction,
     stress,
 )
-from pdpetsc.stabilisation import AveragedDisplacement, Littlewood, Silling, Springs, Wan
+from pdpetsc.stabilisation import CONTROLS, AveragedDisplacement, Littlewood, Silling, Springs, Wan
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "CONTROLS",
+    "SCHEMES",
     "AdaptiveSteps",
     "Arrays",
     "At",

@@ -43,3 +43,9 @@ def field(output, name, step=-1):
         steps = sorted(group for group in file if group.startswith("step_"))
         assert np.array_equal(file["particles/id"], np.arange(len(file["particles/id"])))
         return np.asarray(file[steps[step]][name])
+
+
+def jacobian_ratios(finished):
+    """Return what -snes_test_jacobian printed: relative differences between the tangent and differences."""
+    key = "||J - Jfd||_F/||J||_F = "
+    return [float(line.split(key)[1].split(",")[0]) for line in finished.stdout.splitlines() if key in line]

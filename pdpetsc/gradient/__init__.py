@@ -9,6 +9,7 @@ from pdpetsc.gradient.stress_points import StressPoints
 from pdpetsc.gradient.sub_horizons import SubHorizons
 
 __all__ = [
+    "SCHEMES",
     "BondAssociated",
     "Corrected",
     "Correspondence",
@@ -18,3 +19,13 @@ __all__ = [
     "StressPoints",
     "SubHorizons",
 ]
+
+# Every scheme with its customary options, by the word that cases and the command line use.
+SCHEMES: dict[str, Scheme] = {
+    "correspondence": Correspondence(),
+    "stress_points": StressPoints(),
+    "sub_horizons": SubHorizons(),
+    "corrected": Corrected(),
+    "higher_order": HigherOrder(),
+    "bond_associated": BondAssociated(),
+}

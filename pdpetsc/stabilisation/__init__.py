@@ -7,4 +7,12 @@ from pdpetsc.stabilisation.silling import Silling
 from pdpetsc.stabilisation.springs import Springs
 from pdpetsc.stabilisation.wan import Wan
 
-__all__ = ["AveragedDisplacement", "Control", "Littlewood", "Silling", "Springs", "Stabilisation", "Wan"]
+__all__ = ["CONTROLS", "AveragedDisplacement", "Control", "Littlewood", "Silling", "Springs", "Stabilisation", "Wan"]
+
+# Every control whose strength does not depend on units or spacing, by the word that cases and the command line use.
+CONTROLS: dict[str, Stabilisation | None] = {
+    "none": None,
+    "silling": Silling(),
+    "littlewood": Littlewood(),
+    "wan": Wan(),
+}

@@ -10,8 +10,6 @@ E = 68.95e9
 NU = 0.25
 PRESSURE = 276e3
 
-SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
-
 
 def half_beam(support, ny, horizon, G, scheme, steps, supports):
     """Return the case of half a beam with the given supports at its fictitious end.
@@ -36,7 +34,7 @@ def half_beam(support, ny, horizon, G, scheme, steps, supports):
         ),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
-        scheme=pd.choose("scheme", scheme, SCHEMES),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=[
             *supports(dx),

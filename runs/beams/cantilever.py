@@ -8,7 +8,6 @@ under 10 kN at horizons 1.015, 2.015 and 3.015 in plane strain without control (
 Reference: Hashim, Coombs, Augarde, Hattori, section 4.4.
 """
 
-import beam
 import elastica
 
 import pdpetsc as pd
@@ -41,7 +40,7 @@ def case(ny=5, horizon=1.015, G=0.0, scheme="correspondence", steps=10, plane="s
         particles=pd.Lattice((0.0, -DEPTH / 2), (LENGTH, DEPTH / 2), dx, fictitious={"-x": max(int(horizon), 1) * dx}),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane=plane),
-        scheme=pd.choose("scheme", scheme, beam.SCHEMES),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=[
             pd.Displacement(held, x=0.0),

@@ -8,17 +8,14 @@ the zero-energy control is the pure number G of ``pdpetsc.Silling``, not the pap
 the paper's text.
 """
 
-import csv
-import dataclasses
 import math
 import sys
 from pathlib import Path
 
-words = sys.argv[1:]
-import petsc4py  # noqa: E402
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
 
-petsc4py.init(["figures"])
-sys.path.append(str(Path(__file__).parent.parent / "patch"))
+words = study.start("beams", "patch")
 
 import beam  # noqa: E402
 import cantilever  # noqa: E402
@@ -27,12 +24,7 @@ import elastica  # noqa: E402
 import hydrostatic  # noqa: E402
 import simply_supported  # noqa: E402
 import strip  # noqa: E402
-from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
 from scipy.optimize import brentq  # noqa: E402
-
-import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 
 HORIZONS = (1.015, 2.015, 3.015)
 COEFFICIENTS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.5, 2.0)
@@ -40,15 +32,9 @@ LOADS = [0.1 * i for i in range(11)]
 
 
 def solve(folder, case):
-    """Run a case without files of fields; return its history, or None where it did not converge."""
-    scratch = folder / "last_run"
-    try:
-        pd.run(dataclasses.replace(case, fields=[], picture=None), output=scratch, quiet=True)
-    except pd.SolveError:
-        return None
-    with (scratch / "history.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return {name: [float(row[name]) for row in rows] for name in rows[0]}
+    """Return the history of a case, or None where it did not converge."""
+    done = study.run(folder, case)
+    return None if done is None else done[0]
 
 
 def final(history, name, scale):
@@ -57,24 +43,8 @@ def final(history, name, scale):
 
 
 def write(folder, name, title, columns, curves, **axes):
-    """Write curves ``{label: (x, y)}`` as one table and one picture (rank 0)."""
-    if not is_root(world()):
-        return
-    with (folder / f"{name}.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["curve", *columns])
-        for label, (x, y) in curves.items():
-            table.writerows([label, f"{a:.6g}", f"{b:.8g}"] for a, b in zip(x, y, strict=True))
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    plot = figure.add_subplot(title=title, xlabel=columns[0], ylabel=columns[1], **axes)
-    for label, (x, y) in curves.items():
-        exact = label.startswith(("strip", "elastica"))
-        plot.plot(x, y, "k--" if exact else "o-", markersize=0 if exact else 4, label=label)
-    plot.grid(alpha=0.3)
-    plot.legend()
-    figure.savefig(folder / f"{name}.png", dpi=130)
-    print(f"{folder / name}.csv and .png: {title}", flush=True)
+    exact = [label for label in curves if label.startswith(("strip", "elastica"))]
+    study.write_curves(folder, name, title, columns, curves, exact, **axes)
 
 
 def sweep(folder, make, key, scale, horizons=HORIZONS, **parameters):
@@ -199,13 +169,10 @@ FIGURES = {
 
 
 def main():
-    folder = Path(words[0] if words else "out/figures")
     unknown = [word for word in words[1:] if word not in FIGURES]
     if unknown:
         sys.exit(f"There is no figure {unknown[0]}; choose from {', '.join(FIGURES)}.")
-    if is_root(world()):
-        folder.mkdir(parents=True, exist_ok=True)
-    world().Barrier()
+    folder = study.folder_for(words, "out/figures")
     for name in words[1:] or FIGURES:
         FIGURES[name](folder)
 

@@ -16,7 +16,6 @@ import pdpetsc as pd
 STRETCH = 1.61334
 E = 1.2e6
 NU = 0.2
-SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
 
 
 def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="correspondence"):
@@ -51,7 +50,7 @@ def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="co
         particles=pd.Lattice((-0.5, -0.5), (0.5, 0.5), dx),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
-        scheme=pd.choose("scheme", scheme, SCHEMES),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=conditions,
         steps=pd.Steps(steps),

@@ -13,7 +13,6 @@ import pdpetsc as pd
 
 E = 1.0e3
 NU = 0.3
-SCHEMES = {"correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons()}
 
 
 def exact_gradient(dim, traction):
@@ -47,7 +46,7 @@ def case(
         particles=pd.Lattice([0.0] * dim, size, dx),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU),
-        scheme=pd.choose("scheme", scheme, SCHEMES),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
         stabilisation=pd.Silling(G) if G else None,
         conditions=[
             *held,

@@ -1,0 +1,70 @@
+"""Energy of a sine of every wave number: python runs/singular_bar/spectrum.py [folder].
+
+``e(k) = sum_i u_i f_i`` with the internal forces f of ``u = sin(k x)`` on a free bar with L = E = 1 and a horizon of
+L / 100, up to the shortest wave of the lattice. A method with zero-energy modes has e near 0 there. Chowdhury et al.,
+section 5.3, figures 10 and 11; every other method beside them.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
+
+words = study.start("singular_bar")
+
+import numpy as np  # noqa: E402
+
+import pdpetsc as pd  # noqa: E402
+
+METHODS = {
+    "plain": {},
+    "2 sub-horizons": {"scheme": pd.SubHorizons()},
+    "4 sub-horizons": {"scheme": pd.SubHorizons(4)},
+    "stress points": {"scheme": pd.StressPoints()},
+    "bond-associated": {"scheme": pd.BondAssociated()},
+    "corrected, order 4": {"scheme": pd.Corrected(4)},
+    "higher order 3": {"scheme": pd.HigherOrder(3)},
+    "Silling": {"stabilisation": pd.Silling()},
+    "Littlewood": {"stabilisation": pd.Littlewood()},
+    "Wan": {"stabilisation": pd.Wan()},
+}
+WAVES = 120
+
+
+def energies(n, parameters):
+    """Return wave numbers and e(k) on n particles."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (1.0,), 1.0 / n),
+        horizon=0.01 * (1.0 + 1e-9),
+        material=pd.LinearElastic(E=1.0),
+        conditions=[],
+        **parameters,
+    )
+    model = study.build(case)
+    k = np.linspace(0.0, np.pi * n, WAVES + 1)[1:]
+    x = model.cloud.x[: model.cloud.n_owned]
+    found = []
+    for wave in k:
+        u = np.sin(wave * x)
+        found.append(float(np.vdot(u, model.internal_force(u))))
+    return k, np.array(found)
+
+
+def main():
+    folder = study.folder_for(words, "out/spectrum")
+    for name, parameters in METHODS.items():
+        if name in ("plain", "2 sub-horizons", "4 sub-horizons"):
+            curves = {f"L/dx = {n}": energies(n, parameters) for n in (1000, 2000, 4000)}
+            number = {"plain": "10", "2 sub-horizons": "11a", "4 sub-horizons": "11b"}[name]
+            study.write_curves(folder, f"fig_{number}", f"Fig. {number}: {name}", ("k L", "e"), curves)
+    curves = {name: energies(1000, parameters) for name, parameters in METHODS.items()}
+    study.write_curves(folder, "all_methods", "L/dx = 1000, horizon 10 dx", ("k L", "e"), curves, yscale="log")
+    least = [(name, float(np.abs(e[len(e) // 2 :]).min() / e[0])) for name, (_, e) in curves.items()]
+    study.write_table(
+        folder, "least_energy", ("method", "least e(k) of the shorter waves over e of the longest"), least
+    )
+
+
+if __name__ == "__main__":
+    main()

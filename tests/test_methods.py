@@ -1,0 +1,92 @@
+"""Every published cure for zero-energy modes, from the command line, on the problems of the papers."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests.commands import ROOT, field, jacobian_ratios, results, run
+
+BAR = "runs/singular_bar/bar.py"
+REMOVED = ["scheme=stress_points", "scheme=sub_horizons", "scheme=bond_associated", "control=silling", "control=wan"]
+REDUCED = ["scheme=corrected order=6", "scheme=higher_order order=3", "scheme=higher_order order=5"]
+# Names of the command line with the horizon that each needs.
+METHODS = [(s, "none") for s in pd.SCHEMES] + [("correspondence", c) for c in pd.CONTROLS if c != "none"]
+
+
+def sawtooth(tmp_path, *arguments):
+    return results(BAR, *arguments, output=tmp_path)["results"]["sawtooth"]
+
+
+@pytest.mark.parametrize("method", REMOVED)
+def test_the_sawtooth_falls_to_round_off(method, tmp_path):
+    assert sawtooth(tmp_path, method, "n=1000", "horizon=2.015") < 1e-13
+
+
+def test_plain_correspondence_oscillates_and_more_so_for_wide_horizons(tmp_path):
+    assert sawtooth(tmp_path, "n=500") > 5e-3
+    assert sawtooth(tmp_path, "n=4000", "horizon=10.1") > 0.1
+
+
+@pytest.mark.parametrize("method", REDUCED)
+def test_corrections_reduce_the_sawtooth_and_leave_some(method, tmp_path):
+    plain = sawtooth(tmp_path, "n=1000", "horizon=5.1")
+    assert 1e-6 < sawtooth(tmp_path, "n=1000", "horizon=5.1", *method.split()) < 0.3 * plain
+
+
+@pytest.mark.parametrize("method", ["spring=2", "average=500"])
+def test_springs_and_averages_with_the_constants_of_the_papers_leave_the_sawtooth(method, tmp_path):
+    assert sawtooth(tmp_path, "n=500", method) > 5e-3
+
+
+def test_two_and_four_sub_horizons_agree_as_the_paper_says(tmp_path):
+    both = []
+    for sectors in (2, 4):
+        results(BAR, "n=4000", "horizon=10.1", "scheme=sub_horizons", f"sectors={sectors}", output=tmp_path)
+        both.append(field(tmp_path, "displacement")[:, 0])
+    assert np.abs(both[0] - both[1]).max() < 0.01 * 0.005
+
+
+def test_sub_horizons_converge_to_the_local_solution(tmp_path):
+    errors = [
+        results(BAR, f"n={n}", "scheme=sub_horizons", output=tmp_path)["results"]["error"] for n in (500, 1000, 2000)
+    ]
+    assert errors[0] > 1.3 * errors[1] > 1.6 * errors[2]
+
+
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("scheme", "control"), METHODS)
+def test_every_method_gives_the_same_fields_on_any_rank_count(scheme, control, dim, tmp_path):
+    arguments = (f"dim={dim}", f"scheme={scheme}", f"control={control}")
+    results("runs/patch/block.py", *arguments, output=tmp_path / "one")
+    results("runs/patch/block.py", *arguments, output=tmp_path / "two", ranks=2)
+    one, two = (field(tmp_path / name, "displacement") for name in ("one", "two"))
+    assert np.abs(two - one).max() <= 1e-10 * np.abs(one).max()
+
+
+@pytest.mark.parametrize(("scheme", "control"), METHODS)
+def test_petsc_finds_the_jacobian_of_every_method_correct(scheme, control, tmp_path):
+    finished = run(
+        "runs/patch/block.py", "n=4", f"scheme={scheme}", f"control={control}", "-snes_test_jacobian", output=tmp_path
+    )
+    assert finished.returncode == 0, finished.stderr
+    ratios = jacobian_ratios(finished)
+    assert ratios
+    assert max(ratios) < 1e-7
+
+
+def test_the_spectrum_of_the_plain_scheme_falls_to_zero_and_others_do_not(tmp_path):
+    words = [sys.executable, "runs/singular_bar/spectrum.py", str(tmp_path)]
+    subprocess.run(words, cwd=ROOT, env={"PYTHONPATH": str(ROOT), "PATH": ""}, check=True, timeout=300)
+    rows = [line.rsplit(",", 1) for line in (tmp_path / "least_energy.csv").read_text().splitlines()[1:]]
+    least = {name.strip('"'): float(value) for name, value in rows}
+    for name in ("2 sub-horizons", "4 sub-horizons", "stress points", "Silling", "Littlewood", "Wan"):
+        assert least[name] > 20.0 * least["plain"]
+
+
+def test_names_of_methods_are_those_the_command_line_takes(tmp_path):
+    finished = run(BAR, "scheme=nothing", output=tmp_path)
+    assert finished.returncode == 2
+    assert all(name in finished.stderr for name in pd.SCHEMES)

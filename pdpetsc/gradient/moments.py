@@ -16,7 +16,7 @@ RANK = 1e-10
 MET = 1e-8
 # A gradient is refused where it could exceed the largest relative displacement by more than this over the horizon: its
 # weights then nearly cancel, as for a family with hardly more bonds than conditions.
-GAIN = 100.0
+GAIN = 20.0
 # Entries of the moment matrices that are held at once.
 BLOCK = 2**22
 

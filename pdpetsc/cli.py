@@ -29,7 +29,10 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
-Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ..."""
+Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
+
+python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
+python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture"""
 
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
@@ -157,6 +160,10 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _run(argv: list[str]) -> int:
+    if argv[:1] == ["plot"]:
+        return _plot(argv[1:])
+    if argv[:1] == ["compare"]:
+        return _compare(argv[1:])
     arguments = split(argv)
     petsc4py.init(["pdpetsc", *arguments.petsc])
     from pdpetsc import __version__
@@ -183,6 +190,47 @@ def _run(argv: list[str]) -> int:
     output = arguments.output or Path("out") / arguments.path.stem
     run(case, output, None, arguments.restart, arguments.quiet, parameters)
     _report_unused(arguments.petsc)
+    return 0
+
+
+def _plot(argv: list[str]) -> int:
+    from pdpetsc import plot
+
+    arguments = split(argv)
+    if arguments.help or not argv:
+        print(plot.USAGE)
+        return 0 if argv else 2
+    if arguments.path is None:
+        raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
+    for path in plot.plot(arguments.path, arguments.parameters):
+        print(path)
+    return 0
+
+
+def _compare(argv: list[str]) -> int:
+    from pdpetsc import compare
+
+    arguments = split(argv)
+    if arguments.help or not argv:
+        print(compare.USAGE)
+        return 0 if argv else 2
+    if arguments.path is None:
+        raise CaseError("No case file is given; python -m pdpetsc compare -h shows the usage.")
+    ranks, petsc = 1, list(arguments.petsc)
+    if "-ranks" in petsc:
+        at = petsc.index("-ranks")
+        if at + 1 == len(petsc) or not petsc[at + 1].isdigit() or int(petsc[at + 1]) < 1:
+            raise CaseError("-ranks takes a positive number.")
+        ranks = int(petsc[at + 1])
+        del petsc[at : at + 2]
+    petsc4py.init(["pdpetsc"])
+    choices = {name: text.split(",") for name, text in arguments.parameters.items()}
+    function = load_case(arguments.path)
+    for name, values in choices.items():
+        for value in values:
+            arguments_of(function, {name: value})
+    output = arguments.output or Path("out") / f"compare_{arguments.path.stem}"
+    compare.compare(arguments.path, choices, output, ranks, petsc)
     return 0
 
 

@@ -173,7 +173,7 @@ class _Run:
             raise
         finally:
             self._finish(status, failed)
-        return self._end(model.dim)
+        return self._end()
 
     def _earlier(self, step: int) -> list[list[float]]:
         """Return the history before a restart at ``step``, from beside the checkpoint, and take it over."""
@@ -219,13 +219,13 @@ class _Run:
         }
         write_summary(self.comm, self.folder, self.summary)
 
-    def _end(self, dim: int) -> dict[str, float]:
+    def _end(self) -> dict[str, float]:
         results: dict[str, float] = self.summary["results"]
         self.report.results(results)
         self.report.say(f"results in {self.folder}")
         if self.case.picture is not None and is_root(self.comm):
             with self._timed("picture"):
-                path = draw(self.folder, self.case.picture, dim, self.folder.name)
+                path = draw(self.folder, self.case.picture, self.folder.name)
             self.report.say(f"picture in {path}")
         return results
 

@@ -20,6 +20,7 @@ LAYERS = [
     {"quantities"},
     {"solve"},
     {"output"},
+    {"plot", "compare"},
     {"case"},
     {"build"},
     {"runner"},

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
 from pdpetsc.solution import Field, stress
 
 # Particles drawn at most; of a larger cloud every n-th.
@@ -35,20 +36,44 @@ class Picture:
     scale: float = 1.0
 
 
-def draw(folder: Path, picture: Picture, dim: int, title: str) -> Path:
+def draw(folder: Path, picture: Picture, title: str) -> Path:
     """Draw the last step of ``fields.h5`` in ``folder`` and return the picture's path (one rank only)."""
+    path = folder / "picture.png"
+    draw_field(folder, path, picture.field.__name__, picture.component, picture.scale, title)
+    return path
+
+
+def draw_field(
+    folder: Path, path: Path, name: str, component: str, scale: float, title: str, step: int | None = None
+) -> None:
+    """Draw a field of a step of ``fields.h5``, the last one by default, into ``path`` (one rank only).
+
+    Raises
+    ------
+    CaseError
+        There is no such file, step, field or component.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    name = picture.field.__name__
-    label = f"{name} {picture.component}".strip()
-    with h5py.File(folder / "fields.h5", "r") as file:
-        last = file[max(group for group in file if group.startswith("step_"))]
+    label = f"{name} {component}".strip()
+    try:
+        file = h5py.File(folder / "fields.h5", "r")
+    except OSError as error:
+        raise CaseError(f"Cannot read {folder / 'fields.h5'}: no such file, or not one of pdpetsc.") from error
+    with file:
+        steps = sorted(group for group in file if group.startswith("step_"))
+        wanted = steps[-1] if step is None else f"step_{step:05d}"
+        if wanted not in steps or "displacement" not in file[wanted]:
+            raise CaseError(f"{folder / 'fields.h5'} has no displacement of step {wanted.removeprefix('step_')}.")
+        if name not in file[wanted]:
+            raise CaseError(f"{folder / 'fields.h5'} has no field {name!r}; it has {', '.join(file[wanted])}.")
         stride = max(1, -(-len(file["particles/id"]) // MOST))
         x = np.asarray(file["particles/position"][::stride])
-        y = x + picture.scale * np.asarray(last["displacement"][::stride])
+        y = x + scale * np.asarray(file[wanted]["displacement"][::stride])
         volume = np.asarray(file["particles/volume"][::stride])
-        values = _component(np.asarray(last[name][::stride]), picture.component)
+        values = _component(np.asarray(file[wanted][name][::stride]), component)
+    dim = max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(projection="3d" if dim == 3 else None)
@@ -67,12 +92,13 @@ def draw(folder: Path, picture: Picture, dim: int, title: str) -> Path:
         figure.colorbar(drawn, label=label, shrink=0.8)
         axes.set(xlabel="x", ylabel="y")
     axes.set_title(title)
-    path = folder / "picture.png"
     figure.savefig(path, dpi=130)
-    return path
 
 
 def _component(values: Float, name: str) -> Float:
+    width = {1: 0, 3: 1, 9: 2}.get(1 if values.ndim == 1 else values.shape[1], 0)
+    if len(name) != width or any(letter not in "xyz" for letter in name):
+        raise CaseError(f"A component of this field is {('empty', 'x, y or z', 'xx, xy, ...')[width]}, not {name!r}.")
     index = 0
     for letter in name:
         index = 3 * index + "xyz".index(letter)

@@ -1,0 +1,110 @@
+"""``plot`` and ``compare``."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.commands import ROOT, results
+
+CLAMPED = "runs/beams/clamped.py"
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+
+def tool(*words):
+    words = [sys.executable, "-m", "pdpetsc", *map(str, words)]
+    return subprocess.run(words, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, timeout=300, check=False)
+
+
+def table(folder):
+    with (folder / "compare.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_plot_draws_a_run(tmp_path):
+    results(CLAMPED, "steps=2", output=tmp_path)
+    finished = tool("plot", tmp_path, "scale=10", "component=yy", "x=t", "y=w")
+    assert finished.returncode == 0, finished.stderr
+    for name in ("deformed", "history", "newton"):
+        path = tmp_path / f"{name}.png"
+        assert str(path) in finished.stdout
+        assert path.stat().st_size > 5_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("field=nothing",), "no field 'nothing'; it has displacement, stress"),
+        (("component=xxx",), "A component of this field is xx, xy, ..."),
+        (("step=77",), "no displacement of step 00077"),
+        (("y=nothing",), "no column 'nothing'"),
+        (("colour=red",), "plot has no parameter 'colour'"),
+        (("scale=big",), "scale takes a number"),
+    ],
+)
+def test_plot_refuses_what_is_not_there(words, message, tmp_path_factory):
+    folder = tmp_path_factory.getbasetemp() / "plotted"
+    if not folder.exists():
+        results(CLAMPED, "steps=1", output=folder)
+    finished = tool("plot", folder, *words)
+    assert finished.returncode == 2
+    assert message in finished.stderr
+
+
+def test_plot_of_an_empty_folder_is_refused(tmp_path):
+    assert "holds no summary.json" in tool("plot", tmp_path).stderr
+
+
+def test_compare_runs_every_combination_once(tmp_path):
+    words = ("compare", CLAMPED, "scheme=correspondence,sub_horizons", "ny=3,5", "steps=1", "-o", tmp_path)
+    finished = tool(*words)
+    assert finished.returncode == 0, finished.stderr
+    rows = table(tmp_path)
+    assert [(row["scheme"], row["ny"]) for row in rows] == [
+        ("correspondence", "3"), ("correspondence", "5"), ("sub_horizons", "3"), ("sub_horizons", "5"),
+    ]  # fmt: skip
+    assert float(rows[0]["error"]) == pytest.approx(0.0668, abs=1e-3)
+    assert all(row["status"] == "converged" and float(row["seconds"]) > 0.0 for row in rows)
+    assert (tmp_path / "compare.png").stat().st_size > 10_000
+    times = {path: path.stat().st_mtime for path in tmp_path.glob("*/summary.json")}
+    assert len(times) == 4
+    tool(*words)
+    assert times == {path: path.stat().st_mtime for path in tmp_path.glob("*/summary.json")}
+
+
+def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
+    words = [sys.executable, "-m", "pdpetsc", "compare", CLAMPED, "ny=3,5,7", "steps=1", "-o", str(tmp_path)]
+    process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL, start_new_session=True)
+    while not list(tmp_path.glob("ny=3*/compare.json")):
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    process.wait(60)
+    first = next(tmp_path.glob("ny=3*/compare.json")).stat().st_mtime
+    assert tool(*words[3:]).returncode == 0
+    assert len(table(tmp_path)) == 3
+    assert next(tmp_path.glob("ny=3*/compare.json")).stat().st_mtime == first
+
+
+def test_compare_on_two_ranks_and_with_petsc_options(tmp_path):
+    words = ("compare", CLAMPED, "ny=3", "steps=1", "-ranks", "2", "-pc_type", "lu", "-o", tmp_path)
+    finished = tool(*words)
+    assert finished.returncode == 0, finished.stderr
+    assert '"ranks": 2' in next(tmp_path.glob("*/summary.json")).read_text()
+
+
+def test_compare_keeps_what_failed_and_says_so(tmp_path):
+    finished = tool("compare", CLAMPED, "ny=3", "steps=1,2", "-snes_max_it", "1", "-o", tmp_path)
+    assert finished.returncode == 1
+    assert "2 of 2 runs did not converge" in finished.stderr
+    assert all("No convergence" in row["status"] for row in table(tmp_path))
+
+
+def test_compare_refuses_unknown_parameters_before_running(tmp_path):
+    finished = tool("compare", CLAMPED, "nz=3,5", "-o", tmp_path / "never")
+    assert finished.returncode == 2
+    assert "no parameter 'nz'" in finished.stderr
+    assert not (tmp_path / "never").exists()

@@ -16,6 +16,7 @@ from pdpetsc.scene.conditions import BodyForce, Displacement, Force, Pressure, T
 from pdpetsc.scene.files import Mesh, TextFile
 from pdpetsc.scene.particles import Arrays, Lattice
 from pdpetsc.scene.schedule import Hold, Ramp, Table
+from pdpetsc.scene.solver import SOLVERS, DynamicRelaxation, Newton
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import (
     Solution,
@@ -37,6 +38,7 @@ __version__ = "0.1.0"
 __all__ = [
     "CONTROLS",
     "SCHEMES",
+    "SOLVERS",
     "AdaptiveSteps",
     "Arrays",
     "At",
@@ -49,6 +51,7 @@ __all__ = [
     "Corrected",
     "Correspondence",
     "Displacement",
+    "DynamicRelaxation",
     "Force",
     "Graded",
     "Hencky",
@@ -62,6 +65,7 @@ __all__ = [
     "Mean",
     "Mesh",
     "NeoHookean",
+    "Newton",
     "OutputError",
     "Picture",
     "Pressure",

@@ -16,6 +16,7 @@ from pdpetsc.scene.conditions import Condition
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import All, Region
+from pdpetsc.scene.solver import DynamicRelaxation, Newton
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import Field, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
@@ -45,6 +46,8 @@ class Case:
         Zero-energy control; none where absent.
     steps : Steps or AdaptiveSteps
         How the load is applied.
+    solver : Newton or DynamicRelaxation
+        How equilibrium is found.
     history : mapping of str to Quantity
         Numbers written per step.
     results : callable, optional
@@ -65,6 +68,7 @@ class Case:
     influence: Influence = field(default_factory=Constant)
     stabilisation: Stabilisation | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
+    solver: Newton | DynamicRelaxation = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
     fields: Sequence[Field] = (displacement, stress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib.util
 import inspect
 import re
@@ -26,6 +27,7 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   NAME=VALUE      a parameter of that function
   -o DIR          folder for the results (default: out/CASE)
   --restart FILE  go on from a checkpoint
+  --solver NAME   newton or relaxation (explicit dynamic relaxation), in place of the case's
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
@@ -46,6 +48,7 @@ class Arguments:
     parameters: dict[str, str] = field(default_factory=dict)
     output: Path | None = None
     restart: Path | None = None
+    solver: str | None = None
     quiet: bool = False
     version: bool = False
     help: bool = False
@@ -71,12 +74,16 @@ def split(argv: Sequence[str]) -> Arguments:
                 raise CaseError(f"{word} needs a path after it.")
             path = Path(words.pop(0))
             found.output, found.restart = (path, found.restart) if word == "-o" else (found.output, path)
+        elif word == "--solver":
+            if not words:
+                raise CaseError("--solver needs a name after it.")
+            found.solver = words.pop(0)
         elif word in ("--quiet", "--version"):
             setattr(found, word[2:], True)
         elif word in ("-h", "--help"):
             found.help = True
         elif word.startswith("--"):
-            raise CaseError(f"Unknown option {word}; pdpetsc has -o, --restart, --quiet, --version and -h.")
+            raise CaseError(f"Unknown option {word}; pdpetsc has -o, --restart, --solver, --quiet, --version and -h.")
         elif _OPTION.match(word):
             found.petsc.append(word)
             if words and not _OPTION.match(words[0]) and not _ASSIGNMENT.match(words[0]):
@@ -169,6 +176,8 @@ def _run(argv: list[str]) -> int:
     from pdpetsc import __version__
     from pdpetsc.discrete.communicator import agreed, is_root, world
     from pdpetsc.runner import run
+    from pdpetsc.scene.choice import choose
+    from pdpetsc.scene.solver import SOLVERS
 
     comm = world()
     if arguments.version or (arguments.help and arguments.path is None) or not argv:
@@ -187,6 +196,8 @@ def _run(argv: list[str]) -> int:
         return 0
     with agreed(comm):
         case = _make_case(arguments.path, function, parameters)
+        if arguments.solver is not None:
+            case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
     run(case, output, None, arguments.restart, arguments.quiet, parameters)
     _report_unused(arguments.petsc)

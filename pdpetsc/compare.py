@@ -26,7 +26,8 @@ USAGE = """usage: python -m pdpetsc compare CASE.py NAME=A,B,C [NAME=...] [-o DI
   NAME=A,B,C   values of a parameter of the case; all combinations of all of them are run, one after another
   -o DIR       folder for compare.csv, compare.png and a folder per run (default: out/compare_CASE)
   -ranks N     run each on N ranks, with mpirun
-The seconds are those of set-up and solve. What DIR already holds is not run again: an interrupted comparison goes on where it was."""
+The seconds are those of set-up and solve. What DIR already holds is not run again: an interrupted comparison goes on
+where it was."""
 
 # Results that are drawn against the time they take.
 ERRORS = ("error", "w_error", "max_F_error")

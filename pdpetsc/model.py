@@ -38,6 +38,13 @@ class Law:
     points: GlobalIndex
     factor: Float | None = None
 
+    def largest_modulus(self, dim: int) -> float:
+        """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
+        if len(self.points) == 0:
+            return 0.0
+        lam, mu = self.material.lame(dim)
+        return (lam + 2.0 * mu) * (1.0 if self.factor is None else float(self.factor.max()))
+
     def scale(self, values: Float) -> None:
         """Multiply what the law gave at its points, (all points, ...), by its factor."""
         if self.factor is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import resource
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -27,13 +27,16 @@ from pdpetsc.output.files import InCreationOrder, prepare_folder
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
 from pdpetsc.output.records import HistoryWriter, earlier_history, write_summary
+from pdpetsc.scene.solver import DynamicRelaxation
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
+from pdpetsc.solve.base import Solver, StepResult
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import petsc_version
-from pdpetsc.solve.static import StaticSolver, StepResult, default_options
-from pdpetsc.solve.steps import load_steps
+from pdpetsc.solve.relaxation import RelaxationSolver
+from pdpetsc.solve.static import StaticSolver, default_options
+from pdpetsc.solve.steps import Converged, load_steps
 
 
 def run(
@@ -121,13 +124,7 @@ class _Run:
             refuse_rigid_motion(cloud, families, loading.fixed)
         self._describe(model)
         with stop_on_signals(comm) as stop, petsc_options(self.options, default_options(model)):
-            with self._timed("pattern"):
-                assembler = Assembler(model)
-                predicted = predicted_bytes(assembler.pattern, model.dim)
-                self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
-            with self._timed("allocation"):
-                solver = StaticSolver(model, loading, assembler, stop)
-            self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
+            solver = self._solver(model, loading, stop)
             self.summary["solver"] = solver.description()
             self.report.say(f"solver: {solver.description()}")
             try:
@@ -135,9 +132,19 @@ class _Run:
             finally:
                 solver.destroy()
 
-    def _march(
-        self, model: Model, loading: Loading, solver: StaticSolver, stop: Callable[[], bool]
-    ) -> dict[str, float]:
+    def _solver(self, model: Model, loading: Loading, stop: Callable[[], bool]) -> Solver:
+        if isinstance(self.case.solver, DynamicRelaxation):
+            return RelaxationSolver(model, loading, self.case.solver, stop)
+        with self._timed("pattern"):
+            assembler = Assembler(model)
+            predicted = predicted_bytes(assembler.pattern, model.dim)
+            self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
+        with self._timed("allocation"):
+            solver = StaticSolver(model, loading, assembler, stop)
+        self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
+        return solver
+
+    def _march(self, model: Model, loading: Loading, solver: Solver, stop: Callable[[], bool]) -> dict[str, float]:
         case, cloud = self.case, model.cloud
         order = InCreationOrder(cloud)
         u, t, step = np.zeros((cloud.n_owned, model.dim)), 0.0, 0
@@ -161,8 +168,8 @@ class _Run:
             for converged in load_steps(solver, case.steps, u, t, stop, on_failure):
                 self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
                 step += 1
-                self.report.step(step, converged.t, converged.result)
-                self.steps.append(_step_summary(step, converged.t, converged.result, converged.failures))
+                self.report.step(step, converged.t, converged.result, solver.unit)
+                self.steps.append(_step_summary(step, converged, solver.unit))
                 failed.clear()
                 with self._timed("output"):
                     self._record(Solution(model, loading, converged.u, converged.t, step), writer, records)
@@ -172,7 +179,7 @@ class _Run:
             status = str(error)
             raise
         finally:
-            self._finish(status, failed)
+            self._finish(status, failed, solver.unit)
         return self._end()
 
     def _earlier(self, step: int) -> list[list[float]]:
@@ -204,7 +211,7 @@ class _Run:
             self.history[name].append(value)
         records.write(row)
 
-    def _finish(self, status: str, failed: list[StepResult]) -> None:
+    def _finish(self, status: str, failed: list[StepResult], unit: str) -> None:
         memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
         results = {}
         if status == "converged" and self.case.results is not None:
@@ -213,7 +220,7 @@ class _Run:
             "status": status,
             "results": results,
             "steps": self.steps,
-            "failed_attempts": [_attempt(result) for result in failed],
+            "failed_attempts": [_attempt(result, unit) for result in failed],
             "timings": self.timings,
             "peak_memory_bytes": memory,
         }
@@ -234,7 +241,8 @@ class _Run:
         bonds, points, ghosts = total(comm, [len(model.families.neighbours), model.operator.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
-        self.summary["allocated"] = _allocated(model)
+        matrix = [] if isinstance(self.case.solver, DynamicRelaxation) else ["tangent matrix"]
+        self.summary["allocated"] = _allocated(model) + matrix
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, {int(points)} gradient points, "
             f"{comm.size} rank{'s' if comm.size > 1 else ''}"
@@ -256,21 +264,22 @@ def _same_folder(one: Path, other: Path) -> bool:
 
 def _allocated(model: Model) -> list[str]:
     """Return what this scene made the model hold."""
-    held = ["families", "gradient operator", "tangent matrix"]
+    held = ["families", "gradient operator"]
     held += [f"material {type(law.material).__name__}" for law in model.laws]
     return held + ([type(model.control).__name__ + " control"] if model.control is not None else [])
 
 
-def _step_summary(step: int, t: float, result: StepResult, failures: Sequence[StepResult]) -> dict[str, Any]:
-    return {"step": step, "t": t, **_attempt(result), "cut_backs": [_attempt(failure) for failure in failures]}
+def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:
+    cut_backs = [_attempt(failure, unit) for failure in converged.failures]
+    return {"step": step, "t": converged.t, **_attempt(converged.result, unit), "cut_backs": cut_backs}
 
 
-def _attempt(result: StepResult) -> dict[str, Any]:
+def _attempt(result: StepResult, unit: str) -> dict[str, Any]:
     return {
         "reason": result.reason,
         "norms": result.norms,
         "reference": result.reference,
-        "newton_iterations": max(len(result.norms) - 1, 0),
+        f"{unit.lower()}_iterations": result.iterations,
         "linear_iterations": result.linear_iterations,
     }
 

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pdpetsc.discrete.communicator import Comm, is_root
-from pdpetsc.solve.static import StepResult
+from pdpetsc.solve.base import StepResult
 
 
 class Reporter:
@@ -42,13 +42,14 @@ class Reporter:
         """Print a line."""
         self._console.print(text)
 
-    def step(self, number: int, t: float, result: StepResult) -> None:
+    def step(self, number: int, t: float, result: StepResult, unit: str) -> None:
         """Print how a converged step went."""
         last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
         self._progress.update(self._task, completed=t)
+        inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""
         self.say(
-            f"step {number:4d}  t = {t:<8.6g} {len(result.norms) - 1:2d} Newton, {result.linear_iterations:3d} linear "
-            f"iterations, residual {last:.1e}{' (round-off floor)' if 'floor' in result.reason else ''}"
+            f"step {number:4d}  t = {t:<8.6g} {result.iterations:2d} {unit}{inner} iterations, residual {last:.1e}"
+            f"{' (round-off floor)' if 'floor' in result.reason else ''}"
         )
 
     def cut_back(self, t: float, dt: float, result: StepResult) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from petsc4py import PETSc
@@ -13,6 +12,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
+from pdpetsc.solve.base import Solver, StepResult
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.petsc import set_domain_error
 
@@ -23,31 +23,8 @@ FLOOR = 20.0
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
 HALVINGS = 40
-
-
-@dataclass(frozen=True)
-class StepResult:
-    """What one attempt at a load step did.
-
-    Attributes
-    ----------
-    converged : bool
-        Whether the residual met the tolerance or stagnated at the round-off floor.
-    reason : str
-        In words.
-    norms : list of float
-        Residual norm over the free degrees of freedom, at the start and after every Newton iteration [force].
-    reference : float
-        Norm of external forces and reactions that the tolerance is relative to [force].
-    linear_iterations : int
-        Krylov iterations of all Newton iterations.
-    """
-
-    converged: bool
-    reason: str
-    norms: list[float] = field(default_factory=list)
-    reference: float = 0.0
-    linear_iterations: int = 0
+# A step with no more iterations may be followed by a longer one.
+EASY_ITERATIONS = 6
 
 
 def default_options(model: Model) -> dict[str, object]:
@@ -83,7 +60,7 @@ def default_options(model: Model) -> dict[str, object]:
     return defaults
 
 
-class StaticSolver:
+class StaticSolver(Solver):
     """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
 
     Parameters
@@ -97,6 +74,12 @@ class StaticSolver:
     -----
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
+
+    unit = "Newton"
+    advice = (
+        "look for a limit point or zero-energy modes, add or raise the stabilisation, or try "
+        "-snes_linesearch_type basic, a smaller smallest step or -snes_rtol 1e-8"
+    )
 
     def __init__(self, model: Model, loading: Loading, assembler: Assembler, stop: Callable[[], bool]) -> None:
         cloud = model.cloud
@@ -166,6 +149,8 @@ class StaticSolver:
             reason=self._reason or _words(reason, self.snes.getKSP().getConvergedReason()),
             norms=list(self._norms),
             reference=self._reference,
+            iterations=max(len(self._norms) - 1, 0),
+            easy=len(self._norms) - 1 <= EASY_ITERATIONS,
             linear_iterations=linear + self.snes.getLinearSolveIterations(),
         )
         if reason <= 0:

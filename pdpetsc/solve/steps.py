@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pdpetsc.arrays import Float
 from pdpetsc.errors import Interrupted, SolveError
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solve.static import StaticSolver, StepResult
+from pdpetsc.solve.base import Solver, StepResult
 
 SAME_TIME = 1e-9
-EASY_ITERATIONS = 6
 GROWTH = 1.5
 
 
@@ -26,7 +25,7 @@ class Converged:
 
 
 def load_steps(
-    solver: StaticSolver,
+    solver: Solver,
     steps: Steps | AdaptiveSteps,
     u: Float,
     t: float,
@@ -62,7 +61,7 @@ def load_steps(
             u, t = attempt, target
             yield Converged(u, t, result, failures)
             failures = []
-            if len(result.norms) - 1 <= EASY_ITERATIONS:
+            if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
             continue
         failures.append(result)
@@ -72,7 +71,5 @@ def load_steps(
             last = result.norms[-1] if result.norms else float("nan")
             raise SolveError(
                 f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "
-                f"{last:.3e} against {result.reference:.3e} after {len(result.norms) - 1} iterations; look for a limit "
-                f"point or zero-energy modes, add or raise the stabilisation, or try -snes_linesearch_type basic, "
-                f"a smaller smallest step or -snes_rtol 1e-8."
+                f"{last:.3e} against {result.reference:.3e} after {result.iterations} iterations; {solver.advice}."
             )

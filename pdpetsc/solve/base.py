@@ -1,0 +1,71 @@
+"""What a solver of one load step gives to the load stepping."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+from pdpetsc.arrays import Float
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one attempt at a load step did.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether the solver met its tolerance, or the residual stagnated at the round-off floor.
+    reason : str
+        In words.
+    norms : list of float
+        Residual norms over the free degrees of freedom, at the start and after iterations [force].
+    reference : float
+        Norm of external forces and reactions that the tolerance is relative to [force].
+    iterations : int
+        Newton iterations or time steps.
+    linear_iterations : int
+        Krylov iterations of all Newton iterations.
+    easy : bool
+        Whether a longer load step is worth a try.
+    """
+
+    converged: bool
+    reason: str
+    norms: list[float] = field(default_factory=list)
+    reference: float = 0.0
+    iterations: int = 0
+    linear_iterations: int = 0
+    easy: bool = True
+
+
+class Solver(ABC):
+    """Finds equilibrium of a load step.
+
+    Attributes
+    ----------
+    unit : str
+        What its iterations are called.
+    advice : str
+        What a user may try when the smallest step failed.
+    """
+
+    unit: str
+    advice: str
+
+    @property
+    @abstractmethod
+    def matrix_bytes(self) -> int:
+        """Return the memory of the matrix over all ranks [bytes]."""
+
+    @abstractmethod
+    def description(self) -> str:
+        """Return the solver in force in a few words."""
+
+    @abstractmethod
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium at step time ``t`` from ``u`` (n_owned, dim); collective."""
+
+    @abstractmethod
+    def destroy(self) -> None:
+        """Free what the solver holds outside Python."""

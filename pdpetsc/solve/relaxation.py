@@ -1,0 +1,165 @@
+"""Adaptive dynamic relaxation of one load step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.loading import Loading
+from pdpetsc.model import Model
+from pdpetsc.scene.solver import DynamicRelaxation
+from pdpetsc.solve.base import Solver, StepResult
+
+# Iterations that estimate the largest frequency, and the share of the critical time step that is used.
+POWER_ITERATIONS = 30
+SAFETY = 0.9
+# A new stable time step is estimated this often: the stiffness changes with the deformation.
+RENEWED = 2000
+# Norms are kept at this rate, and signals looked for.
+KEPT = 100
+
+
+class RelaxationSolver(Solver):
+    """Damped motion ``m a + c m v = f_ext - f_int`` with unit density, in central differences, to rest.
+
+    The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle, and never
+    above 0.9 of the critical one, ``2 / omega_max``, with the largest frequency of ``M^-1 K`` from power iterations.
+    The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step with the
+    diagonal stiffness that two successive residuals show.
+
+    Parameters
+    ----------
+    model, loading
+        The body and its conditions.
+    options : DynamicRelaxation
+        When it stops.
+    stop : callable
+        Asked now and then, collectively; True ends the solve (a signal arrived).
+
+    References
+    ----------
+    Luo, Sundararaghavan (2018), section 4, Eq. (14)-(17); Kilic, Madenci (2010).
+    """
+
+    unit = "relaxation"
+    advice = "look for zero-energy modes, add or raise the stabilisation, take more steps or more iterations"
+
+    def __init__(self, model: Model, loading: Loading, options: DynamicRelaxation, stop: Callable[[], bool]) -> None:
+        self._model = model
+        self._loading = loading
+        self._options = options
+        self._stop = stop
+        self._free = ~loading.fixed
+        self._mass = model.cloud.volume[: model.cloud.n_owned, None]
+        self._courant = _courant_step(model)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return 0: there is no matrix."""
+        return 0
+
+    def description(self) -> str:
+        """Return the solver in a few words."""
+        return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
+
+    def destroy(self) -> None:
+        """Free nothing."""
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Move from ``u`` to rest under the conditions at step time ``t`` (collective)."""
+        external = self._loading.forces(t)
+        start = np.where(self._free, u, self._loading.prescribed(t))
+        moved = start.copy()
+        residual, reference = self._residual(moved, external)
+        if residual is None:
+            return moved, StepResult(False, "det F <= 0 at the start of the step: the prescribed step is too long")
+        velocity = np.zeros_like(moved)
+        norms = [self._norm(residual)]
+        first_change, dt, damping = 0.0, self._time_step(moved), 0.0
+        density = self._norm(residual / self._mass)
+        for iteration in range(1, self._options.most + 1):
+            if iteration % RENEWED == 0:
+                dt = self._time_step(moved)
+            acceleration = residual / self._mass
+            if iteration == 1:
+                velocity = 0.5 * dt * acceleration
+            else:
+                velocity = ((2.0 - damping * dt) * velocity + 2.0 * dt * acceleration) / (2.0 + damping * dt)
+            change = dt * velocity
+            moved = moved + change
+            old = residual
+            residual, reference = self._residual(moved, external)
+            if residual is None:
+                return moved, StepResult(False, "det F <= 0 in the motion", norms, reference, iteration)
+            softness = np.where(velocity != 0.0, -(residual - old) / np.where(change != 0.0, change, 1.0), 0.0)
+            travelled = moved - start
+            sums = total(
+                self._model.cloud.comm,
+                [
+                    (softness * travelled**2).sum(),
+                    (self._mass * travelled**2).sum(),
+                    (residual**2).sum(),
+                    (change**2).sum(),
+                    ((residual / self._mass) ** 2).sum(),
+                ],
+            )
+            rayleigh = sums[0] / sums[1] if sums[1] > 0.0 else 0.0
+            damping = min(2.0 * np.sqrt(max(rayleigh, 0.0)), 1.9 / dt)
+            moving = np.sqrt(sums[3])
+            first_change = first_change or moving
+            if iteration % KEPT == 0:
+                norms.append(float(np.sqrt(sums[2])))
+                if self._stop():
+                    return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
+            if not np.isfinite(sums[2]):
+                return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
+            tolerance = self._options.tolerance
+            if np.sqrt(sums[4]) <= tolerance * density and moving <= tolerance * first_change:
+                norms.append(float(np.sqrt(sums[2])))
+                return moved, StepResult(True, "at rest", norms, reference, iteration)
+        norms.append(float(np.sqrt(sums[2])))
+        return moved, StepResult(False, "too many time steps", norms, reference, self._options.most)
+
+    def _residual(self, u: Float, external: Float) -> tuple[Float | None, float]:
+        """Return ``f_ext - f_int`` on the free degrees of freedom and the norm of forces and reactions."""
+        force = self._model.internal_force(u)
+        if force is None:
+            return None, 0.0
+        reaction = np.where(self._free, 0.0, force - external)
+        size = max(total(self._model.cloud.comm, [(external**2).sum(), (reaction**2).sum()]))
+        return np.where(self._free, external - force, 0.0), float(np.sqrt(size))
+
+    def _norm(self, values: Float) -> float:
+        return float(np.sqrt(total(self._model.cloud.comm, (values**2).sum())))
+
+    def _time_step(self, u: Float) -> float:
+        """Return the time step that is stable at ``u``."""
+        cloud = self._model.cloud
+        gid = cloud.gid[: cloud.n_owned, None].astype(float)
+        v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
+        square = 0.0
+        for _ in range(POWER_ITERATIONS):
+            v = v / max(self._norm(v), np.finfo(float).tiny)
+            v = np.where(self._free, self._model.tangent_times(u, v) / self._mass, 0.0)
+            square = self._norm(v)
+        # Power iterations approach the largest frequency from below.
+        critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf
+        return float(min(self._courant, SAFETY * critical))
+
+
+def _courant_step(model: Model) -> float:
+    """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
+    cloud = model.cloud
+    shortest = -largest(cloud.comm, -_shortest_bond(model))
+    stiffest = max(law.largest_modulus(model.dim) for law in model.laws)
+    stiffest = largest(cloud.comm, stiffest)
+    several = largest(cloud.comm, float(model.operator.n_points > cloud.n_owned))
+    return float((1.0 if several else 2.0) / model.dim * shortest / np.sqrt(stiffest))
+
+
+def _shortest_bond(model: Model) -> float:
+    bonds = model.families.bonds(model.cloud.x)
+    return float(np.linalg.norm(bonds, axis=1).min(initial=np.inf))

@@ -242,7 +242,7 @@ class _Run:
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
         matrix = [] if isinstance(self.case.solver, DynamicRelaxation) else ["tangent matrix"]
-        self.summary["allocated"] = _allocated(model) + matrix
+        self.summary["allocated"] = _allocated(model, self.case) + matrix
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, {int(points)} gradient points, "
             f"{comm.size} rank{'s' if comm.size > 1 else ''}"
@@ -262,11 +262,11 @@ def _same_folder(one: Path, other: Path) -> bool:
     return one.resolve() == other.resolve()
 
 
-def _allocated(model: Model) -> list[str]:
+def _allocated(model: Model, case: Case) -> list[str]:
     """Return what this scene made the model hold."""
     held = ["families", "gradient operator"]
     held += [f"material {type(law.material).__name__}" for law in model.laws]
-    return held + ([type(model.control).__name__ + " control"] if model.control is not None else [])
+    return held + ([f"control {type(case.stabilisation).__name__}"] if model.control is not None else [])
 
 
 def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:

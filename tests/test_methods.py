@@ -91,3 +91,27 @@ def test_names_of_methods_are_those_the_command_line_takes(tmp_path):
     finished = run(BAR, "scheme=nothing", output=tmp_path)
     assert finished.returncode == 2
     assert all(name in finished.stderr for name in pd.SCHEMES)
+
+
+def test_the_plate_with_an_opening_oscillates_only_without_control(tmp_path):
+    found = {}
+    for name, words in (("plain", ()), ("silling", ("control=silling",)), ("sub_horizons", ("scheme=sub_horizons",))):
+        found[name] = results("runs/plates/square_opening.py", *words, output=tmp_path)["results"]
+    assert found["plain"]["u_oscillation"] > 20.0 * found["silling"]["u_oscillation"]
+    assert found["plain"]["u_oscillation"] > 50.0 * found["sub_horizons"]["u_oscillation"]
+    assert found["plain"]["stress_oscillation"] > 10.0 * found["sub_horizons"]["stress_oscillation"]
+    assert all(values["u_amplitude"] < 0.01 for values in found.values())
+
+
+@pytest.mark.parametrize("scheme", ["stress_points", "sub_horizons", "bond_associated"])
+def test_the_plate_with_a_diamond_hole_is_smooth_and_near_finite_elements(scheme, tmp_path):
+    found = results("runs/plates/diamond_hole.py", f"scheme={scheme}", output=tmp_path)["results"]
+    assert found["u_oscillation"] < 1e-3
+    assert found["u_amplitude"] < 0.012
+
+
+@pytest.mark.long
+def test_the_brick_is_smooth_with_sub_horizons(tmp_path):
+    plain = results("runs/plates/brick.py", output=tmp_path)["results"]
+    smooth = results("runs/plates/brick.py", "scheme=sub_horizons", output=tmp_path, ranks=2)["results"]
+    assert plain["u_oscillation"] > 10.0 * smooth["u_oscillation"]

@@ -146,7 +146,7 @@ def test_a_bare_scene_allocates_less_than_a_full_one(tmp_path):
     pd.run(strip(), output=tmp_path / "full", quiet=True)
     bare, full = summary(tmp_path / "bare")["allocated"], summary(tmp_path / "full")["allocated"]
     assert set(bare) < set(full)
-    assert [name for name in full if name not in bare] == ["_NonUniform control"]
+    assert [name for name in full if name not in bare] == ["control Silling"]
 
 
 @pytest.mark.parametrize("ranks", [1, 3])

@@ -228,6 +228,8 @@ def _compare(argv: list[str]) -> int:
     if arguments.path is None:
         raise CaseError("No case file is given; python -m pdpetsc compare -h shows the usage.")
     ranks, petsc = 1, list(arguments.petsc)
+    if arguments.solver is not None:
+        petsc += ["--solver", arguments.solver]
     if "-ranks" in petsc:
         at = petsc.index("-ranks")
         if at + 1 == len(petsc) or not petsc[at + 1].isdigit() or int(petsc[at + 1]) < 1:
@@ -241,7 +243,7 @@ def _compare(argv: list[str]) -> int:
         for value in values:
             arguments_of(function, {name: value})
     output = arguments.output or Path("out") / f"compare_{arguments.path.stem}"
-    compare.compare(arguments.path, choices, output, ranks, petsc)
+    compare.refuse_failed(compare.compare(arguments.path, choices, output, ranks, petsc), output)
     return 0
 
 

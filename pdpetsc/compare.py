@@ -70,8 +70,11 @@ def compare(
     ------
     CaseError
         A run ended with status 2: its parameters or the case are wrong.
-    SolveError
-        At the end, where runs did not converge.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of the combinations; runs that did not converge are among them.
     """
     if "OMPI_COMM_WORLD_SIZE" in os.environ or "PMI_SIZE" in os.environ:
         raise CaseError("compare starts its runs itself: call it without mpirun and give -ranks N.")
@@ -94,12 +97,14 @@ def compare(
     if not console.is_terminal:
         console.print()
     console.print(f"table in {folder / 'compare.csv'}\npicture in {folder / 'compare.png'}", highlight=False)
+    return done
+
+
+def refuse_failed(done: Sequence[Outcome], folder: Path) -> None:
+    """Raise SolveError if runs did not converge."""
     failed = sum(outcome.status != "converged" for outcome in done)
     if failed:
-        raise SolveError(
-            f"{failed} of {len(done)} runs did not converge; their messages are in {folder}/*/summary.json."
-        )
-    return done
+        raise SolveError(f"{failed} of {len(done)} runs did not converge; why stands in {folder / 'compare.csv'}.")
 
 
 def _named(parameters: Mapping[str, str]) -> str:

@@ -11,7 +11,14 @@ NU = 0.25
 PRESSURE = 276e3
 
 
-def half_beam(support, ny, horizon, G, scheme, steps, supports):
+def control_of(G, control):
+    """Return Silling's control of strength G, or the one that is named."""
+    if control:
+        return pd.choose("control", control, pd.CONTROLS)
+    return pd.Silling(G) if G else None
+
+
+def half_beam(support, ny, horizon, G, scheme, steps, supports, control=""):
     """Return the case of half a beam with the given supports at its fictitious end.
 
     The lattice has 25 ny columns of real particles and ``int(horizon)`` fictitious ones at x < 0; the last real column
@@ -35,7 +42,7 @@ def half_beam(support, ny, horizon, G, scheme, steps, supports):
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        stabilisation=control_of(G, control),
         conditions=[
             *supports(dx),
             pd.Displacement(pd.region.Slab("x", low=half - dx), x=0.0),

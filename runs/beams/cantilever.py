@@ -8,6 +8,7 @@ under 10 kN at horizons 1.015, 2.015 and 3.015 in plane strain without control (
 Reference: Hashim, Coombs, Augarde, Hattori, section 4.4.
 """
 
+import beam
 import elastica
 
 import pdpetsc as pd
@@ -19,7 +20,7 @@ NU = 0.2
 FORCE = 100e3
 
 
-def case(ny=5, horizon=1.015, G=0.0, scheme="correspondence", steps=10, plane="stress", force=FORCE):
+def case(ny=5, horizon=1.015, G=0.0, scheme="correspondence", steps=10, plane="stress", force=FORCE, control=""):
     if ny < 1 or ny % 2 == 0:
         raise pd.CaseError(f"ny must be odd, so that particles lie on the middle of the beam, not {ny}.")
     dx = DEPTH / ny
@@ -41,7 +42,7 @@ def case(ny=5, horizon=1.015, G=0.0, scheme="correspondence", steps=10, plane="s
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane=plane),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        stabilisation=beam.control_of(G, control),
         conditions=[
             pd.Displacement(held, x=0.0),
             pd.Displacement(held & pd.region.Slab("y", -0.1 * dx, 0.1 * dx), y=0.0),

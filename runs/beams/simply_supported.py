@@ -11,8 +11,8 @@ import beam
 import pdpetsc as pd
 
 
-def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10):
+def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control=""):
     def supports(dx):
         return [pd.Displacement(pd.region.Nearest((-0.5 * dx, 0.0)), x=0.0, y=0.0)]
 
-    return beam.half_beam("hinged", ny, horizon, G, scheme, steps, supports)
+    return beam.half_beam("hinged", ny, horizon, G, scheme, steps, supports, control)

@@ -1,0 +1,85 @@
+"""Speed against error of every method: python runs/beams/speed.py [folder] [clamped|cantilever|relaxation ...].
+
+Clamped beam and cantilever with every scheme, and plain correspondence with every control, at horizons 1 to 3 and three
+spacings, each in a process of its own; then the clamped beam in one load step by Newton's method and by dynamic
+relaxation (Hashim et al., figure 16). Leaves one table and one picture a problem: seconds of set-up and solve and peak
+memory against the relative error. An interrupted study goes on where it was.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
+
+words = study.start("beams")
+
+import pdpetsc as pd  # noqa: E402
+from pdpetsc.compare import compare  # noqa: E402
+
+HERE = Path(__file__).parent
+CONTROLLED = [name for name in pd.CONTROLS if name != "none"]
+SIZES = {"clamped": ("3", "5", "9"), "cantilever": ("5", "9", "15")}
+ERROR = {"clamped": "error", "cantilever": "w_error"}
+HORIZONS = ("1.015", "2.015", "3.015")
+
+
+def outcomes(folder, case, choices, words=()):
+    """Run all combinations and return them, failed ones included."""
+    return compare(HERE / f"{case}.py", choices, folder, 1, list(words))
+
+
+def save(folder, name, title, done, error, label):
+    rows = []
+    curves = {}
+    for outcome in done:
+        value = abs(outcome.results[error]) if error in outcome.results else float("nan")
+        rows.append((*outcome.parameters.values(), value, outcome.seconds, outcome.memory, outcome.status))
+        x, y = curves.setdefault(label(outcome.parameters), ([], []))
+        x.append(outcome.seconds)
+        y.append(value)
+    header = (*done[0].parameters, "error", "seconds", "peak_MiB", "status")
+    study.write_table(folder, f"{name}_table", header, rows)
+    axes = {"xscale": "log", "yscale": "log"}
+    study.write_curves(folder, name, title, ("seconds of set-up and solve", "relative error"), curves, **axes)
+
+
+def methods(folder, case):
+    """Every method on one beam, a picture per horizon."""
+    for horizon in HORIZONS:
+        plain = {"scheme": list(pd.SCHEMES), "control": ["none"], "horizon": [horizon], "ny": SIZES[case]}
+        other = plain | {"scheme": ["correspondence"], "control": CONTROLLED}
+        done = outcomes(folder / case, case, plain) + outcomes(folder / case, case, other)
+        title = f"{case.capitalize()} beam, horizon {horizon} dx"
+
+        def label(parameters):
+            return parameters["scheme"] if parameters["control"] == "none" else parameters["control"]
+
+        save(folder, f"{case}_{horizon}", title, done, ERROR[case], label)
+
+
+def relaxation(folder):
+    """The clamped beam in one step by Newton's method and by dynamic relaxation."""
+    choices = {"ny": SIZES["clamped"], "steps": ["1"]}
+    done = outcomes(folder / "newton", "clamped", choices)
+    relaxed = outcomes(folder / "relaxation", "clamped", choices, ("--solver", "relaxation"))
+    for name, found in (("newton", done), ("relaxation", relaxed)):
+        for outcome in found:
+            outcome.parameters["solver"] = name
+    save(folder, "fig_16", "Hashim Fig. 16", done + relaxed, "error", lambda parameters: parameters["solver"])
+
+
+def main():
+    chosen = words[1:] or ["clamped", "cantilever", "relaxation"]
+    folder = study.folder_for(words, "out/speed")
+    for name in chosen:
+        if name == "relaxation":
+            relaxation(folder)
+        elif name in SIZES:
+            methods(folder, name)
+        else:
+            sys.exit(f"There is no study {name}; choose from clamped, cantilever, relaxation.")
+
+
+if __name__ == "__main__":
+    main()

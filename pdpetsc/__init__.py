@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
 from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
-from pdpetsc.material import Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
+from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
 from pdpetsc.scene import influence, region
@@ -24,6 +24,7 @@ from pdpetsc.solution import (
     displacement,
     energy_density,
     first_piola_stress,
+    plastic_strain,
     reaction,
     stress,
 )
@@ -37,6 +38,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "CONTROLS",
+    "J2",
     "SCHEMES",
     "SOLVERS",
     "AdaptiveSteps",
@@ -92,6 +94,7 @@ __all__ = [
     "energy_density",
     "first_piola_stress",
     "influence",
+    "plastic_strain",
     "reaction",
     "region",
     "run",

@@ -61,6 +61,7 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
                 model.internal_force(u)
                 model.energy(u)
+                model.commit(u)
 
 
 def _law(material: Material | Graded) -> Material:

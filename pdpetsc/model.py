@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
@@ -16,39 +15,9 @@ from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.pattern import transpose
+from pdpetsc.law import Law, make_law
 from pdpetsc.material.base import Material
 from pdpetsc.stabilisation.base import Control, Stabilisation, Stiffness
-
-
-@dataclass(frozen=True)
-class Law:
-    """A material and the gradient points that obey it.
-
-    Attributes
-    ----------
-    material : Material
-        The law.
-    points : int64
-        Its gradient points.
-    factor : (n_points,) float64 or None
-        What multiplies its moduli at each of these points [-], where it is graded.
-    """
-
-    material: Material
-    points: GlobalIndex
-    factor: Float | None = None
-
-    def largest_modulus(self, dim: int) -> float:
-        """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
-        if len(self.points) == 0:
-            return 0.0
-        lam, mu = self.material.lame(dim)
-        return (lam + 2.0 * mu) * (1.0 if self.factor is None else float(self.factor.max()))
-
-    def scale(self, values: Float) -> None:
-        """Multiply what the law gave at its points, (all points, ...), by its factor."""
-        if self.factor is not None:
-            values[self.points] *= self.factor.reshape(-1, *(1,) * (values.ndim - 1))
 
 
 class Model:
@@ -96,11 +65,11 @@ class Model:
         self.families = families
         self.operator: GradientOperator = scheme.build(cloud, families, omega)
         law_of = material_of[self.operator.owner]
-        self.laws = []
+        self.laws: list[Law] = []
         for number, material in enumerate(materials):
             points = np.flatnonzero(law_of == number)
             at_points = None if factor is None else factor[self.operator.owner[points]]
-            self.laws.append(Law(material, points, at_points))
+            self.laws.append(make_law(material, points, cloud.dim, at_points))
         self.linear = all(material.linear for material in materials)
         self.control: Control | None = None
         if stabilisation is not None:
@@ -133,16 +102,14 @@ class Model:
         """Return ``P_p`` (n_points, dim, dim) [stress]."""
         P = np.empty_like(F)
         for law in self.laws:
-            law.material.kernels(self.dim).stress(F, law.points, law.material.constants(self.dim), P)
-            law.scale(P)
+            law.stress(F, P)
         return P
 
     def moduli(self, F: Float) -> Float:
         """Return ``A_p = dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
         A = np.empty((len(F), *(self.dim,) * 4))
         for law in self.laws:
-            law.material.kernels(self.dim).tangent(F, law.points, law.material.constants(self.dim), A)
-            law.scale(A)
+            law.tangent(F, A)
         return A
 
     def internal_force(self, u: Float) -> Float | None:
@@ -195,12 +162,30 @@ class Model:
         both = total(self.cloud.comm, [elastic, control])
         return float(both[0]), float(both[1])
 
+    def commit(self, u: Float) -> None:
+        """Take ``u`` (n_owned, dim) as converged: materials with history remember it."""
+        if self.has_history:
+            F = self.deformation(self.with_ghosts(u))
+            for law in self.laws:
+                law.commit(F)
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether stresses depend on converged steps; the same on all ranks."""
+        return any(law.has_history for law in self.laws)
+
+    def plastic_strain(self) -> Float:
+        """Return the accumulated plastic strain (n_points,) [-]."""
+        alpha = np.zeros(self.operator.n_points)
+        for law in self.laws:
+            alpha[law.points] = law.plastic_strain()
+        return alpha
+
     def energy_density(self, F: Float) -> Float:
         """Return ``psi_p`` (n_points,) [energy / volume]."""
         psi = np.empty(len(F))
         for law in self.laws:
-            law.material.kernels(self.dim).energy(F, law.points, law.material.constants(self.dim), psi)
-            law.scale(psi)
+            law.energy(F, psi)
         return psi
 
     def cauchy_stress(self, F: Float) -> Float:
@@ -218,11 +203,12 @@ def _stiffness(materials: Sequence[Material], material_of: LocalIndex, factor: F
     dim = cloud.dim
     factor = np.ones(cloud.n_owned) if factor is None else factor
     kappa = np.array([material.bulk_like_modulus(dim) for material in materials])[material_of] * factor
+    one = np.eye(dim)
     moduli = np.empty((len(materials), *(dim,) * 4))
-    undeformed = np.eye(dim)[None]
     for number, material in enumerate(materials):
-        constants = material.constants(dim)
-        material.kernels(dim).tangent(undeformed, np.zeros(1, np.int64), constants, moduli[number : number + 1])
+        lam, mu = material.lame(dim)
+        symmetric = np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one)
+        moduli[number] = lam * np.einsum("im,kn->imkn", one, one) + mu * symmetric
     return Stiffness(kappa, moduli, material_of, factor)
 
 

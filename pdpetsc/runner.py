@@ -18,7 +18,7 @@ from pdpetsc.case import Case
 from pdpetsc.discrete.communicator import is_root, total, world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
-from pdpetsc.errors import PdpetscError
+from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
@@ -149,6 +149,8 @@ class _Run:
         order = InCreationOrder(cloud)
         u, t, step = np.zeros((cloud.n_owned, model.dim)), 0.0, 0
         if self.restart is not None:
+            if model.has_history:
+                raise CaseError("A case with a material that has a history cannot be restarted: a checkpoint lacks it.")
             u, t, step = read_checkpoint(cloud, order, Path(self.restart))
         with self._timed("output"):
             kept = self._earlier(step)

@@ -123,3 +123,8 @@ def energy_density(solution: Solution) -> Float:
 def reaction(solution: Solution) -> Float:
     """Return the support forces (n_owned, dim) [force]."""
     return solution.reaction
+
+
+def plastic_strain(solution: Solution) -> Float:
+    """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
+    return solution.particle_mean(solution.model.plastic_strain())

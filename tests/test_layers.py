@@ -13,7 +13,7 @@ LAYERS = [
     {"scene"},
     {"discrete", "signals"},
     {"gradient", "material"},
-    {"stabilisation"},
+    {"stabilisation", "law"},
     {"model"},
     {"loading"},
     {"solution"},

@@ -1,10 +1,22 @@
 """Constitutive laws: one file per model, each giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
-from pdpetsc.material.base import Material, PointKernels
+from pdpetsc.material.base import ElasticMaterial, HistoryMaterial, Material, PointKernels
 from pdpetsc.material.graded import Graded
 from pdpetsc.material.hencky import Hencky
+from pdpetsc.material.j2 import J2
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.material.neo_hookean import NeoHookean
 from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
 
-__all__ = ["Graded", "Hencky", "LinearElastic", "Material", "NeoHookean", "PointKernels", "SaintVenantKirchhoff"]
+__all__ = [
+    "J2",
+    "ElasticMaterial",
+    "Graded",
+    "Hencky",
+    "HistoryMaterial",
+    "LinearElastic",
+    "Material",
+    "NeoHookean",
+    "PointKernels",
+    "SaintVenantKirchhoff",
+]

@@ -27,9 +27,21 @@ class PointKernels(NamedTuple):
     energy: Callable[..., None]
 
 
+class HistoryKernels(NamedTuple):
+    """As ``PointKernels``, with ``history`` (len(select), n_history) before the result.
+
+    ``commit(F, select, constants, history)`` makes the state at F the one that the next step starts from.
+    """
+
+    stress: Callable[..., None]
+    tangent: Callable[..., None]
+    energy: Callable[..., None]
+    commit: Callable[..., None]
+
+
 @dataclass(frozen=True)
 class Material(ABC):
-    """An isotropic elastic material.
+    """An isotropic material.
 
     Parameters
     ----------
@@ -62,10 +74,6 @@ class Material(ABC):
             raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
 
     @abstractmethod
-    def kernels(self, dim: int) -> PointKernels:
-        """Return the compiled loops for dimension ``dim``."""
-
-    @abstractmethod
     def thickness_stretch(self, F: Float) -> Float:
         """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
 
@@ -96,3 +104,29 @@ class Material(ABC):
         """Return ``kappa = lambda + 2 mu / dim`` [stress], the scale of a zero-energy control (E in 1D)."""
         lam, mu = self.lame(dim)
         return lam + 2.0 * mu / dim
+
+
+@dataclass(frozen=True)
+class ElasticMaterial(Material):
+    """A material whose stress depends on F alone."""
+
+    @abstractmethod
+    def kernels(self, dim: int) -> PointKernels:
+        """Return the compiled loops for dimension ``dim``."""
+
+
+@dataclass(frozen=True)
+class HistoryMaterial(Material):
+    """A material whose stress depends on what converged steps left at a point."""
+
+    @abstractmethod
+    def initial_history(self, dim: int, n: int) -> Float:
+        """Return the history of ``n`` undeformed points (n, n_history)."""
+
+    @abstractmethod
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the compiled loops for dimension ``dim``."""
+
+    @abstractmethod
+    def plastic_strain(self, history: Float) -> Float:
+        """Return the accumulated plastic strain (n,) [-]."""

@@ -10,11 +10,11 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.eigen import symmetric_eigen
-from pdpetsc.material.base import Material, PointKernels
+from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 
 @dataclass(frozen=True)
-class Hencky(Material):
+class Hencky(ElasticMaterial):
     r"""Hencky material, ``tau = lambda tr(eps) I + 2 mu eps`` with ``eps = 1/2 ln(F F^T)``.
 
     ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T`` and, in the principal frame with stretches

@@ -10,11 +10,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.material.base import Material, PointKernels
+from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 
 @dataclass(frozen=True)
-class LinearElastic(Material):
+class LinearElastic(ElasticMaterial):
     """Linear elastic material at small strain, ``P = lambda tr(eps) I + 2 mu eps``, ``eps = sym(F - I)``.
 
     Its tangent is constant: a body of nothing else is assembled and factored once.

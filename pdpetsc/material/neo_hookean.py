@@ -9,13 +9,13 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.material.base import Material, PointKernels
+from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 NEWTON_STEPS = 60
 
 
 @dataclass(frozen=True)
-class NeoHookean(Material):
+class NeoHookean(ElasticMaterial):
     r"""Neo-Hookean material, ``psi = mu / 2 (I_1 - 3 - 2 ln J) + lambda / 2 (ln J)^2``.
 
     In plane stress one, in a bar two equal lateral stretches ``b`` are hidden; they follow from zero lateral stress,

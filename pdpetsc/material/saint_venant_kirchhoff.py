@@ -9,11 +9,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.material.base import Material, PointKernels
+from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 
 @dataclass(frozen=True)
-class SaintVenantKirchhoff(Material):
+class SaintVenantKirchhoff(ElasticMaterial):
     """Saint Venant-Kirchhoff material, ``S = lambda tr(E) I + 2 mu E`` with ``E = (F^T F - I) / 2``.
 
     ``psi = lambda / 2 (tr E)^2 + mu E : E``, ``P = F S`` and

@@ -67,5 +67,9 @@ class Solver(ABC):
         """Find equilibrium at step time ``t`` from ``u`` (n_owned, dim); collective."""
 
     @abstractmethod
+    def accept(self, u: Float) -> None:
+        """Take ``u`` as the converged state that the next step starts from (collective)."""
+
+    @abstractmethod
     def destroy(self) -> None:
         """Free what the solver holds outside Python."""

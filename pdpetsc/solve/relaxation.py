@@ -65,6 +65,10 @@ class RelaxationSolver(Solver):
         """Return the solver in a few words."""
         return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
 
+    def accept(self, u: Float) -> None:
+        """Let materials with history remember ``u``."""
+        self._model.commit(u)
+
     def destroy(self) -> None:
         """Free nothing."""
 
@@ -154,7 +158,7 @@ def _courant_step(model: Model) -> float:
     """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
     cloud = model.cloud
     shortest = -largest(cloud.comm, -_shortest_bond(model))
-    stiffest = max(law.largest_modulus(model.dim) for law in model.laws)
+    stiffest = max(law.largest_modulus() for law in model.laws)
     stiffest = largest(cloud.comm, stiffest)
     several = largest(cloud.comm, float(model.operator.n_points > cloud.n_owned))
     return float((1.0 if several else 2.0) / model.dim * shortest / np.sqrt(stiffest))

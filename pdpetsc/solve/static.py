@@ -157,6 +157,10 @@ class StaticSolver(Solver):
             self._prescribed = old_prescribed
         return self._at_prescribed(self._x.array).copy(), result
 
+    def accept(self, u: Float) -> None:
+        """Let materials with history remember ``u``."""
+        self.model.commit(u)
+
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
         self.snes.destroy()

@@ -59,6 +59,7 @@ def load_steps(
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
         if result.converged:
             u, t = attempt, target
+            solver.accept(u)
             yield Converged(u, t, result, failures)
             failures = []
             if result.easy:

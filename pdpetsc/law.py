@@ -1,0 +1,152 @@
+"""Materials at the gradient points that obey them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import ElasticMaterial, HistoryMaterial, Material
+
+
+class Law(ABC):
+    """A material and the gradient points that obey it.
+
+    Parameters
+    ----------
+    material : Material
+        The law.
+    points : int64
+        Its gradient points.
+    dim : int
+        Dimension of the body.
+    factor : (n_points,) float64 or None
+        What multiplies its moduli at each of these points [-], where it is graded.
+    """
+
+    def __init__(self, material: Material, points: GlobalIndex, dim: int, factor: Float | None) -> None:
+        self.material = material
+        self.points = points
+        self.dim = dim
+        self.factor = factor
+        self.constants = material.constants(dim)
+
+    @abstractmethod
+    def stress(self, F: Float, P: Float) -> None:
+        """Write P (all points, dim, dim) at its points."""
+
+    @abstractmethod
+    def tangent(self, F: Float, A: Float) -> None:
+        """Write A (all points, dim, dim, dim, dim) at its points."""
+
+    @abstractmethod
+    def energy(self, F: Float, psi: Float) -> None:
+        """Write the energy density (all points,) at its points."""
+
+    @abstractmethod
+    def commit(self, F: Float) -> None:
+        """Take F as the converged state that the next step starts from."""
+
+    @abstractmethod
+    def plastic_strain(self) -> Float:
+        """Return the accumulated plastic strain at its points (n,) [-]."""
+
+    @property
+    @abstractmethod
+    def has_history(self) -> bool:
+        """Return whether its stress depends on converged steps."""
+
+    def largest_modulus(self) -> float:
+        """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
+        if len(self.points) == 0:
+            return 0.0
+        lam, mu = self.material.lame(self.dim)
+        return (lam + 2.0 * mu) * (1.0 if self.factor is None else float(self.factor.max()))
+
+    def _scale(self, values: Float) -> None:
+        if self.factor is not None:
+            values[self.points] *= self.factor.reshape(-1, *(1,) * (values.ndim - 1))
+
+
+class ElasticLaw(Law):
+    """An elastic material at its points."""
+
+    def __init__(self, material: ElasticMaterial, points: GlobalIndex, dim: int, factor: Float | None) -> None:
+        super().__init__(material, points, dim, factor)
+        self._kernels = material.kernels(dim)
+
+    def stress(self, F: Float, P: Float) -> None:
+        """Write P at its points."""
+        self._kernels.stress(F, self.points, self.constants, P)
+        self._scale(P)
+
+    def tangent(self, F: Float, A: Float) -> None:
+        """Write A at its points."""
+        self._kernels.tangent(F, self.points, self.constants, A)
+        self._scale(A)
+
+    def energy(self, F: Float, psi: Float) -> None:
+        """Write the energy density at its points."""
+        self._kernels.energy(F, self.points, self.constants, psi)
+        self._scale(psi)
+
+    def commit(self, F: Float) -> None:
+        """Remember nothing: the stress depends on F alone."""
+
+    def plastic_strain(self) -> Float:
+        """Return zeros."""
+        return np.zeros(len(self.points))
+
+    @property
+    def has_history(self) -> bool:
+        """Return False."""
+        return False
+
+
+class HistoryLaw(Law):
+    """A material with history at its points."""
+
+    def __init__(self, material: HistoryMaterial, points: GlobalIndex, dim: int, factor: Float | None) -> None:
+        super().__init__(material, points, dim, factor)
+        self._kernels = material.history_kernels(dim)
+        self._plastic_strain = material.plastic_strain
+        self.history = material.initial_history(dim, len(points))
+
+    @property
+    def has_history(self) -> bool:
+        """Return True."""
+        return True
+
+    def stress(self, F: Float, P: Float) -> None:
+        """Write P at its points."""
+        self._kernels.stress(F, self.points, self.constants, self.history, P)
+        self._scale(P)
+
+    def tangent(self, F: Float, A: Float) -> None:
+        """Write A at its points."""
+        self._kernels.tangent(F, self.points, self.constants, self.history, A)
+        self._scale(A)
+
+    def energy(self, F: Float, psi: Float) -> None:
+        """Write the energy density at its points."""
+        self._kernels.energy(F, self.points, self.constants, self.history, psi)
+        self._scale(psi)
+
+    def commit(self, F: Float) -> None:
+        """Make the state at F the one that the next step starts from."""
+        self._kernels.commit(F, self.points, self.constants, self.history)
+
+    def plastic_strain(self) -> Float:
+        """Return the accumulated plastic strain at its points (n,) [-]."""
+        return self._plastic_strain(self.history)
+
+
+def make_law(material: Material, points: GlobalIndex, dim: int, factor: Float | None) -> Law:
+    """Return the law of a material at its points."""
+    if isinstance(material, ElasticMaterial):
+        return ElasticLaw(material, points, dim, factor)
+    if isinstance(material, HistoryMaterial):
+        return HistoryLaw(material, points, dim, factor)
+    raise CaseError(f"{type(material).__name__} is neither an elastic material nor one with history.")

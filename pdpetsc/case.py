@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient import Correspondence, Scheme
+from pdpetsc.gradient import Scheme, SubHorizons
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import Quantity
@@ -39,7 +39,7 @@ class Case:
     conditions : sequence of Condition
         Displacements and loads.
     scheme : Scheme
-        Where deformation gradients are evaluated.
+        Where deformation gradients are evaluated; sub-horizons by default, which need no control and no coefficient.
     influence : Influence
         How much a bond counts.
     stabilisation : Stabilisation, optional
@@ -64,7 +64,7 @@ class Case:
     horizon: float
     material: Material | Graded | Sequence[tuple[Region, Material | Graded]]
     conditions: Sequence[Condition]
-    scheme: Scheme = field(default_factory=Correspondence)
+    scheme: Scheme = field(default_factory=SubHorizons)
     influence: Influence = field(default_factory=Constant)
     stabilisation: Stabilisation | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)

@@ -280,7 +280,7 @@ def resident():
     return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
 
 lattice = pd.Lattice((0.0, 0.0), (161.0, 161.0), 1.0)
-case = pd.Case(particles=lattice, horizon=3.015, material=pd.Hencky(E=1.0), conditions=[])
+case = pd.Case(particles=lattice, horizon=3.015, material=pd.Hencky(E=1.0), scheme=pd.Correspondence(), conditions=[])
 cloud = make_cloud(world(), case)
 model = make_model(case, cloud, find_families(cloud))
 assembler = Assembler(model)

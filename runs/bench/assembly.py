@@ -1,8 +1,8 @@
-"""Time set-up, residual and tangent assembly into the PETSc matrix: python runs/bench/assembly.py [n] [horizon].
+"""Time set-up, residual and tangent assembly: python runs/bench/assembly.py [n] [horizon] [scheme].
 
-Medians of five on a square lattice of n x n particles with plain correspondence and Hencky material; under mpirun the
-slowest rank counts. Published single-core figures of PeriLab for 40,401 particles: assembly 4.00 s and 0.80 s at
-horizons 3.015 and 2.015.
+Medians of five on a square lattice of n x n particles, Hencky material, into the PETSc matrix, by default with plain
+correspondence; under mpirun the slowest rank counts. Published single-core figures of PeriLab for 40,401 particles:
+assembly 4.00 s and 0.80 s at horizons 3.015 and 2.015.
 """
 
 import sys
@@ -31,10 +31,12 @@ def timed(comm, call):
     return largest(comm, time.perf_counter() - before), answer
 
 
-def main(n=201, horizon=3.015):
+def main(n=201, horizon=3.015, scheme="correspondence"):
     comm = world()
     lattice = pd.Lattice((0.0, 0.0), (float(n), float(n)), 1.0)
-    case = pd.Case(particles=lattice, horizon=horizon, material=pd.Hencky(E=1.0, nu=0.3), conditions=[])
+    chosen = pd.choose("scheme", scheme, pd.SCHEMES)
+    material = pd.Hencky(E=1.0, nu=0.3)
+    case = pd.Case(particles=lattice, horizon=horizon, material=material, scheme=chosen, conditions=[])
     times = {name: [] for name in ("set-up", "pattern", "residual", "tangent")}
     for repeat in range(REPEATS + 1):
         t_cloud, cloud = timed(comm, lambda: make_cloud(comm, case))
@@ -55,10 +57,10 @@ def main(n=201, horizon=3.015):
                 times[name].append(value)
     size = predicted_bytes(assembler.pattern, 2)
     if is_root(comm):
-        print(f"{n * n} particles, horizon {horizon}, {comm.size} ranks, matrix {size / 2**20:.0f} MiB")
+        print(f"{n * n} particles, horizon {horizon}, {scheme}, {comm.size} ranks, matrix {size / 2**20:.0f} MiB")
         for name, values in times.items():
             print(f"  {name:9s} {np.median(values):8.4f} s")
 
 
 if __name__ == "__main__":
-    main(*(kind(word) for kind, word in zip((int, float), sys.argv[1:], strict=False)))
+    main(*(kind(word) for kind, word in zip((int, float, str), sys.argv[1:], strict=False)))

@@ -26,6 +26,7 @@ def main(dim=2, n=100, horizon=2.015, nu=0.3):
         particles=pd.Lattice([0.0] * dim, size, 1.0),
         horizon=horizon,
         material=pd.LinearElastic(E=1.0, nu=nu),
+        scheme=pd.Correspondence(),
         stabilisation=pd.Silling(0.5),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=horizon), **dict.fromkeys("xyz"[:dim], 0.0)),

@@ -1,0 +1,100 @@
+"""Pictures of the pages on methods: python runs/plates/pages.py [folder] draws one a method (docs/methods).
+
+Left the singular bar at horizon 3.015 dx (oscillation of the displacement on its linear half), right the displacement
+along the plate with a diamond hole at 1.1 diagonals, both beside plain correspondence.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
+
+words = study.start("plates", "singular_bar")
+
+import bar  # noqa: E402
+import diamond_hole  # noqa: E402
+import plate  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+
+import pdpetsc as pd  # noqa: E402
+
+PAGES = {
+    "correspondence": ({}, {}),
+    "stress_points": ({"scheme": "stress_points"},) * 2,
+    "sub_horizons": ({"scheme": "sub_horizons"},) * 2,
+    "corrected": ({"scheme": "corrected", "order": 6}, {"scheme": "corrected"}),
+    "higher_order": ({"scheme": "higher_order", "order": 5}, {"scheme": "higher_order"}),
+    "bond_associated": ({"scheme": "bond_associated"},) * 2,
+    "silling": ({"control": "silling"},) * 2,
+    "littlewood": ({"control": "littlewood"},) * 2,
+    "wan": ({"control": "wan"},) * 2,
+    "springs": ({"spring": 2.0}, None),
+    "averaged_displacement": ({"average": 500.0}, None),
+}
+
+
+class Along(pd.Quantity):
+    """Keeps a displacement along a line."""
+
+    def __init__(self, line):
+        self.line = line
+
+    def evaluate(self, solution):
+        self.s, self.u = self.line.values(solution, plate.displacement_x)
+        return 0.0
+
+
+def values(folder, case, line):
+    along = Along(line)
+    case.history["along"] = along
+    study.run(folder, case)
+    return along.s, along.u
+
+
+def main():
+    folder = study.folder_for(words, "docs/methods")
+    n = 500
+    whole = plate.Line("bar", 0, {}, 1.0 / (n - 1))
+    wide = {"n": n, "horizon": 3.015}
+    plain_bar = values(folder, bar.case(**wide), whole)
+    case = diamond_hole.case()
+    line = case.history["u_amplitude"].line
+    plain_plate = values(folder, case, line)
+    for name, (on_bar, on_plate) in PAGES.items():
+        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+        FigureCanvasAgg(figure)
+        left, right = figure.subplots(1, 2)
+        narrow = {"n": n} if on_plate is None else wide
+        s, plain = plain_bar if on_plate is not None else values(folder, bar.case(n=n), whole)
+        linear = (s > 0.1) & (s < 0.4)
+        left.plot(s[linear], (plain - bar.ALPHA * s)[linear] / bar.END, color="0.7", label="correspondence")
+        if name != "correspondence":
+            s, u = values(folder, bar.case(**narrow, **on_bar), whole)
+            left.plot(s[linear], (u - bar.ALPHA * s)[linear] / bar.END, label=name)
+        left.set(xlabel="x / L", ylabel="(u - u_exact) / u_end", title="singular bar, linear half")
+        if on_plate is None:
+            right.axis("off")
+        else:
+            right.plot(*plain_plate, color="0.7", label="correspondence")
+            if name != "correspondence":
+                s, u = values(folder, diamond_hole.case(**on_plate), line)
+                right.plot(s, u, label=name)
+            right.plot(
+                s if name != "correspondence" else plain_plate[0],
+                line.reference("u", plain_plate[0]),
+                "k--",
+                label="FE",
+            )
+            right.set(xlabel="x", ylabel="u_x", title="plate with diamond hole, middle line")
+            right.legend(fontsize=8)
+        left.legend(fontsize=8)
+        figure.savefig(folder / f"{name}.png", dpi=80)
+    for leftover in (folder / "last_run").glob("*"):
+        leftover.unlink()
+    (folder / "last_run").rmdir()
+
+
+if __name__ == "__main__":
+    main()

@@ -82,6 +82,24 @@ def test_checkerboard_in_a_cube_is_resisted(control):
     assert work["controlled"] - work["plain"] > 0.1 * kappa
 
 
+@pytest.mark.parametrize("scheme", [pd.StressPoints(), pd.SubHorizons(), pd.BondAssociated()], ids=lambda s: str(s))
+def test_schemes_without_zero_energy_modes_resist_a_checkerboard(scheme):
+    x = np.array(list(itertools.product(range(9), repeat=3)), dtype=float)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015)
+    families = find_families(cloud)
+    omega = np.ones(len(families.neighbours))
+    material_of = np.zeros(len(x), dtype=np.int32)
+    u = np.where(x.sum(axis=1) % 2 == 0, 0.05, -0.05)[:, None] * np.array([1.0, 0.0, 0.0])
+    inner = np.all((x > 2.5) & (x < 5.5), axis=1)
+    work = []
+    for chosen in (pd.Correspondence(), scheme):
+        model = Model(cloud, families, omega, chosen, [pd.LinearElastic(1.0)], material_of, None)
+        work.append(np.vdot(model.internal_force(u)[inner], u[inner]) / np.vdot(u[inner], u[inner]))
+    kappa = pd.LinearElastic(1.0).bulk_like_modulus(3)
+    assert abs(work[0]) < 1e-10 * kappa
+    assert work[1] > 0.1 * kappa
+
+
 def test_silling_is_unit_free():
     """The same body in mm and MPa and in m and Pa resists alike."""
     ratios = []

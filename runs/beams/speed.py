@@ -1,9 +1,9 @@
-"""Speed against error of every method: python runs/beams/speed.py [folder] [clamped|cantilever|relaxation ...].
+"""Speed against error of every method: python runs/beams/speed.py [folder] [clamped|cantilever|plate|relaxation ...].
 
-Clamped beam and cantilever with every scheme, and plain correspondence with every control, at horizons 1 to 3 and three
-spacings, each in a process of its own; then the clamped beam in one load step by Newton's method and by dynamic
-relaxation (Hashim et al., figure 16). Leaves one table and one picture a problem: seconds of set-up and solve and peak
-memory against the relative error. An interrupted study goes on where it was.
+Clamped beam, cantilever and plate with a square opening, with every scheme and plain correspondence with every control,
+at horizons 1 to 3 and three spacings, each run in a process of its own; then the clamped beam in one load step by
+Newton's method and by dynamic relaxation (Hashim et al., figure 16). Leaves one table and one picture a problem: seconds
+of set-up and solve and peak memory against the relative error. An interrupted study goes on where it was.
 """
 
 import sys
@@ -17,16 +17,19 @@ words = study.start("beams")
 import pdpetsc as pd  # noqa: E402
 from pdpetsc.compare import compare  # noqa: E402
 
-HERE = Path(__file__).parent
 CONTROLLED = [name for name in pd.CONTROLS if name != "none"]
-SIZES = {"clamped": ("3", "5", "9"), "cantilever": ("5", "9", "15")}
-ERROR = {"clamped": "error", "cantilever": "w_error"}
 HORIZONS = ("1.015", "2.015", "3.015")
+# Case file, the parameter that sets the spacing, its values, the result that is the error.
+PROBLEMS = {
+    "clamped": ("beams/clamped.py", "ny", ("3", "5", "9"), "error"),
+    "cantilever": ("beams/cantilever.py", "ny", ("5", "9", "15"), "w_error"),
+    "plate": ("plates/square_opening.py", "dx", ("4", "2", "1"), "error"),
+}
 
 
 def outcomes(folder, case, choices, words=()):
     """Run all combinations and return them, failed ones included."""
-    return compare(HERE / f"{case}.py", choices, folder, 1, list(words))
+    return compare(study.RUNS / case, choices, folder, 1, list(words))
 
 
 def save(folder, name, title, done, error, label):
@@ -44,41 +47,42 @@ def save(folder, name, title, done, error, label):
     study.write_curves(folder, name, title, ("seconds of set-up and solve", "relative error"), curves, **axes)
 
 
-def methods(folder, case):
-    """Every method on one beam, a picture per horizon."""
+def methods(folder, name):
+    """Every method on one problem, a picture per horizon."""
+    path, size, sizes, error = PROBLEMS[name]
     for horizon in HORIZONS:
-        plain = {"scheme": list(pd.SCHEMES), "control": ["none"], "horizon": [horizon], "ny": SIZES[case]}
+        plain = {"scheme": list(pd.SCHEMES), "control": ["none"], "horizon": [horizon], size: sizes}
         other = plain | {"scheme": ["correspondence"], "control": CONTROLLED}
-        done = outcomes(folder / case, case, plain) + outcomes(folder / case, case, other)
-        title = f"{case.capitalize()} beam, horizon {horizon} dx"
+        done = outcomes(folder / name, path, plain) + outcomes(folder / name, path, other)
 
         def label(parameters):
             return parameters["scheme"] if parameters["control"] == "none" else parameters["control"]
 
-        save(folder, f"{case}_{horizon}", title, done, ERROR[case], label)
+        save(folder, f"{name}_{horizon}", f"{name.capitalize()}, horizon {horizon} dx", done, error, label)
 
 
 def relaxation(folder):
     """The clamped beam in one step by Newton's method and by dynamic relaxation."""
-    choices = {"ny": SIZES["clamped"], "steps": ["1"]}
-    done = outcomes(folder / "newton", "clamped", choices)
-    relaxed = outcomes(folder / "relaxation", "clamped", choices, ("--solver", "relaxation"))
+    path, size, sizes, error = PROBLEMS["clamped"]
+    choices = {size: sizes, "steps": ["1"]}
+    done = outcomes(folder / "newton", path, choices)
+    relaxed = outcomes(folder / "relaxation", path, choices, ("--solver", "relaxation"))
     for name, found in (("newton", done), ("relaxation", relaxed)):
         for outcome in found:
             outcome.parameters["solver"] = name
-    save(folder, "fig_16", "Hashim Fig. 16", done + relaxed, "error", lambda parameters: parameters["solver"])
+    save(folder, "fig_16", "Hashim Fig. 16", done + relaxed, error, lambda parameters: parameters["solver"])
 
 
 def main():
-    chosen = words[1:] or ["clamped", "cantilever", "relaxation"]
+    chosen = words[1:] or [*PROBLEMS, "relaxation"]
     folder = study.folder_for(words, "out/speed")
     for name in chosen:
         if name == "relaxation":
             relaxation(folder)
-        elif name in SIZES:
+        elif name in PROBLEMS:
             methods(folder, name)
         else:
-            sys.exit(f"There is no study {name}; choose from clamped, cantilever, relaxation.")
+            sys.exit(f"There is no study {name}; choose from {', '.join(PROBLEMS)}, relaxation.")
 
 
 if __name__ == "__main__":

@@ -125,4 +125,5 @@ def block(dx=2.5):
 
 if __name__ == "__main__":
     found = {"square_opening": square(), "diamond_hole": diamond(), "brick": block()}
+    found["square_opening_fine"] = square(dx=0.5)
     STORE.write_text(json.dumps(found) + "\n")

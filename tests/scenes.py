@@ -1,6 +1,8 @@
 """Tables of what the property tests run over, and small bodies. A new model gets one row here."""
 
 import itertools
+import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -8,7 +10,11 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import Assembler, Model
+from pdpetsc.model import Model
+
+sys.path.append(str(Path(__file__).parent.parent / "runs"))
+from study import dense_tangent as dense_tangent
+
 
 DIMS = (1, 2, 3)
 MATERIALS = {
@@ -78,21 +84,6 @@ def displacement(model, rng, size=0.05):
     while not model.all_admissible(2.0 * u):
         u *= 0.5
     return u
-
-
-def dense_tangent(model, u):
-    """Return K(u) of a model on one process as a dense matrix."""
-    assembler = Assembler(model)
-    dim, rows = model.dim, assembler.pattern.owned
-    values = np.empty(dim * dim * int(rows.diag_ptr[-1]))
-    assembler.assemble(u, values, np.empty(0))
-    n = model.cloud.n_owned
-    K = np.zeros((n, dim, n, dim))
-    for a in range(n):
-        first, last = rows.diag_ptr[a], rows.diag_ptr[a + 1]
-        block = values[dim * dim * first : dim * dim * last].reshape(dim, last - first, dim)
-        K[a][:, rows.columns[first:last], :] = block
-    return K.reshape(n * dim, n * dim)
 
 
 def rotation(dim, rng):

@@ -2,8 +2,8 @@
 
 Clamped beam, cantilever and plate with a square opening, with every scheme and plain correspondence with every control,
 at horizons 1 to 3 and three spacings, each run in a process of its own; then the clamped beam in one load step by
-Newton's method and by dynamic relaxation (Hashim et al., figure 16). Leaves one table and one picture a problem: seconds
-of set-up and solve and peak memory against the relative error. An interrupted study goes on where it was.
+Newton's method and by dynamic relaxation (Hashim et al., figure 16). Leaves one table and one picture a problem:
+seconds of set-up and solve and peak memory against the relative error. An interrupted study goes on where it was.
 """
 
 import sys

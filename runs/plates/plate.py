@@ -56,6 +56,12 @@ class Line:
         stored = json.loads(REFERENCE.read_text())[self.name]
         return np.interp(s, stored["s"], stored[quantity])
 
+    def compare(self, solution, quantity, field):
+        """Return the error along the line and the size of the reference."""
+        s, found = self.values(solution, field)
+        exact = solution.t * self.reference(quantity, s)
+        return found - exact, np.abs(exact)
+
 
 @dataclass(frozen=True)
 class Amplitude(pd.Quantity):
@@ -66,11 +72,9 @@ class Amplitude(pd.Quantity):
     field: Callable
 
     def evaluate(self, solution):
-        s, found = self.line.values(solution, self.field)
-        exact = solution.t * self.line.reference(self.quantity, s)
-        size = np.abs(exact)
+        error, size = self.line.compare(solution, self.quantity, self.field)
         counts = size > SMALL * size.max() if size.max() > 0.0 else size < 0.0
-        return float((np.abs(found - exact)[counts] / size[counts]).mean()) if counts.any() else 0.0
+        return float((np.abs(error)[counts] / size[counts]).mean()) if counts.any() else 0.0
 
 
 @dataclass(frozen=True)
@@ -82,11 +86,9 @@ class Oscillation(pd.Quantity):
     field: Callable
 
     def evaluate(self, solution):
-        s, found = self.line.values(solution, self.field)
-        exact = solution.t * self.line.reference(self.quantity, s)
-        size = np.abs(exact).max()
-        second = np.diff(found - exact, 2)[ENDS:-ENDS]
-        return float(np.abs(second).max() / size) if size > 0.0 else 0.0
+        error, size = self.line.compare(solution, self.quantity, self.field)
+        second = np.diff(error, 2)[ENDS:-ENDS]
+        return float(np.abs(second).max() / size.max()) if size.max() > 0.0 else 0.0
 
 
 def displacement_x(solution):

@@ -15,7 +15,6 @@ from pdpetsc.model import Model
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 from study import dense_tangent as dense_tangent
 
-
 DIMS = (1, 2, 3)
 MATERIALS = {
     "hencky": pd.Hencky(E=10.0, nu=0.3),

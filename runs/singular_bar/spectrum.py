@@ -18,16 +18,16 @@ import numpy as np  # noqa: E402
 import pdpetsc as pd  # noqa: E402
 
 METHODS = {
-    "plain": {},
+    "plain": {"scheme": pd.Correspondence()},
     "2 sub-horizons": {"scheme": pd.SubHorizons()},
     "4 sub-horizons": {"scheme": pd.SubHorizons(4)},
     "stress points": {"scheme": pd.StressPoints()},
     "bond-associated": {"scheme": pd.BondAssociated()},
     "corrected, order 4": {"scheme": pd.Corrected(4)},
     "higher order 3": {"scheme": pd.HigherOrder(3)},
-    "Silling": {"stabilisation": pd.Silling()},
-    "Littlewood": {"stabilisation": pd.Littlewood()},
-    "Wan": {"stabilisation": pd.Wan()},
+    "Silling": {"scheme": pd.Correspondence(), "stabilisation": pd.Silling()},
+    "Littlewood": {"scheme": pd.Correspondence(), "stabilisation": pd.Littlewood()},
+    "Wan": {"scheme": pd.Correspondence(), "stabilisation": pd.Wan()},
 }
 WAVES = 120
 

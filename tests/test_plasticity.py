@@ -180,6 +180,16 @@ def test_the_bar_follows_the_uniaxial_law_and_does_not_depend_on_ranks(tmp_path)
         assert np.abs(one - two).max() <= 1e-10 * np.abs(one).max()
 
 
+def test_the_plate_oscillates_less_with_higher_order_weights_and_least_with_sub_horizons(tmp_path):
+    found = {}
+    for scheme in ("correspondence", "higher_order", "sub_horizons"):
+        arguments = (f"scheme={scheme}", "horizon=2.015", "steps=5")
+        found[scheme] = results("runs/plasticity/plate.py", *arguments, output=tmp_path)["results"]
+    assert found["sub_horizons"]["plastic_strain"] > 0.02
+    assert found["correspondence"]["oscillation"] > 3.0 * found["higher_order"]["oscillation"]
+    assert found["higher_order"]["oscillation"] > 2.0 * found["sub_horizons"]["oscillation"]
+
+
 def test_restart_of_a_material_with_history_is_refused(tmp_path):
     results("runs/plasticity/bar.py", "steps=2", output=tmp_path)
     finished = run("runs/plasticity/bar.py", "--restart", tmp_path / "checkpoint.h5", output=tmp_path / "more")

@@ -2,7 +2,7 @@
 
 Leaves ``methods.csv`` (error, sawtooth on both halves, condition number of the stiffness matrix up to n = 500) for all
 methods, numbers of particles and horizons, and the curves of figure 7 of Luo and Sundararaghavan (displacement and its
-relative error at n = 500) and of figures 2 to 6 of Chowdhury et al. (n = 4000).
+relative error at n = 500) and of figures 1 to 6 of Chowdhury et al. (n = 4000).
 """
 
 import sys
@@ -99,8 +99,34 @@ def curves(folder, name, title, n, chosen, window=(0.0, 1.0), error=False):
     )
 
 
+def gradients(folder):
+    """Chowdhury Fig. 1: the gradient of y = x + a sin(2 pi x / L) by plain and corrected operators, 400 particles."""
+    length, n = 0.2, 400
+    amplitude = 0.9 * length / (2.0 * np.pi)
+    schemes = {"plain": pd.Correspondence(), "order 3": pd.Corrected(3), "order 6": pd.Corrected(6)}
+    found = {}
+    for name, scheme in schemes.items():
+        case = pd.Case(
+            particles=pd.Lattice((0.0,), (3.0 * length,), length / n),
+            horizon=0.5 * length,
+            material=pd.LinearElastic(E=1.0),
+            scheme=scheme,
+            conditions=[],
+        )
+        model = study.build(case)
+        x = model.cloud.x
+        F = 1.0 + model.operator.gradient(amplitude * np.sin(2.0 * np.pi * x / length))[:, 0, 0]
+        middle = (x[:, 0] > length) & (x[:, 0] < 2.0 * length)
+        found[name] = (x[middle, 0] - length, F[middle])
+    s = found["plain"][0]
+    found["local F"] = (s, 1.0 + 0.9 * np.cos(2.0 * np.pi * s / length))
+    title = "Chowdhury Fig. 1: deformation gradients, horizon L/2"
+    study.write_curves(folder, "chowdhury_fig_1", title, ("x", "F"), found, ["local F"])
+
+
 def main():
     folder = study.folder_for(words, "out/singular_bar")
+    gradients(folder)
     luo = {
         "no control": {},
         "springs": {"spring": SPRINGS[500]},

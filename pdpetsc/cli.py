@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import petsc4py
 
-from pdpetsc.errors import CaseError, PdpetscError
+from pdpetsc.errors import CaseError, Interrupted, PdpetscError
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -243,7 +243,10 @@ def _compare(argv: list[str]) -> int:
         for value in values:
             arguments_of(function, {name: value})
     output = arguments.output or Path("out") / f"compare_{arguments.path.stem}"
-    compare.refuse_failed(compare.compare(arguments.path, choices, output, ranks, petsc), output)
+    try:
+        compare.refuse_failed(compare.compare(arguments.path, choices, output, ranks, petsc), output)
+    except KeyboardInterrupt:
+        raise Interrupted(f"Stopped; the same command goes on with what {output} holds.") from None
     return 0
 
 

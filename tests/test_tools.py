@@ -78,11 +78,15 @@ def test_compare_runs_every_combination_once(tmp_path):
 
 def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
     words = [sys.executable, "-m", "pdpetsc", "compare", CLAMPED, "ny=3,5,7", "steps=1", "-o", str(tmp_path)]
-    process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL, start_new_session=True)
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, start_new_session=True, **pipes)
     while not list(tmp_path.glob("ny=3*/compare.json")):
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
-    process.wait(60)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "the same command goes on" in message
+    assert "Traceback" not in message
     first = next(tmp_path.glob("ny=3*/compare.json")).stat().st_mtime
     assert tool(*words[3:]).returncode == 0
     assert len(table(tmp_path)) == 3

@@ -2,10 +2,11 @@
 
 import pytest
 
+import pdpetsc as pd
 from tests.commands import ROOT, jacobian_ratios, results, run
 
 
-@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+@pytest.mark.parametrize("scheme", pd.SCHEMES)
 @pytest.mark.parametrize("loading", ["displacement", "consistent"])
 @pytest.mark.parametrize("horizon", [1.015, 2.015, 3.015])
 def test_hydrostatic_extension_is_exact(scheme, loading, horizon, tmp_path):
@@ -24,7 +25,7 @@ def test_hydrostatic_load_on_the_outer_layer_converges_with_the_spacing(tmp_path
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+@pytest.mark.parametrize("scheme", pd.SCHEMES)
 def test_consistent_traction_gives_a_uniform_gradient(dim, scheme, tmp_path):
     for horizon in (1.015, 2.015) if dim == 3 else (1.015, 2.015, 3.015):
         arguments = (f"dim={dim}", f"scheme={scheme}", f"horizon={horizon}", f"n={8 if dim == 3 else 10}")

@@ -12,6 +12,8 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.gradient.sectors import sector_operator
 
+# The weighted mean bond of a family that is cut or irregular is longer than this share of the mean bond length.
+UNBALANCED = 0.02
 # A bond whose angle to the dividing plane has a smaller sine lies in it.
 IN_PLANE = 1e-8
 
@@ -21,7 +23,9 @@ class StressPoints(Scheme):
     """Stress points: a family is halved by the plane across a diagonal, each half has a gradient point.
 
     The diagonal (1, +-1, +-1) is drawn per particle: one choice in 1D, two in 2D, four in 3D. A bond in the dividing
-    plane, which nearest neighbours on a lattice never have, belongs to both halves in equal parts; this extends the
+    plane, which nearest neighbours on a lattice never have, belongs to both halves in equal parts. A family that is not
+    balanced, because a boundary cuts it or positions are irregular, is halved across its mean bond instead: along a
+    flat face the halves are then mirror images of themselves and the face stays free of stress. Both rules extend the
     method to wider horizons. A particle with a half too flat to give a gradient, as at every boundary of a lattice of
     nearest neighbours, has one point over all bonds.
 
@@ -44,8 +48,15 @@ class StressPoints(Scheme):
         for d in range(1, cloud.dim):
             diagonal[:, d] -= 2.0 * ((draw >> np.uint64(d - 1)) & np.uint64(1)).astype(float)
         xi = families.bonds(cloud.x)
+        length = np.linalg.norm(xi, axis=1)
+        weight = omega * cloud.volume[families.neighbours]
+        mean, size = np.zeros_like(diagonal), np.zeros(cloud.n_owned)
+        np.add.at(mean, families.centres, weight[:, None] * xi)
+        np.add.at(size, families.centres, weight * length)
+        unbalanced = np.linalg.norm(mean, axis=1) > UNBALANCED * size
+        diagonal[unbalanced] = mean[unbalanced]
+        diagonal /= np.linalg.norm(diagonal, axis=1, keepdims=True)
         along = np.einsum("bd,bd->b", xi, diagonal[families.centres])
-        length = np.linalg.norm(xi, axis=1) * np.sqrt(cloud.dim)
         ahead = np.where(np.abs(along) < IN_PLANE * length, 0.5, (along > 0.0).astype(float))
         share = np.stack([1.0 - ahead, ahead], axis=1)
         distance = np.array([[0.0, 1.0], [1.0, 0.0]])

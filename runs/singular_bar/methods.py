@@ -1,8 +1,8 @@
 """Every method on the singular bar: python runs/singular_bar/methods.py [folder].
 
 Leaves ``methods.csv`` (error, sawtooth on both halves, condition number of the stiffness matrix up to n = 500) for all
-methods, numbers of particles and horizons, and the curves of figure 7 of Luo and Sundararaghavan (displacement and its
-relative error at n = 500) and of figures 1 to 6 of Chowdhury et al. (n = 4000).
+methods, numbers of particles and horizons, and the curves of figure 7 of Luo and Sundararaghavan (displacement, strain
+and their relative errors at n = 500) and of figures 1 to 6 of Chowdhury et al. (n = 4000).
 """
 
 import sys
@@ -75,28 +75,28 @@ def table(folder):
     return rows
 
 
-def profile(folder, case):
-    """Return positions and displacements of the solved bar."""
+def profile(folder, case, strain):
+    """Return positions and displacements, or strains F - 1, of the solved bar."""
     pd.run(case, output=folder / "profile", quiet=True)
     with h5py.File(folder / "profile" / "fields.h5") as file:
-        return file["particles/position"][:, 0], file["step_00001/displacement"][:, 0]
+        x, step = file["particles/position"][:, 0], file["step_00001"]
+        return x, step["deformation_gradient"][:, 0] - 1.0 if strain else step["displacement"][:, 0]
 
 
-def curves(folder, name, title, n, chosen, window=(0.0, 1.0), error=False):
-    """Write displacement (or its relative error) of ``chosen`` {label: parameters} inside a window of x."""
+def curves(folder, name, title, n, chosen, window=(0.0, 1.0), error=False, strain=False):
+    """Write displacement or strain, or its relative error, of ``chosen`` {label: parameters} in a window of x."""
     found = {}
     for label, parameters in chosen.items():
-        x, u = profile(folder, bar.case(n=n, **parameters))
+        x, u = profile(folder, bar.case(n=n, **parameters), strain)
         inside = (x >= window[0]) & (x <= window[1])
-        exact = bar.exact(x[:, None], 1.0)[:, 0]
+        exact = bar.exact_gradient(x[:, None], 1.0)[:, 0, 0] - 1.0 if strain else bar.exact(x[:, None], 1.0)[:, 0]
         values = np.abs(u / np.where(exact > 0.0, exact, 1.0) - 1.0) * (exact > 0.0) if error else u
         found[label] = (x[inside], values[inside])
     if not error:
         found["local solution"] = (x[inside], exact[inside])
-    axes = {"yscale": "log", "ylim": (1e-6, 1.0)} if error else {}
-    study.write_curves(
-        folder, name, title, ("x", "relative error" if error else "u"), found, ["local solution"], **axes
-    )
+    axes = {"yscale": "log", "ylim": (1e-6, 1.0)} if error else {"ylim": (0.0, 0.02)} if strain else {}
+    columns = ("x", "relative error" if error else "strain" if strain else "u")
+    study.write_curves(folder, name, title, columns, found, ["local solution"], **axes)
 
 
 def gradients(folder):
@@ -135,6 +135,8 @@ def main():
     }
     curves(folder, "luo_fig_7a", "Luo Fig. 7a: displacement, n = 500", 500, luo)
     curves(folder, "luo_fig_7b", "Luo Fig. 7b: amplitude, n = 500", 500, luo, error=True)
+    curves(folder, "luo_fig_7c", "Luo Fig. 7c: strain, n = 500", 500, luo, strain=True)
+    curves(folder, "luo_fig_7d", "Luo Fig. 7d: amplitude of the strain, n = 500", 500, luo, error=True, strain=True)
     plain = {f"plain, horizon {h} dx": {"horizon": h} for h in (1.1, 2.1, 4.1, 5.1)}
     curves(folder, "chowdhury_fig_2", "Chowdhury Fig. 2: plain, n = 4000", 4000, plain, (0.45, 0.55))
     orders = {f"order {N}": {"horizon": 5.1, "scheme": "corrected", "order": N} for N in (6, 7, 8)}

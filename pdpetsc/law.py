@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.errors import CaseError
-from pdpetsc.material.base import ElasticMaterial, HistoryMaterial, Material
+from pdpetsc.material.base import ElasticMaterial, HistoryKernels, HistoryMaterial, Material, PointKernels
 
 
 class Law(ABC):
@@ -18,32 +18,44 @@ class Law(ABC):
     ----------
     material : Material
         The law.
+    kernels
+        Its compiled loops.
     points : int64
         Its gradient points.
     dim : int
         Dimension of the body.
     factor : (n_points,) float64 or None
         What multiplies its moduli at each of these points [-], where it is graded.
+    history : (n_points, n_history) float64, optional
+        What its loops read besides the constants.
     """
 
-    def __init__(self, material: Material, points: GlobalIndex, dim: int, factor: Float | None) -> None:
+    def __init__(
+        self, material: Material, kernels: PointKernels | HistoryKernels, points: GlobalIndex, dim: int,
+        factor: Float | None, *history: Float,
+    ) -> None:  # fmt: skip
         self.material = material
         self.points = points
         self.dim = dim
         self.factor = factor
-        self.constants = material.constants(dim)
+        self._kernels = kernels
+        # What every loop reads: constants, and the history where there is one.
+        self._inputs = (material.constants(dim), *history)
 
-    @abstractmethod
     def stress(self, F: Float, P: Float) -> None:
         """Write P (all points, dim, dim) at its points."""
+        self._kernels.stress(F, self.points, *self._inputs, P)
+        self._scale(P)
 
-    @abstractmethod
     def tangent(self, F: Float, A: Float) -> None:
         """Write A (all points, dim, dim, dim, dim) at its points."""
+        self._kernels.tangent(F, self.points, *self._inputs, A)
+        self._scale(A)
 
-    @abstractmethod
     def energy(self, F: Float, psi: Float) -> None:
         """Write the energy density (all points,) at its points."""
+        self._kernels.energy(F, self.points, *self._inputs, psi)
+        self._scale(psi)
 
     @abstractmethod
     def commit(self, F: Float) -> None:
@@ -74,23 +86,7 @@ class ElasticLaw(Law):
     """An elastic material at its points."""
 
     def __init__(self, material: ElasticMaterial, points: GlobalIndex, dim: int, factor: Float | None) -> None:
-        super().__init__(material, points, dim, factor)
-        self._kernels = material.kernels(dim)
-
-    def stress(self, F: Float, P: Float) -> None:
-        """Write P at its points."""
-        self._kernels.stress(F, self.points, self.constants, P)
-        self._scale(P)
-
-    def tangent(self, F: Float, A: Float) -> None:
-        """Write A at its points."""
-        self._kernels.tangent(F, self.points, self.constants, A)
-        self._scale(A)
-
-    def energy(self, F: Float, psi: Float) -> None:
-        """Write the energy density at its points."""
-        self._kernels.energy(F, self.points, self.constants, psi)
-        self._scale(psi)
+        super().__init__(material, material.kernels(dim), points, dim, factor)
 
     def commit(self, F: Float) -> None:
         """Remember nothing: the stress depends on F alone."""
@@ -109,38 +105,24 @@ class HistoryLaw(Law):
     """A material with history at its points."""
 
     def __init__(self, material: HistoryMaterial, points: GlobalIndex, dim: int, factor: Float | None) -> None:
-        super().__init__(material, points, dim, factor)
-        self._kernels = material.history_kernels(dim)
+        self._history = material.initial_history(dim, len(points))
+        kernels = material.history_kernels(dim)
+        super().__init__(material, kernels, points, dim, factor, self._history)
+        self._commit = kernels.commit
         self._plastic_strain = material.plastic_strain
-        self.history = material.initial_history(dim, len(points))
+
+    def commit(self, F: Float) -> None:
+        """Make the state at F the one that the next step starts from."""
+        self._commit(F, self.points, *self._inputs)
+
+    def plastic_strain(self) -> Float:
+        """Return the accumulated plastic strain at its points (n,) [-]."""
+        return self._plastic_strain(self._history)
 
     @property
     def has_history(self) -> bool:
         """Return True."""
         return True
-
-    def stress(self, F: Float, P: Float) -> None:
-        """Write P at its points."""
-        self._kernels.stress(F, self.points, self.constants, self.history, P)
-        self._scale(P)
-
-    def tangent(self, F: Float, A: Float) -> None:
-        """Write A at its points."""
-        self._kernels.tangent(F, self.points, self.constants, self.history, A)
-        self._scale(A)
-
-    def energy(self, F: Float, psi: Float) -> None:
-        """Write the energy density at its points."""
-        self._kernels.energy(F, self.points, self.constants, self.history, psi)
-        self._scale(psi)
-
-    def commit(self, F: Float) -> None:
-        """Make the state at F the one that the next step starts from."""
-        self._kernels.commit(F, self.points, self.constants, self.history)
-
-    def plastic_strain(self) -> Float:
-        """Return the accumulated plastic strain at its points (n,) [-]."""
-        return self._plastic_strain(self.history)
 
 
 def make_law(material: Material, points: GlobalIndex, dim: int, factor: Float | None) -> Law:

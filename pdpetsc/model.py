@@ -138,7 +138,10 @@ class Model:
 
     def tangent_times(self, u: Float, du: Float) -> Float:
         """Return ``K(u) du`` (n_owned, dim) [force] without assembling K."""
-        A = self.moduli(self.deformation(self.with_ghosts(u)))
+        return self.moduli_times(self.moduli(self.deformation(self.with_ghosts(u))), du)
+
+    def moduli_times(self, A: Float, du: Float) -> Float:
+        """Return ``(G^T W A G + K_control) du`` (n_owned, dim) [force] for moduli A at the points."""
         du_local = self.with_ghosts(du)
         f = np.zeros_like(du_local)
         self.operator.divergence(np.einsum("pimkn,pkn->pim", A, self.operator.gradient(du_local)), f)

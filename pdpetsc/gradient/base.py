@@ -16,6 +16,8 @@ from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_k
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
 FLAT = 1e-6
+# Part of a family is too thin to stand alone below this share: sectors of a lattice stay above 0.2.
+THIN = 1e-2
 NAMED_IDS = 5
 
 
@@ -114,11 +116,11 @@ class Scheme(ABC):
         """
 
 
-def flat(K: Float) -> Mask:
-    """Return which shape tensors are singular to within ``FLAT``."""
+def flat(K: Float, share: float = FLAT) -> Mask:
+    """Return which shape tensors have their smallest eigenvalue below ``share`` of the mean one."""
     low = np.linalg.eigvalsh(K)[:, 0]
     mean = np.einsum("pii->p", K) / K.shape[1]
-    return np.asarray(low <= FLAT * mean)
+    return np.asarray(low <= share * mean)
 
 
 def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
@@ -126,6 +128,28 @@ def whole_families(cloud: Cloud, families: Families, weight: Float) -> Stencils:
     n = cloud.n_owned
     centres = np.arange(n, dtype=np.int32)
     return with_centres(centres, families.indptr, families.neighbours, weight)
+
+
+def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name: str) -> Float:
+    """Return the shape tensors of the families of the own particles (n_owned, dim, dim) for weights (n_bonds,).
+
+    Raises
+    ------
+    CaseError
+        A family is too small or flat for what ``name`` says, on every rank.
+
+    Notes
+    -----
+    Collective.
+    """
+    K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
+    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][flat(K)], name)
+    return K
+
+
+def correspondence_weights(families: Families, x: Float, weight: Float, K_inverse: Float) -> Float:
+    """Return ``g_ij = weight_ij K_i^-1 xi_ij`` (n_bonds, dim): the gradient of the whole family, bond by bond."""
+    return np.asarray(weight[:, None] * np.einsum("bmn,bn->bm", K_inverse[families.centres], families.bonds(x)))
 
 
 def with_centres(owner: LocalIndex, point_ptr: GlobalIndex, members: LocalIndex, weight: Float) -> Stencils:
@@ -164,11 +188,14 @@ def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
     return np.asarray(cloud.volume[owner] / count[owner])
 
 
-def refuse_flat(comm: Comm, gid: GlobalIndex, what: str, remedy: str) -> None:
+def refuse_flat(comm: Comm, gid: GlobalIndex, what: str) -> None:
     """Raise the same error on all ranks if any rank names a particle with a flat family (collective)."""
     count = int(total(comm, len(gid)))
     if count == 0:
         return
     ids = sorted(int(i) for part in comm.allgather(gid[:NAMED_IDS]) for i in part)[:NAMED_IDS]
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
-    raise CaseError(f"{count} particles have a family too small or too flat for {what} (ids {listed}); {remedy}.")
+    raise CaseError(
+        f"{count} particles have a family too small or too flat for {what} (ids {listed}); widen the horizon or add "
+        f"particles there."
+    )

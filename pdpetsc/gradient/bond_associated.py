@@ -12,8 +12,15 @@ from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families, with_centres
-from pdpetsc.gradient.sectors import thin
+from pdpetsc.gradient.base import (
+    THIN,
+    GradientOperator,
+    Scheme,
+    flat,
+    operator,
+    regular_shape_tensors,
+    with_centres,
+)
 from pdpetsc.kernels.gradient import bond_families_kernel, bond_family_sizes_kernel
 
 # Radii of the family of a bond that are tried in turn, over the one asked for; the last takes in the whole family.
@@ -48,11 +55,7 @@ class BondAssociated(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
-        singular = flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
-        refuse_flat(
-            cloud.comm, cloud.gid[: cloud.n_owned][singular], "bond-associated gradients",
-            "widen the horizon or add particles there",
-        )  # fmt: skip
+        regular_shape_tensors(cloud, families, weight, "bond-associated gradients")
         centres = families.centres
         radius = np.full(len(centres), self.radius * cloud.horizon * (1.0 + HORIZON_TOLERANCE))
         wider = 0
@@ -66,7 +69,7 @@ class BondAssociated(Scheme):
             stencils = with_centres(centres, point_ptr, families.neighbours[bonds], weight[bonds])
             if following is None:
                 break
-            bad = thin(stencils.shape_tensors(cloud.x))
+            bad = flat(stencils.shape_tensors(cloud.x), THIN)
             if factor == 1.0:
                 wider = int(bad.sum())
             if not bad.any():

@@ -8,11 +8,10 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Scheme, from_bond_weights, refuse_flat
-from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, largest_gain, solve
+from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, conditioning_note, largest_gain, solve
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,11 @@ class Corrected(Scheme):
             conditions = Conditions.of_degrees(cloud.dim, 1, order)
             target = np.eye(len(conditions.exponents), cloud.dim)
             remaining = [alone[:0]]
-            for part, bonds, first in blocks(families.indptr, left, len(conditions.exponents)):
+            for part, bonds, first, owner in blocks(families.indptr, left, len(conditions.exponents)):
                 q = conditions.values(xi[bonds])
                 c, unmet, condition = solve(
                     q, weight[bonds], first, np.broadcast_to(target, (len(part), *target.shape))
                 )
-                owner = np.repeat(np.arange(len(part)), np.diff(np.append(first, len(bonds))))
                 g[bonds] = np.einsum("bq,bqm->bm", q, c[owner]) * weight[bonds, None] / cloud.horizon
                 met = unmet <= MET
                 if order > 1:
@@ -67,9 +65,5 @@ class Corrected(Scheme):
             left = np.concatenate(remaining)
             lowered += len(left) if order > 1 else 0
         failed = np.concatenate([left, alone])
-        refuse_flat(cloud.comm, cloud.gid[failed], "a corrected gradient", "widen the horizon or add particles there")
-        steps, condition_number = int(total(cloud.comm, lowered)), largest(cloud.comm, worst)
-        note = f"moment matrices have condition numbers up to {condition_number:.1e}"
-        if steps:
-            note += f"; the order was lowered {steps} times where families are too small for it"
-        return from_bond_weights(cloud, families, g, note)
+        refuse_flat(cloud.comm, cloud.gid[failed], "a corrected gradient")
+        return from_bond_weights(cloud, families, g, conditioning_note(cloud.comm, worst, lowered))

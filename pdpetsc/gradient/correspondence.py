@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families
+from pdpetsc.gradient.base import GradientOperator, Scheme, operator, regular_shape_tensors, whole_families
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,6 @@ class Correspondence(Scheme):
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""
-        stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
-        singular = flat(stencils.shape_tensors(cloud.x))
-        refuse_flat(
-            cloud.comm, cloud.gid[stencils.owner[singular]], "plain correspondence",
-            "widen the horizon or add particles there",
-        )  # fmt: skip
-        return operator(cloud, stencils)
+        weight = omega * cloud.volume[families.neighbours]
+        regular_shape_tensors(cloud, families, weight, "plain correspondence")
+        return operator(cloud, whole_families(cloud, families, weight))

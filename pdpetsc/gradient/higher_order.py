@@ -8,11 +8,17 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator, Scheme, flat, operator, refuse_flat, whole_families
-from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, largest_gain, solve
+from pdpetsc.gradient.base import (
+    GradientOperator,
+    Scheme,
+    correspondence_weights,
+    operator,
+    regular_shape_tensors,
+    whole_families,
+)
+from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, conditioning_note, largest_gain, solve
 
 
 @dataclass(frozen=True)
@@ -43,13 +49,9 @@ class HigherOrder(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
-        K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
-        refuse_flat(
-            cloud.comm, cloud.gid[: cloud.n_owned][flat(K)], "higher-order weights",
-            "widen the horizon or add particles there",
-        )  # fmt: skip
+        K = regular_shape_tensors(cloud, families, weight, "higher-order weights")
         xi = families.bonds(cloud.x)
-        plain = weight[:, None] * np.einsum("bmn,bn->bm", np.linalg.inv(K)[families.centres], xi)
+        plain = correspondence_weights(families, cloud.x, weight, np.linalg.inv(K))
         C = np.ones(len(weight))
         left = np.arange(cloud.n_owned)
         worst, lowered = 1.0, 0
@@ -57,13 +59,12 @@ class HigherOrder(Scheme):
             conditions = Conditions.of_degrees(cloud.dim, 2, order + 1)
             higher = conditions.exponents.sum(axis=1) > 2
             remaining = [left[:0]]
-            for part, bonds, first in blocks(families.indptr, left, len(conditions.exponents)):
+            for part, bonds, first, owner in blocks(families.indptr, left, len(conditions.exponents)):
                 q = conditions.values(xi[bonds] / cloud.horizon)
                 moments = np.add.reduceat(weight[bonds, None] * q, first, axis=0)
                 target = np.where(higher, -moments, 0.0)[:, :, None]
                 c, unmet, condition = solve(q, weight[bonds], first, target)
                 size = np.abs(moments).max(axis=1)
-                owner = np.repeat(np.arange(len(part)), np.diff(np.append(first, len(bonds))))
                 correction = 1.0 + np.einsum("bq,bqm->b", q, c[owner])
                 met = unmet * np.abs(target).max(axis=(1, 2)) <= MET * size
                 met &= largest_gain(plain[bonds] * correction[:, None], first, cloud.horizon) <= GAIN
@@ -72,8 +73,5 @@ class HigherOrder(Scheme):
                 C[bonds] = np.where(met[owner], correction, 1.0)
             left = np.concatenate(remaining)
             lowered += len(left)
-        steps, condition_number = int(total(cloud.comm, lowered)), largest(cloud.comm, worst)
-        note = f"moment matrices have condition numbers up to {condition_number:.1e}"
-        if steps:
-            note += f"; the order was lowered {steps} times where families are too small for it"
+        note = conditioning_note(cloud.comm, worst, lowered)
         return operator(cloud, whole_families(cloud, families, C * weight), note)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.discrete.communicator import Comm, largest, total
 
 # Eigenvalues of a moment matrix, scaled by the horizon, below this share of the largest count as zero.
 RANK = 1e-10
@@ -47,8 +48,8 @@ class Conditions:
 
 def blocks(
     indptr: GlobalIndex, chosen: GlobalIndex, width: int
-) -> Iterator[tuple[GlobalIndex, GlobalIndex, GlobalIndex]]:
-    """Yield chosen families in blocks: their numbers, their bonds, and where each of them starts among these."""
+) -> Iterator[tuple[GlobalIndex, GlobalIndex, GlobalIndex, GlobalIndex]]:
+    """Yield chosen families in blocks: their numbers, their bonds, where each starts among these, and whose each is."""
     size = np.diff(indptr)[chosen]
     start = 0
     while start < len(chosen):
@@ -57,7 +58,8 @@ def blocks(
         first = np.zeros(len(part) + 1, dtype=np.int64)
         np.cumsum(size[start:stop], out=first[1:])
         bonds = np.arange(first[-1]) + np.repeat(indptr[part] - first[:-1], size[start:stop])
-        yield part, np.asarray(bonds, dtype=np.int64), first[:-1]
+        owner = np.repeat(np.arange(len(part)), np.diff(first))
+        yield part, np.asarray(bonds, dtype=np.int64), first[:-1], owner
         start = stop
 
 
@@ -92,6 +94,13 @@ def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[F
     size = np.maximum(np.abs(target).max(axis=(1, 2)), np.finfo(float).tiny)
     lowest = np.where(kept, values, np.inf).min(axis=1)
     return c, violation / size, values[:, -1] / lowest
+
+
+def conditioning_note(comm: Comm, worst: float, lowered: int) -> str:
+    """Return what to log of the largest condition number and the orders lowered on this rank (collective)."""
+    note = f"moment matrices have condition numbers up to {largest(comm, worst):.1e}"
+    steps = int(total(comm, lowered))
+    return f"{note}; the order was lowered {steps} times where families are too small for it" if steps else note
 
 
 def largest_gain(g: Float, first: GlobalIndex, horizon: float) -> Float:

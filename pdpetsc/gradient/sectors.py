@@ -8,17 +8,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import GradientOperator, flat, operator, refuse_flat, whole_families, with_centres
-
-# A sector is merged with its neighbours when the smallest eigenvalue of its shape tensor is below this share of the
-# mean one: sectors of a lattice stay above 0.2.
-THIN = 1e-2
-
-
-def thin(K: Float) -> Mask:
-    """Return which shape tensors are too close to singular to stand alone."""
-    mean = np.einsum("pii->p", K) / K.shape[1]
-    return np.asarray(np.linalg.eigvalsh(K)[:, 0] <= THIN * mean)
+from pdpetsc.gradient.base import THIN, GradientOperator, flat, operator, refuse_flat, whole_families, with_centres
 
 
 def sector_operator(
@@ -45,10 +35,10 @@ def sector_operator(
     weight = omega * cloud.volume[families.neighbours]
     empty = np.empty((cloud.n_owned, share.shape[1]), dtype=bool)
     for a in range(share.shape[1]):
-        empty[:, a] = thin(whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x))
+        empty[:, a] = flat(whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x), THIN)
     lost = empty.all(axis=1)
     singular = lost & flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
-    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][singular], name, "widen the horizon or add particles there")
+    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][singular], name)
     centres = families.centres
     share = np.einsum("ba,bac->bc", share, _merging(empty, distance)[centres])
     share[lost[centres], 0] = 1.0

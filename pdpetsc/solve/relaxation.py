@@ -144,10 +144,11 @@ class RelaxationSolver(Solver):
         cloud = self._model.cloud
         gid = cloud.gid[: cloud.n_owned, None].astype(float)
         v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
+        A = self._model.moduli(self._model.deformation(self._model.with_ghosts(u)))
         square = 0.0
         for _ in range(POWER_ITERATIONS):
             v = v / max(self._norm(v), np.finfo(float).tiny)
-            v = np.where(self._free, self._model.tangent_times(u, v) / self._mass, 0.0)
+            v = np.where(self._free, self._model.moduli_times(A, v) / self._mass, 0.0)
             square = self._norm(v)
         # Power iterations approach the largest frequency from below.
         critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf

@@ -14,9 +14,8 @@ from pdpetsc.discrete.pattern import Pattern
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
-from pdpetsc.kernels.pattern import transpose
 from pdpetsc.kernels.stabilisation import average_force_kernel
-from pdpetsc.stabilisation.base import Control, ControlMatrix, IsotropicMatrix, Stabilisation, Stiffness
+from pdpetsc.stabilisation.base import Control, ControlMatrix, IsotropicMatrix, Stabilisation, Stiffness, fill
 
 
 @dataclass(frozen=True)
@@ -66,16 +65,5 @@ class _Averaged(Control):
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
-        transposed = transpose(self.point_ptr, self.members, self._cloud.n_local)
-        one = np.ones((len(self._c), 1, 1, 1, 1))
-        values = []
-        for rows in (pattern.owned, pattern.ghost):
-            diag, off = np.empty(rows.diag_ptr[-1]), np.empty(rows.off_ptr[-1])
-            assemble_kernel(1)(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
-                self.point_ptr, self.members, self._b[:, None], self._c, one, diag, off,
-            )  # fmt: skip
-            values.append((diag, off))
-        diag, off = values[0]
-        pattern.complete(values[1][0], diag, off, 1)
-        return IsotropicMatrix(pattern, diag, off)
+        data = self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
+        return IsotropicMatrix(pattern, *fill(pattern, 1, assemble_kernel(1), (self.point_ptr, self.members), *data))

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
 from pdpetsc.kernels.assembly import add_isotropic_kernel
+from pdpetsc.kernels.pattern import transpose
+
+Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,42 @@ class BlockMatrix(ControlMatrix):
         """Add it to the values of the own rows."""
         diag += self.diag
         off += self.off
+
+
+def fill(
+    pattern: Pattern, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float
+) -> tuple[Float, Float]:
+    """Return the values of the own rows, own columns and others, of a matrix with ``dim x dim`` values per block.
+
+    Parameters
+    ----------
+    pattern : Pattern
+        Where its blocks are.
+    dim : int
+        Block size: the dimension, or 1 for a matrix of one scalar per block.
+    kernel : callable
+        Row-wise loop with the arguments of ``kernels.assembly.assemble_kernel``.
+    stencils : (point_ptr, members)
+        What the matrix couples.
+    data
+        What the kernel reads after the stencils.
+
+    Notes
+    -----
+    Collective.
+    """
+    transposed = transpose(*stencils, pattern.cloud.n_local)
+    values = []
+    for rows in (pattern.owned, pattern.ghost):
+        diag, off = np.empty(dim * dim * rows.diag_ptr[-1]), np.empty(dim * dim * rows.off_ptr[-1])
+        kernel(
+            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
+            *stencils, *data, diag, off,
+        )  # fmt: skip
+        values.append((diag, off))
+    diag, off = values[0]
+    pattern.complete(values[1][0], diag, off, dim)
+    return diag, off
 
 
 class Control(ABC):

@@ -9,14 +9,13 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
 from pdpetsc.gradient.base import whole_families
-from pdpetsc.kernels.pattern import transpose
 from pdpetsc.kernels.stabilisation import (
     directed_force_kernel,
     directed_matrix_kernel,
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
-from pdpetsc.stabilisation.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix
+from pdpetsc.stabilisation.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, fill
 
 
 class NonUniform(Control):
@@ -50,19 +49,9 @@ class NonUniform(Control):
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix of the control (collective)."""
-        transposed = transpose(self.point_ptr, self.members, self._cloud.n_local)
         kernel = non_uniform_matrix_kernel(self._cloud.dim)
-        values = []
-        for rows in (pattern.owned, pattern.ghost):
-            diag, off = np.empty(rows.diag_ptr[-1]), np.empty(rows.off_ptr[-1])
-            kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
-                self.point_ptr, self.members, self._with_centre, self._K_inverse, self._cloud.x, diag, off,
-            )  # fmt: skip
-            values.append((diag, off))
-        diag, off = values[0]
-        pattern.complete(values[1][0], diag, off, 1)
-        return IsotropicMatrix(pattern, diag, off)
+        data = self._with_centre, self._K_inverse, self._cloud.x
+        return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (self.point_ptr, self.members), *data))
 
 
 class Directed(Control):
@@ -98,16 +87,5 @@ class Directed(Control):
         xi = self._families.bonds(cloud.x)
         T = np.zeros((cloud.n_owned, dim, dim, dim, dim))
         np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
-        transposed = transpose(self.point_ptr, self.members, cloud.n_local)
-        kernel = directed_matrix_kernel(dim)
-        values = []
-        for rows in (pattern.owned, pattern.ghost):
-            diag, off = np.zeros(dim**2 * rows.diag_ptr[-1]), np.zeros(dim**2 * rows.off_ptr[-1])
-            kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
-                self.point_ptr, self.members, self._S, self._g, T, cloud.x, diag, off,
-            )  # fmt: skip
-            values.append((diag, off))
-        diag, off = values[0]
-        pattern.complete(values[1][0], diag, off, dim)
-        return BlockMatrix(diag, off)
+        data = self._S, self._g, T, cloud.x
+        return BlockMatrix(*fill(pattern, dim, directed_matrix_kernel(dim), (self.point_ptr, self.members), *data))

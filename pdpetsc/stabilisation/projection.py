@@ -7,7 +7,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import flat, refuse_flat, whole_families
+from pdpetsc.gradient.base import correspondence_weights, regular_shape_tensors
 
 
 def gradient_weights(cloud: Cloud, families: Families, omega: Float, name: str) -> tuple[Float, Float]:
@@ -23,8 +23,5 @@ def gradient_weights(cloud: Cloud, families: Families, omega: Float, name: str) 
     Collective.
     """
     weight = omega * cloud.volume[families.neighbours]
-    K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
-    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][flat(K)], name, "widen the horizon or add particles there")
-    K_inverse = np.linalg.inv(K)
-    xi = families.bonds(cloud.x)
-    return weight[:, None] * np.einsum("bmn,bn->bm", K_inverse[families.centres], xi), K_inverse
+    K_inverse = np.linalg.inv(regular_shape_tensors(cloud, families, weight, name))
+    return correspondence_weights(families, cloud.x, weight, K_inverse), K_inverse

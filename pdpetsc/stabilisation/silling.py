@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import flat, refuse_flat, whole_families
+from pdpetsc.gradient.base import regular_shape_tensors
 from pdpetsc.stabilisation.base import Control, Stabilisation, Stiffness
 from pdpetsc.stabilisation.non_uniform import NonUniform
 
@@ -48,13 +48,9 @@ class Silling(Stabilisation):
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Return the control (collective); raises CaseError where a family is too small or flat."""
-        stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
-        K = stencils.shape_tensors(cloud.x)
-        refuse_flat(
-            cloud.comm, cloud.gid[stencils.owner[flat(K)]], "Silling's control",
-            "widen the horizon or add particles there",
-        )  # fmt: skip
+        weight = omega * cloud.volume[families.neighbours]
+        K = regular_shape_tensors(cloud, families, weight, "Silling's control")
         factor = self.G * stiffness.kappa * cloud.volume[: cloud.n_owned] / np.einsum("pii->p", K)
-        bond_stiffness = factor[families.centres] * omega * cloud.volume[families.neighbours]
+        bond_stiffness = factor[families.centres] * weight
         K_inverse = np.linalg.inv(K * factor[:, None, None]) if self.G > 0.0 else np.zeros_like(K)
         return NonUniform(cloud, families, bond_stiffness, K_inverse)

@@ -10,6 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.eigen import symmetric_eigen
+from pdpetsc.kernels.principal import principal_tangent
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 
@@ -17,11 +18,8 @@ from pdpetsc.material.base import ElasticMaterial, PointKernels
 class Hencky(ElasticMaterial):
     r"""Hencky material, ``tau = lambda tr(eps) I + 2 mu eps`` with ``eps = 1/2 ln(F F^T)``.
 
-    ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T`` and, in the principal frame with stretches
-    ``l_a`` and ``p_a = tau_a / l_a``::
-
-        A_aabb = (lambda + 2 mu delta_ab) / (l_a l_b) - delta_ab tau_a / l_a^2
-        A_abab = (m + q) / 2,  A_abba = (m - q) / 2,   m = (p_a - p_b) / (l_a - l_b),  q = (p_a + p_b) / (l_a + l_b)
+    ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T``; the tangent is that of ``kernels.principal`` with
+    moduli ``lambda + 2 mu delta_ab``.
 
     References
     ----------
@@ -85,6 +83,9 @@ def _kernels(dim: int) -> PointKernels:
         stretch = np.empty(dim)
         strain = np.empty(dim)
         tau = np.empty(dim)
+        moduli = np.full((dim, dim), lam)
+        for a in range(dim):
+            moduli[a, a] += 2.0 * mu
         for p in select:
             _principal(F[p], dim, C, stretch, N)
             trace = 0.0
@@ -99,35 +100,7 @@ def _kernels(dim: int) -> PointKernels:
                     for k in range(dim):
                         value += F[p, i, k] * N[k, a]
                     n[i, a] = value / stretch[a]
-            for i in range(dim):
-                for m in range(dim):
-                    for k in range(dim):
-                        for o in range(dim):
-                            A[p, i, m, k, o] = 0.0
-            for a in range(dim):
-                for b in range(dim):
-                    normal = lam / (stretch[a] * stretch[b])
-                    same = 0.0
-                    swapped = 0.0
-                    if a == b:
-                        normal += (2.0 * mu - tau[a]) / (stretch[a] * stretch[a])
-                    else:
-                        x = (stretch[a] - stretch[b]) / stretch[b]
-                        slope = np.log1p(x) / x if abs(x) > 1e-12 else 1.0 - 0.5 * x
-                        difference = (2.0 * mu * slope - tau[b]) / (stretch[a] * stretch[b])
-                        total = (tau[a] / stretch[a] + tau[b] / stretch[b]) / (stretch[a] + stretch[b])
-                        same = 0.5 * (difference + total)
-                        swapped = 0.5 * (difference - total)
-                    for i in range(dim):
-                        for m in range(dim):
-                            aa = normal * n[i, a] * N[m, a]
-                            ab = n[i, a] * N[m, b]
-                            for k in range(dim):
-                                bb = n[k, b]
-                                for o in range(dim):
-                                    A[p, i, m, k, o] += aa * bb * N[o, b] + ab * (
-                                        same * n[k, a] * N[o, b] + swapped * bb * N[o, a]
-                                    )
+            principal_tangent(dim, stretch, tau, moduli, 2.0 * mu, n, N, A[p])
 
     @compiled
     def energy(F, select, constants, psi):  # type: ignore[no-untyped-def]

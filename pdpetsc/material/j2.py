@@ -12,6 +12,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.eigen import symmetric_eigen
+from pdpetsc.kernels.principal import principal_tangent
 from pdpetsc.material.base import HistoryKernels, HistoryMaterial
 
 
@@ -161,9 +162,10 @@ def _kernels(dim: int) -> HistoryKernels:
     def tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
         mu = constants[1]
         E, C, N, n = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
-        M = np.empty((dim, dim))
+        M, moduli = np.empty((dim, dim)), np.empty((dim, dim))
         stretch, strain, tau, flow = np.empty(dim), np.empty(3), np.empty(3), np.empty(3)
         third = 0.0 if dim == 1 else 1.0 / 3.0
+        bulk = constants[0] + 2.0 * mu * third
         for r in range(select.size):
             p = select[r]
             _trial(F[p], history[r], dim, E, C, stretch, N, n, strain)
@@ -174,38 +176,11 @@ def _kernels(dim: int) -> HistoryKernels:
                     M[m, a] = 0.0
                     for k in range(dim):
                         M[m, a] += history[r, m * dim + k] * N[k, a]
-            for i in range(dim):
-                for m in range(dim):
-                    for k in range(dim):
-                        for o in range(dim):
-                            A[p, i, m, k, o] = 0.0
             for a in range(dim):
                 for b in range(dim):
-                    bulk = constants[0] + 2.0 * mu * third
-                    moduli = bulk - 2.0 * mu * (theta * third + theta_bar * flow[a] * flow[b])
-                    if a == b:
-                        moduli += 2.0 * mu * theta
-                    normal = moduli / (stretch[a] * stretch[b])
-                    same = 0.0
-                    swapped = 0.0
-                    if a == b:
-                        normal -= tau[a] / (stretch[a] * stretch[a])
-                    else:
-                        x = (stretch[a] - stretch[b]) / stretch[b]
-                        slope = np.log1p(x) / x if abs(x) > 1e-12 else 1.0 - 0.5 * x
-                        difference = (2.0 * mu * theta * slope - tau[b]) / (stretch[a] * stretch[b])
-                        total = (tau[a] / stretch[a] + tau[b] / stretch[b]) / (stretch[a] + stretch[b])
-                        same = 0.5 * (difference + total)
-                        swapped = 0.5 * (difference - total)
-                    for i in range(dim):
-                        for m in range(dim):
-                            aa = normal * n[i, a] * M[m, a]
-                            ab = n[i, a] * M[m, b]
-                            for k in range(dim):
-                                for o in range(dim):
-                                    A[p, i, m, k, o] += aa * n[k, b] * M[o, b] + ab * (
-                                        same * n[k, a] * M[o, b] + swapped * n[k, b] * M[o, a]
-                                    )
+                    moduli[a, b] = bulk - 2.0 * mu * (theta * third + theta_bar * flow[a] * flow[b])
+                moduli[a, a] += 2.0 * mu * theta
+            principal_tangent(dim, stretch, tau, moduli, 2.0 * mu * theta, n, M, A[p])
 
     @compiled
     def energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]

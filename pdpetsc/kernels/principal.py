@@ -1,0 +1,51 @@
+"""The tangent of an isotropic law from its principal values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.kernels.compile import compiled
+
+
+@compiled
+def principal_tangent(dim, stretch, tau, moduli, shear, n, M, A):  # type: ignore[no-untyped-def]
+    """Write ``A = dP/dF`` (dim, dim, dim, dim) of ``P = sum_a tau_a / l_a n_a (x) M_a``.
+
+    ``moduli`` holds ``d tau_a / d eps_b`` and ``shear`` the factor in ``tau_a - tau_b = shear (eps_a - eps_b)``, with
+    logarithmic strains eps of the stretches l. Columns of ``n`` and ``M`` are the principal directions of the current
+    and, brought to the reference configuration, of the other index. In that frame, with ``p_a = tau_a / l_a``::
+
+        A_aabb = moduli_ab / (l_a l_b) - delta_ab tau_a / l_a^2
+        A_abab = (m + q) / 2,  A_abba = (m - q) / 2,   m = (p_a - p_b) / (l_a - l_b),  q = (p_a + p_b) / (l_a + l_b)
+
+    where m is written so that it keeps its accuracy for nearly equal stretches.
+    """
+    for i in range(dim):
+        for m in range(dim):
+            for k in range(dim):
+                for o in range(dim):
+                    A[i, m, k, o] = 0.0
+    for a in range(dim):
+        for b in range(dim):
+            normal = moduli[a, b] / (stretch[a] * stretch[b])
+            same = 0.0
+            swapped = 0.0
+            if a == b:
+                normal -= tau[a] / (stretch[a] * stretch[a])
+            else:
+                x = (stretch[a] - stretch[b]) / stretch[b]
+                slope = np.log1p(x) / x if abs(x) > 1e-12 else 1.0 - 0.5 * x
+                difference = (shear * slope - tau[b]) / (stretch[a] * stretch[b])
+                total = (tau[a] / stretch[a] + tau[b] / stretch[b]) / (stretch[a] + stretch[b])
+                same = 0.5 * (difference + total)
+                swapped = 0.5 * (difference - total)
+            for i in range(dim):
+                for m in range(dim):
+                    aa = normal * n[i, a] * M[m, a]
+                    ab = n[i, a] * M[m, b]
+                    for k in range(dim):
+                        bb = n[k, b]
+                        for o in range(dim):
+                            A[i, m, k, o] += aa * bb * M[o, b] + ab * (
+                                same * n[k, a] * M[o, b] + swapped * bb * M[o, a]
+                            )

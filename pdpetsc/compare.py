@@ -80,6 +80,7 @@ def compare(
         raise CaseError("compare starts its runs itself: call it without mpirun and give -ranks N.")
     combinations = [dict(zip(choices, values, strict=True)) for values in itertools.product(*choices.values())]
     folder.mkdir(parents=True, exist_ok=True)
+    source = case.read_text()
     done: list[Outcome] = []
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}")
     progress = Progress(*columns, TimeRemainingColumn())
@@ -89,7 +90,7 @@ def compare(
         for parameters in combinations:
             progress.update(task, description=_named(parameters) or case.stem)
             live.update(_grid(progress, _table(done)))
-            done.append(_one(case, parameters, folder, ranks, petsc))
+            done.append(_one(case, source, parameters, folder, ranks, petsc))
             progress.advance(task)
             _write(folder, done)
         live.update(_table(done))
@@ -98,6 +99,11 @@ def compare(
         console.print()
     console.print(f"table in {folder / 'compare.csv'}\npicture in {folder / 'compare.png'}", highlight=False)
     return done
+
+
+def working_seconds(summary: Mapping[str, Any]) -> float:
+    """Return the seconds of set-up and solve of a run from its ``summary.json``."""
+    return sum(float(value) for phase, value in summary["timings"].items() if phase in PHASES)
 
 
 def refuse_failed(done: Sequence[Outcome], folder: Path) -> None:
@@ -111,10 +117,12 @@ def _named(parameters: Mapping[str, str]) -> str:
     return ",".join(f"{name}={value}" for name, value in parameters.items())
 
 
-def _one(case: Path, parameters: Mapping[str, str], folder: Path, ranks: int, petsc: Sequence[str]) -> Outcome:
+def _one(
+    case: Path, source: str, parameters: Mapping[str, str], folder: Path, ranks: int, petsc: Sequence[str]
+) -> Outcome:
     """Run one combination, or read what an earlier call left of it."""
     place = folder / "".join(c if c.isalnum() or c in "=,._-" else "_" for c in _named(parameters) or "run")
-    asked = {"parameters": dict(parameters), "ranks": ranks, "petsc": list(petsc), "case": case.read_text()}
+    asked = {"parameters": dict(parameters), "ranks": ranks, "petsc": list(petsc), "case": source}
     finished = place / "compare.json"
     if finished.exists():
         kept = json.loads(finished.read_text())
@@ -133,7 +141,7 @@ def _one(case: Path, parameters: Mapping[str, str], folder: Path, ranks: int, pe
     except (OSError, ValueError):
         raise CaseError(f"{_named(parameters)} ended without a summary: {_sentence(process.stderr)}") from None
     memory = sum(summary["peak_memory_bytes"]) / 2**20
-    seconds = sum(value for phase, value in summary["timings"].items() if phase in PHASES)
+    seconds = working_seconds(summary)
     status = "converged" if process.returncode == 0 else summary["status"]
     found = [status, summary["results"], seconds, memory]
     if process.returncode in (0, 1) and not status.startswith("Stopped"):
@@ -182,7 +190,6 @@ def _write(folder: Path, done: Sequence[Outcome]) -> None:
 
 def _draw(folder: Path, title: str, choices: Mapping[str, Sequence[str]], done: Sequence[Outcome]) -> None:
     """Draw every result against the last numeric parameter, and error against seconds where there is an error."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     numeric = [name for name, values in choices.items() if len(values) > 1 and all(_is_number(v) for v in values)]
@@ -191,7 +198,6 @@ def _draw(folder: Path, title: str, choices: Mapping[str, Sequence[str]], done: 
     error = next((name for name in ERRORS if name in names), None)
     panels = len(names) + (error is not None)
     figure = Figure(figsize=(7.0, 1.0 + 3.2 * max(panels, 1)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = list(figure.subplots(max(panels, 1), 1, squeeze=False)[:, 0])
     groups: dict[str, list[Outcome]] = {}
     for outcome in done:

@@ -113,9 +113,7 @@ def _newton(folder: Path, summary: Mapping[str, Any]) -> Path:
 
 
 def _axes(count: int) -> tuple[Any, list[Any]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.5, 1.0 + 3.0 * count), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, list(figure.subplots(count, 1, squeeze=False)[:, 0])

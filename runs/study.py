@@ -65,7 +65,6 @@ def write_table(folder, name, header, rows):
 
 def write_curves(folder, name, title, columns, curves, reference=(), **axes):
     """Write curves ``{label: (x, y)}`` as one table and one picture (rank 0); labels in ``reference`` are dashed."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     from pdpetsc.discrete.communicator import is_root, world
@@ -75,7 +74,6 @@ def write_curves(folder, name, title, columns, curves, reference=(), **axes):
     if not is_root(world()):
         return
     figure = Figure(figsize=(7.5, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
     plot = figure.add_subplot(title=title, xlabel=columns[0], ylabel=columns[1], **axes)
     for number, (label, (x, y)) in enumerate(curves.items()):
         dashed = label in reference

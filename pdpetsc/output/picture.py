@@ -53,7 +53,6 @@ def draw_field(
     CaseError
         There is no such file, step, field or component.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     label = f"{name} {component}".strip()
@@ -75,7 +74,6 @@ def draw_field(
         values = _component(np.asarray(file[wanted][name][::stride]), component)
     dim = max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot(projection="3d" if dim == 3 else None)
     if dim == 1:
         order = np.argsort(x[:, 0])

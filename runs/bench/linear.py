@@ -6,15 +6,12 @@ pulled at the other: pattern, assembly and solve with pdpetsc's default solver f
 
 import sys
 import tempfile
+from pathlib import Path
 
-import petsc4py
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
 
-words = [word for word in sys.argv[1:] if not word.startswith("-")]
-first_option = next((i for i, word in enumerate(sys.argv) if word.startswith("-")), len(sys.argv))
-petsc4py.init(["bench", *sys.argv[first_option:]])
-
-import json  # noqa: E402
-from pathlib import Path  # noqa: E402
+words = study.start()
 
 import pdpetsc as pd  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
@@ -32,22 +29,19 @@ def main(dim=2, n=100, horizon=2.015, nu=0.3):
             pd.Displacement(pd.region.Slab("x", high=horizon), **dict.fromkeys("xyz"[:dim], 0.0)),
             pd.Traction(pd.region.Slab("x", low=2.0 * n - 1.0), x=1e-3, normal=[1.0] + [0.0] * (dim - 1)),
         ],
-        fields=[],
         options={"snes_rtol": 1e-8},
     )
     with tempfile.TemporaryDirectory() as folder:
-        shared = world().bcast(folder)
-        pd.run(case, output=shared, quiet=True)
-        if is_root(world()):
-            found = json.loads((Path(shared) / "summary.json").read_text())
-            step, timings = found["steps"][0], found["timings"]
-            print(f"{found['particles']} particles, horizon {horizon}, {found['ranks']} ranks, {found['solver']}")
-            print(f"  matrix {found['matrix_bytes']['predicted'] / 2**20:.0f} MiB")
-            print(f"  pattern {timings['pattern']:.2f} s, allocation {timings['allocation']:.2f} s", end="")
-            print(f", solve {timings['solve']:.2f} s, {step['linear_iterations']} iterations")
-            print(f"  peak memory {sum(found['peak_memory_bytes']) / 2**20:.0f} MiB")
+        _, found = study.run(Path(world().bcast(folder)), case)
         world().Barrier()
+    if is_root(world()):
+        step, timings = found["steps"][0], found["timings"]
+        print(f"{found['particles']} particles, horizon {horizon}, {found['ranks']} ranks, {found['solver']}")
+        print(f"  matrix {found['matrix_bytes']['predicted'] / 2**20:.0f} MiB")
+        print(f"  pattern {timings['pattern']:.2f} s, allocation {timings['allocation']:.2f} s", end="")
+        print(f", solve {timings['solve']:.2f} s, {step['linear_iterations']} iterations")
+        print(f"  peak memory {sum(found['peak_memory_bytes']) / 2**20:.0f} MiB")
 
 
 if __name__ == "__main__":
-    main(*(kind(word) for kind, word in zip((int, int, float, float), sys.argv[1:first_option], strict=False)))
+    main(*(kind(word) for kind, word in zip((int, int, float, float), words, strict=False)))

@@ -16,9 +16,11 @@ words = study.start("plates")
 import brick  # noqa: E402
 import diamond_hole  # noqa: E402
 import numpy as np  # noqa: E402
+import plate  # noqa: E402
 import square_opening  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
+from pdpetsc.compare import working_seconds  # noqa: E402
 
 PLATES = {"square_opening": square_opening, "diamond_hole": diamond_hole, "brick": brick}
 HORIZONS = {"square_opening": (1.015, 2.015), "diamond_hole": (1.1, 2.1, 3.1), "brick": (1.015,)}
@@ -27,19 +29,6 @@ METHODS += [("correspondence", control) for control in pd.CONTROLS if control !=
 DRAWN = [("correspondence", "none"), ("correspondence", "silling"), ("stress_points", "none"), ("sub_horizons", "none")]
 # A family per bond of the widest horizon would take gigabytes.
 LEFT_OUT = {("diamond_hole", 3.1, "bond_associated")}
-PHASES = ("families", "model", "pattern", "allocation", "solve")
-
-
-class Profile(pd.Quantity):
-    """Keeps the values along a line; its own value is their number."""
-
-    def __init__(self, line, field):
-        self.line, self.field = line, field
-        self.s = self.v = np.zeros(0)
-
-    def evaluate(self, solution):
-        self.s, self.v = self.line.values(solution, self.field)
-        return float(len(self.s))
 
 
 def main():
@@ -57,7 +46,7 @@ def main():
                     continue
                 case = PLATES[name].case(horizon=horizon, scheme=scheme, control=control)
                 amplitudes = {k: q for k, q in case.history.items() if k.endswith("_amplitude")}
-                profiles = {k.removesuffix("_amplitude"): Profile(q.line, q.field) for k, q in amplitudes.items()}
+                profiles = {k.removesuffix("_amplitude"): plate.Profile(q.line, q.field) for k, q in amplitudes.items()}
                 for k, profile in profiles.items():
                     case.history[f"{k}_profile"] = profile
                 done = study.run(folder, case)
@@ -66,7 +55,7 @@ def main():
                         rows.append((name, horizon, scheme, control, k, np.nan, np.nan, np.nan))
                         continue
                     history, summary = done
-                    seconds = sum(summary["timings"][phase] for phase in PHASES)
+                    seconds = working_seconds(summary)
                     found = history[f"{k}_amplitude"][-1], history[f"{k}_oscillation"][-1]
                     rows.append((name, horizon, scheme, control, k, *found, seconds))
                     if (scheme, control) in DRAWN:

@@ -15,10 +15,7 @@ words = study.start("plates", "singular_bar")
 import bar  # noqa: E402
 import diamond_hole  # noqa: E402
 import plate  # noqa: E402
-from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
-
-import pdpetsc as pd  # noqa: E402
 
 PAGES = {
     "correspondence": ({}, {}),
@@ -35,22 +32,11 @@ PAGES = {
 }
 
 
-class Along(pd.Quantity):
-    """Keeps a displacement along a line."""
-
-    def __init__(self, line):
-        self.line = line
-
-    def evaluate(self, solution):
-        self.s, self.u = self.line.values(solution, plate.displacement_x)
-        return 0.0
-
-
 def values(folder, case, line):
-    along = Along(line)
+    along = plate.Profile(line, plate.displacement_x)
     case.history["along"] = along
     study.run(folder, case)
-    return along.s, along.u
+    return along.s, along.v
 
 
 def main():
@@ -64,7 +50,6 @@ def main():
     plain_plate = values(folder, case, line)
     for name, (on_bar, on_plate) in PAGES.items():
         figure = Figure(figsize=(10.0, 3.4), layout="constrained")
-        FigureCanvasAgg(figure)
         left, right = figure.subplots(1, 2)
         narrow = {"n": n} if on_plate is None else wide
         s, plain = plain_bar if on_plate is not None else values(folder, bar.case(n=n), whole)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,12 @@ REFERENCE = Path(__file__).with_name("finite_elements.json")
 SMALL = 1e-3
 # Particles at each end of the line that do not count: corners are singular.
 ENDS = 3
+
+
+@lru_cache
+def references():
+    """Return what finite_elements.py stored."""
+    return json.loads(REFERENCE.read_text())
 
 
 @dataclass(frozen=True)
@@ -53,42 +60,53 @@ class Line:
 
     def reference(self, quantity, s):
         """Return the finite element values at coordinates ``s``."""
-        stored = json.loads(REFERENCE.read_text())[self.name]
+        stored = references()[self.name]
         return np.interp(s, stored["s"], stored[quantity])
-
-    def compare(self, solution, quantity, field):
-        """Return the error along the line and the size of the reference."""
-        s, found = self.values(solution, field)
-        exact = solution.t * self.reference(quantity, s)
-        return found - exact, np.abs(exact)
 
 
 @dataclass(frozen=True)
-class Amplitude(pd.Quantity):
-    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 21-22)."""
+class AlongLine(pd.Quantity):
+    """A number that follows from a field along a line and from what finite elements give there."""
 
     line: Line
     quantity: str
     field: Callable
 
+    def error(self, solution):
+        """Return the error along the line and the size of the reference."""
+        s, found = self.line.values(solution, self.field)
+        exact = solution.t * self.line.reference(self.quantity, s)
+        return found - exact, np.abs(exact)
+
+
+class Amplitude(AlongLine):
+    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 21-22)."""
+
     def evaluate(self, solution):
-        error, size = self.line.compare(solution, self.quantity, self.field)
+        error, size = self.error(solution)
         counts = size > SMALL * size.max() if size.max() > 0.0 else size < 0.0
         return float((np.abs(error)[counts] / size[counts]).mean()) if counts.any() else 0.0
 
 
-@dataclass(frozen=True)
-class Oscillation(pd.Quantity):
+class Oscillation(AlongLine):
     """Largest second difference of ``a - b`` along a line, away from its ends, over the largest ``|b|`` [-]."""
 
-    line: Line
-    quantity: str
-    field: Callable
-
     def evaluate(self, solution):
-        error, size = self.line.compare(solution, self.quantity, self.field)
+        error, size = self.error(solution)
         second = np.diff(error, 2)[ENDS:-ENDS]
         return float(np.abs(second).max() / size.max()) if size.max() > 0.0 else 0.0
+
+
+class Profile(pd.Quantity):
+    """Keeps the values along a line; its own value is their number."""
+
+    def __init__(self, line, field):
+        self.line, self.field = line, field
+        self.s = self.v = np.zeros(0)
+
+    def evaluate(self, solution):
+        self.s, self.v = self.line.values(solution, self.field)
+        return float(len(self.s))
 
 
 def displacement_x(solution):

@@ -12,7 +12,7 @@ import pytest
 from tests.commands import ROOT, results
 
 CLAMPED = "runs/beams/clamped.py"
-# What .ci/mpirun sets: compare calls mpirun itself, here perhaps as root, in a container and with more ranks than cores.
+# What .ci/mpirun sets: compare calls mpirun itself, here perhaps as root, in a container, with more ranks than cores.
 AS_ROOT = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
 IN_A_CONTAINER = {"OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_btl_vader_single_copy_mechanism": "none"}
 ENVIRONMENT = {**os.environ, **AS_ROOT, **IN_A_CONTAINER, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

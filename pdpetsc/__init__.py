@@ -9,10 +9,22 @@ from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
 from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
-from pdpetsc.quantities import At, ControlEnergy, LargestError, Mean, Quantity, Reaction, RelativeError, StrainEnergy
+from pdpetsc.quantities import (
+    At,
+    CellStrain,
+    CellStress,
+    ControlEnergy,
+    LargestError,
+    Mean,
+    Quantity,
+    Reaction,
+    RelativeError,
+    StrainEnergy,
+)
 from pdpetsc.scene import influence, region
+from pdpetsc.scene.cell import Cell
 from pdpetsc.scene.choice import choose
-from pdpetsc.scene.conditions import BodyForce, Displacement, Force, Pressure, Traction
+from pdpetsc.scene.conditions import BodyForce, Displacement, Force, MeanStrain, MeanStress, Pressure, Traction
 from pdpetsc.scene.files import Mesh, TextFile
 from pdpetsc.scene.particles import Arrays, Lattice
 from pdpetsc.scene.schedule import Hold, Ramp, Table
@@ -49,6 +61,9 @@ __all__ = [
     "BondAssociated",
     "Case",
     "CaseError",
+    "Cell",
+    "CellStrain",
+    "CellStress",
     "ControlEnergy",
     "Corrected",
     "Correspondence",
@@ -65,6 +80,8 @@ __all__ = [
     "LinearElastic",
     "Littlewood",
     "Mean",
+    "MeanStrain",
+    "MeanStress",
     "Mesh",
     "NeoHookean",
     "Newton",

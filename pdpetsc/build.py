@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
-from pdpetsc.model import Assembler, Model
+from pdpetsc.model import CorrespondenceModel, Model
 from pdpetsc.scene.particles import Chunk
 
 
@@ -24,7 +24,7 @@ def make_cloud(comm: Comm, case: Case) -> Cloud:
         _refuse_bad_particles(chunk)
     if int(total(comm, len(chunk.x))) == 0:
         raise CaseError("The case has no particles.")
-    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon)
+    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell)
 
 
 def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
@@ -32,7 +32,7 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     omega: Float = case.influence(length / case.horizon)
     materials, material_of, factor = _materials(case, cloud)
-    return Model(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation, factor)
+    return CorrespondenceModel(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation, factor)
 
 
 def rehearse(comm: Comm, case: Case, dim: int) -> None:
@@ -54,8 +54,8 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 families = find_families(cloud)
                 omega = np.ones(len(families.neighbours))
                 law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
-                model = Model(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
-                assembler = Assembler(model)
+                model = CorrespondenceModel(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
+                assembler = model.assembler()
                 u = np.zeros_like(x)
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
                 assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))

@@ -12,6 +12,7 @@ from pdpetsc.gradient import Scheme, SubHorizons
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import Quantity
+from pdpetsc.scene.cell import Cell
 from pdpetsc.scene.conditions import Condition
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
@@ -44,6 +45,8 @@ class Case:
         How much a bond counts.
     stabilisation : Stabilisation, optional
         Zero-energy control; none where absent.
+    cell : Cell, optional
+        Periodic cell that the particles fill; hold one particle against translation.
     steps : Steps or AdaptiveSteps
         How the load is applied.
     solver : Newton or DynamicRelaxation
@@ -67,6 +70,7 @@ class Case:
     scheme: Scheme = field(default_factory=SubHorizons)
     influence: Influence = field(default_factory=Constant)
     stabilisation: Stabilisation | None = None
+    cell: Cell | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
     solver: Newton | DynamicRelaxation = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)

@@ -12,7 +12,16 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, smallest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.model import Model
-from pdpetsc.scene.conditions import BodyForce, Condition, Displacement, Force, Traction, Value
+from pdpetsc.scene.conditions import (
+    BodyForce,
+    Condition,
+    Displacement,
+    Force,
+    MeanStrain,
+    MeanStress,
+    Traction,
+    Value,
+)
 from pdpetsc.scene.region import Region, View
 
 # A consistent traction that adds up to less than this share of traction times face is not that of one face.
@@ -33,6 +42,15 @@ class _Applied:
         return self.scale * self.condition.value(self.value, x[self.where], t)
 
 
+@dataclass(frozen=True)
+class _Mean:
+    """One component of a condition on the mean strain or stress: the virtual unknown and what to multiply with."""
+
+    condition: MeanStrain | MeanStress
+    unknown: int
+    value: float
+
+
 class Loading:
     """Prescribed displacements and external forces of a case on this rank.
 
@@ -47,8 +65,11 @@ class Loading:
 
     Attributes
     ----------
-    fixed : (n_owned, dim) bool
+    fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
+    cell_volume : float
+        What the mean stress of a periodic cell is per: its volume, or that of the particles where some direction is
+        not periodic [volume]; 0 without a cell.
 
     Raises
     ------
@@ -63,12 +84,18 @@ class Loading:
     def __init__(self, model: Model, conditions: Sequence[Condition], thickness: float) -> None:
         self._model = model
         self._x = model.cloud.x[: model.cloud.n_owned]
-        self.fixed: Mask = np.zeros((model.cloud.n_owned, model.dim), dtype=bool)
+        self.fixed: Mask = np.zeros((model.cloud.n_rows, model.dim), dtype=bool)
+        self.cell_volume = _cell_volume(model.cloud, thickness)
+        self._means: list[_Mean] = []
+        self._virtual()
         self._prescribed: list[_Applied] = []
         self._forces: list[_Applied] = []
         self._consistent: list[tuple[Traction, Float, Mask]] = []
         for number, condition in enumerate(conditions):
             name = f"{type(condition).__name__} condition {number + 1}"
+            if isinstance(condition, MeanStrain | MeanStress):
+                self._mean(condition, name)
+                continue
             mask = select(model.cloud, condition.region, name)
             with agreed(model.cloud.comm):
                 components = condition.components(model.dim)
@@ -85,20 +112,68 @@ class Loading:
                 self._forces += [_Applied(condition, axis, value, where, scale) for axis, value in components]
 
     def prescribed(self, t: float) -> Float:
-        """Return the prescribed displacements at step time ``t`` (n_owned, dim) [length], 0 where free."""
+        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free."""
         u = np.zeros(self.fixed.shape)
         for applied in self._prescribed:
             u[applied.where, applied.axis] = applied.at(self._x, t)
+        self._add_means(u, MeanStrain, t)
         return u
 
     def forces(self, t: float) -> Float:
-        """Return the external forces at step time ``t`` (n_owned, dim) [force] (collective)."""
+        """Return the external forces at step time ``t`` (n_rows, dim) [force] (collective)."""
         f = np.zeros(self.fixed.shape)
+        n = len(self._x)
         for applied in self._forces:
             f[applied.where, applied.axis] += applied.at(self._x, t)
         for traction, normal, reached in self._consistent:
-            f += self._consistent_forces(traction, normal, t) * reached[:, None]
+            f[:n] += self._consistent_forces(traction, normal, t) * reached[:, None]
+        self._add_means(f, MeanStress, t)
         return f
+
+    def mean_stress(self, forces: Float) -> Float:
+        """Return the components of mean stress (n_components,) from the forces on the virtual unknowns (collective)."""
+        images = self._model.cloud.images
+        assert images is not None
+        count = len(images.sizes)
+        held = forces[len(self._x) :].ravel()[:count] if images.here else np.zeros(count)
+        return np.asarray(total(images.comm, held) / self._per_stress())
+
+    def _per_stress(self) -> Float:
+        """Return the force on each virtual unknown per unit mean stress [area]."""
+        images = self._model.cloud.images
+        assert images is not None
+        twice = np.array([1.0 if a == b else 2.0 for a, b in images.cell.components])
+        return np.asarray(self.cell_volume * twice / images.sizes)
+
+    def _virtual(self) -> None:
+        """Hold the entries of the virtual rows that stand for no component."""
+        images = self._model.cloud.images
+        if images is not None and images.here:
+            self.fixed[len(self._x) :].reshape(-1)[len(images.sizes) :] = True
+
+    def _mean(self, condition: MeanStrain | MeanStress, name: str) -> None:
+        images = self._model.cloud.images
+        if images is None:
+            raise CaseError(f"{name} needs a periodic cell; give the Case a cell.")
+        for unknown, value in condition.components(images.cell.components):
+            if any(mean.unknown == unknown for mean in self._means):
+                a, b = images.cell.components[unknown]
+                raise CaseError(
+                    f"{name} gives {'xyz'[a]}{'xyz'[b]} of the cell a second time; let it have one condition."
+                )
+            self._means.append(_Mean(condition, unknown, value))
+            if images.here and isinstance(condition, MeanStrain):
+                self.fixed[len(self._x) :].reshape(-1)[unknown] = True
+
+    def _add_means(self, values: Float, kind: type[MeanStrain] | type[MeanStress], t: float) -> None:
+        images = self._model.cloud.images
+        if images is None or not images.here:
+            return
+        per = images.sizes if kind is MeanStrain else self._per_stress()
+        virtual = values[len(self._x) :].reshape(-1)
+        for mean in self._means:
+            if isinstance(mean.condition, kind):
+                virtual[mean.unknown] += per[mean.unknown] * mean.value * mean.condition.schedule(t)
 
     def _prescribe(
         self, condition: Displacement, components: list[tuple[int, Value]], where: GlobalIndex, name: str
@@ -116,19 +191,17 @@ class Loading:
                 self._prescribed.append(_Applied(condition, axis, value, where, np.ones(len(where))))
 
     def _consistent_forces(self, traction: Traction, normal: Float, t: float) -> Float:
-        model = self._model
-        owner = model.operator.owner
-        P = np.zeros((len(owner), model.dim, model.dim))
-        for axis, value in traction.components(model.dim):
-            P[:, axis, :] = traction.value(value, self._x[owner], t)[:, None] * normal
-        return model.weighted_divergence(P)
+        P = np.zeros((len(self._x), self._model.dim, self._model.dim))
+        for axis, value in traction.components(self._model.dim):
+            P[:, axis, :] = traction.value(value, self._x, t)[:, None] * normal
+        return self._model.uniform_stress_force(P)[: len(self._x)]
 
     def _check_face(self, traction: Traction, normal: Float, where: GlobalIndex, thickness: float, name: str) -> None:
         """Refuse a face whose neighbourhood reaches another one: there the forces of the two cancel."""
         model = self._model
-        P = np.broadcast_to(np.outer(normal, normal), (model.operator.n_points, model.dim, model.dim))
+        P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
         reached = _reach(model, np.isin(np.arange(len(self._x)), where))
-        along = model.weighted_divergence(np.ascontiguousarray(P)) @ normal
+        along = model.uniform_stress_force(P)[: len(self._x)] @ normal
         face = _faces(model.cloud, where, thickness)
         found, wanted = total(model.cloud.comm, [along[reached].sum(), face.sum()])
         if found < WHOLE_FACE * wanted:
@@ -149,14 +222,20 @@ def select(cloud: Cloud, region: Region, name: str) -> Mask:
 
 
 def _reach(model: Model, mask: Mask) -> Mask:
-    """Return the own particles that share a gradient point with a marked one (collective)."""
-    marked = model.with_ghosts(np.repeat(mask[:, None], model.dim, axis=1).astype(float))[:, 0].copy()
-    operator, n = model.operator, model.cloud.n_local
-    point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
-    touched = np.bincount(point_of, marked[operator.members], operator.n_points) > 0.0
-    reached = np.bincount(operator.members, touched[point_of].astype(float), n)
-    model.cloud.halo.reverse(reached)
-    return np.asarray(reached[: model.cloud.n_owned] > 0.0)
+    """Return the own particles whose forces depend on a marked own one (collective)."""
+    marked = np.zeros(model.cloud.n_local)
+    marked[: len(mask)] = mask
+    model.cloud.halo.forward(marked)
+    return model.reach(marked)
+
+
+def _cell_volume(cloud: Cloud, thickness: float) -> float:
+    if cloud.images is None:
+        return 0.0
+    cell = cloud.images.cell
+    if len(cell.periodic) < cell.dim:
+        return float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
+    return float(np.prod(cell.lengths)) * (thickness if cell.dim < 3 else 1.0)
 
 
 def _faces(cloud: Cloud, where: GlobalIndex, thickness: float) -> Float:

@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import All, Nearest, Region
-from pdpetsc.solution import Field, Solution
+from pdpetsc.solution import Field, Solution, reaction
 
 EVERYWHERE = All()
 
@@ -66,7 +66,31 @@ class Reaction(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the sum."""
         mask = solution.select(self.region)
-        return float(solution.sum(component(solution.reaction, self.component)[mask].sum()))
+        return float(solution.sum(component(reaction(solution), self.component)[mask].sum()))
+
+
+@dataclass(frozen=True)
+class CellStrain(Quantity):
+    """Component of the mean strain of a periodic cell [-]."""
+
+    component: str
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the component."""
+        a, b = _axes(solution, self.component)
+        return float(solution.cell_strain[a, b])
+
+
+@dataclass(frozen=True)
+class CellStress(Quantity):
+    """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress]."""
+
+    component: str
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the component."""
+        a, b = _axes(solution, self.component)
+        return float(solution.cell_stress[a, b])
 
 
 @dataclass(frozen=True)
@@ -135,6 +159,17 @@ class LargestError(Quantity):
         exact = np.asarray(self.reference(solution.x[mask], solution.t))
         difference = np.abs(self.field(solution)[mask] - exact)
         return solution.largest(float(difference.max(initial=0.0)))
+
+
+def _axes(solution: Solution, name: str) -> tuple[int, int]:
+    """Return the pair of directions of a component that the cell has."""
+    images = solution.model.cloud.images
+    if images is None:
+        raise CaseError("The mean strain and stress are those of a periodic cell; give the Case a cell.")
+    letters = ["xyz"[a] + "xyz"[b] for a, b in images.cell.components]
+    if name not in letters:
+        raise CaseError(f"The periodic cell has the components {', '.join(letters)}, not {name!r}.")
+    return images.cell.components[letters.index(name)]
 
 
 def component(values: Float, name: str) -> Float:

@@ -20,7 +20,7 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, Model
+from pdpetsc.model import Model
 from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder, prepare_folder
@@ -121,7 +121,7 @@ class _Run:
         with self._timed("model"):
             model = make_model(case, cloud, families)
             loading = Loading(model, case.conditions, case.particles.thickness)
-            refuse_rigid_motion(cloud, families, loading.fixed)
+            refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
         with stop_on_signals(comm) as stop, petsc_options(self.options, default_options(model)):
             solver = self._solver(model, loading, stop)
@@ -136,7 +136,7 @@ class _Run:
         if isinstance(self.case.solver, DynamicRelaxation):
             return RelaxationSolver(model, loading, self.case.solver, stop)
         with self._timed("pattern"):
-            assembler = Assembler(model)
+            assembler = model.assembler()
             predicted = predicted_bytes(assembler.pattern, model.dim)
             self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
         with self._timed("allocation"):
@@ -147,7 +147,7 @@ class _Run:
     def _march(self, model: Model, loading: Loading, solver: Solver, stop: Callable[[], bool]) -> dict[str, float]:
         case, cloud = self.case, model.cloud
         order = InCreationOrder(cloud)
-        u, t, step = np.zeros((cloud.n_owned, model.dim)), 0.0, 0
+        u, t, step = np.zeros((cloud.n_rows, model.dim)), 0.0, 0
         if self.restart is not None:
             if model.has_history:
                 raise CaseError("A case with a material that has a history cannot be restarted: a checkpoint lacks it.")
@@ -240,18 +240,18 @@ class _Run:
 
     def _describe(self, model: Model) -> None:
         cloud, comm = model.cloud, self.comm
-        bonds, points, ghosts = total(comm, [len(model.families.neighbours), model.operator.n_points, cloud.n_ghost])
+        bonds, points, ghosts = total(comm, [len(model.families.neighbours), model.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
         matrix = [] if isinstance(self.case.solver, DynamicRelaxation) else ["tangent matrix"]
-        self.summary["allocated"] = _allocated(model, self.case) + matrix
+        self.summary["allocated"] = model.parts + matrix
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, {int(points)} gradient points, "
             f"{comm.size} rank{'s' if comm.size > 1 else ''}"
         )
-        self.summary["scheme"] = {"name": type(self.case.scheme).__name__, "note": model.operator.note}
-        if model.operator.note:
-            self.report.say(f"scheme: {model.operator.note}")
+        self.summary["scheme"] = {"name": type(self.case.scheme).__name__, "note": model.note}
+        if model.note:
+            self.report.say(f"scheme: {model.note}")
 
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:
@@ -262,13 +262,6 @@ class _Run:
 
 def _same_folder(one: Path, other: Path) -> bool:
     return one.resolve() == other.resolve()
-
-
-def _allocated(model: Model, case: Case) -> list[str]:
-    """Return what this scene made the model hold."""
-    held = ["families", "gradient operator"]
-    held += [f"material {type(law.material).__name__}" for law in model.laws]
-    return held + ([f"control {type(case.stabilisation).__name__}"] if model.control is not None else [])
 
 
 def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:

@@ -22,8 +22,8 @@ class Solution:
     ----------
     model, loading
         The body and its conditions.
-    u : (n_owned, dim) float64
-        Converged displacement [length].
+    unknowns : (n_rows, dim) float64
+        Converged displacements [length], then the virtual rows of a periodic cell.
     t : float
         Step time [-].
     step : int
@@ -34,10 +34,10 @@ class Solution:
     Every property that is computed, ``sum`` and ``select`` are collective.
     """
 
-    def __init__(self, model: Model, loading: Loading, u: Float, t: float, step: int) -> None:
+    def __init__(self, model: Model, loading: Loading, unknowns: Float, t: float, step: int) -> None:
         self.model = model
         self.loading = loading
-        self.u = u
+        self.unknowns = unknowns
         self.t = t
         self.step = step
 
@@ -51,32 +51,45 @@ class Solution:
         """Return the volumes of the own particles (n_owned,)."""
         return self.model.cloud.volume[: self.model.cloud.n_owned]
 
-    @cached_property
-    def F(self) -> Float:
-        """Return the deformation gradients at the gradient points (n_points, dim, dim) [-]."""
-        return self.model.deformation(self.model.with_ghosts(self.u))
+    @property
+    def u(self) -> Float:
+        """Return the displacements of the own particles (n_owned, dim) [length]."""
+        return self.unknowns[: self.model.cloud.n_owned]
 
     @cached_property
     def internal_force(self) -> Float:
-        """Return the internal forces (n_owned, dim) [force]."""
-        force = self.model.internal_force(self.u)
+        """Return the internal forces (n_rows, dim) [force]."""
+        force = self.model.internal_force(self.unknowns)
         if force is None:
             raise FloatingPointError("a converged state has det F <= 0")
         return force
 
     @cached_property
     def reaction(self) -> Float:
-        """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_owned, dim) [force]."""
+        """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
         return np.where(self.loading.fixed, self.internal_force - self.loading.forces(self.t), 0.0)
 
     @cached_property
     def energies(self) -> tuple[float, float]:
         """Return the strain energy of the body and that of its zero-energy control [energy]."""
-        return self.model.energy(self.u)
+        return self.model.energy(self.unknowns)
 
-    def particle_mean(self, values: Float) -> Float:
-        """Return the mean over the gradient points of each own particle."""
-        return self.model.operator.mean_over_points(values, self.model.cloud.n_owned)
+    @cached_property
+    def cell_strain(self) -> Float:
+        """Return the mean strain of the periodic cell (dim, dim) [-]."""
+        cloud = self.model.cloud
+        assert cloud.images is not None
+        return cloud.images.strain(self.unknowns[cloud.n_owned :])
+
+    @cached_property
+    def cell_stress(self) -> Float:
+        """Return the mean stress of the periodic cell (dim, dim) [stress]."""
+        images = self.model.cloud.images
+        assert images is not None
+        stress = np.zeros((self.model.dim, self.model.dim))
+        for (a, b), value in zip(images.cell.components, self.loading.mean_stress(self.internal_force), strict=True):
+            stress[a, b] = stress[b, a] = value
+        return stress
 
     def select(self, region: Region) -> Any:
         """Return which own particles a region selects (n_owned,) bool."""
@@ -102,29 +115,29 @@ def displacement(solution: Solution) -> Float:
 
 def deformation_gradient(solution: Solution) -> Float:
     """Return F, the mean over the points of each particle (n_owned, dim, dim) [-]."""
-    return solution.particle_mean(solution.F)
+    return solution.model.deformation_gradient(solution.unknowns)
 
 
 def stress(solution: Solution) -> Float:
     """Return the Cauchy stress, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
-    return solution.particle_mean(solution.model.cauchy_stress(solution.F))
+    return solution.model.cauchy_stress(solution.unknowns)
 
 
 def first_piola_stress(solution: Solution) -> Float:
     """Return P, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
-    return solution.particle_mean(solution.model.stress(solution.F))
+    return solution.model.first_piola_stress(solution.unknowns)
 
 
 def energy_density(solution: Solution) -> Float:
     """Return the strain energy density, the mean over the points of each particle (n_owned,) [energy / volume]."""
-    return solution.particle_mean(solution.model.energy_density(solution.F))
+    return solution.model.energy_density(solution.unknowns)
 
 
 def reaction(solution: Solution) -> Float:
     """Return the support forces (n_owned, dim) [force]."""
-    return solution.reaction
+    return solution.reaction[: len(solution.u)]
 
 
 def plastic_strain(solution: Solution) -> Float:
     """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
-    return solution.particle_mean(solution.model.plastic_strain())
+    return solution.model.plastic_strain()

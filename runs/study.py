@@ -87,9 +87,7 @@ def write_curves(folder, name, title, columns, curves, reference=(), **axes):
 
 def dense_tangent(model, u):
     """Return K(u) of a small model on one process as a dense matrix."""
-    from pdpetsc.model import Assembler
-
-    assembler = Assembler(model)
+    assembler = model.assembler()
     dim, rows = model.dim, assembler.pattern.owned
     values = np.empty(dim * dim * int(rows.diag_ptr[-1]))
     assembler.assemble(u, values, np.empty(0))

@@ -10,7 +10,7 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import Model
+from pdpetsc.model import CorrespondenceModel
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 from study import dense_tangent as dense_tangent
@@ -68,7 +68,7 @@ def body(
     families = find_families(cloud)
     omega = np.ones(len(families.neighbours))
     material_of = np.zeros(cloud.n_owned, dtype=np.int32)
-    return Model(cloud, families, omega, scheme, [material], material_of, stabilisation)
+    return CorrespondenceModel(cloud, families, omega, scheme, [material], material_of, stabilisation)
 
 
 def bodies(rng):

@@ -108,18 +108,18 @@ def test_cauchy_stress_of_a_stretched_bar_counts_its_lateral_contraction():
     model = body(1, material=pd.Hencky(E=10.0, nu=0.3))
     F = np.full((model.operator.n_points, 1, 1), 1.5)
     area = 1.5**-0.6
-    assert np.allclose(model.cauchy_stress(F), 10.0 * np.log(1.5) / 1.5 / area, rtol=1e-13)
+    assert np.allclose(model.cauchy(F), 10.0 * np.log(1.5) / 1.5 / area, rtol=1e-13)
 
 
 def test_several_materials_share_a_body(rng):
     """Half a body of each of two materials: the tangent is that of the points of each."""
-    from pdpetsc.model import Model
+    from pdpetsc.model import CorrespondenceModel
 
     one = body(2, rng=rng)
     half = (one.cloud.x[:, 0] > 2.5).astype(np.int32)
     materials = [MATERIALS["hencky"], MATERIALS["neo_hookean"]]
     omega = np.ones(len(one.families.neighbours))
-    model = Model(one.cloud, one.families, omega, pd.Correspondence(), materials, half, None)
+    model = CorrespondenceModel(one.cloud, one.families, omega, pd.Correspondence(), materials, half, None)
     u = displacement(model, rng)
     K = dense_tangent(model, u)
     columns = rng.choice(u.size, 8, replace=False)

@@ -273,7 +273,6 @@ import pdpetsc as pd
 from pdpetsc.build import make_cloud, make_model
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import Assembler
 from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes
 
 def resident():
@@ -283,7 +282,7 @@ lattice = pd.Lattice((0.0, 0.0), (161.0, 161.0), 1.0)
 case = pd.Case(particles=lattice, horizon=3.015, material=pd.Hencky(E=1.0), scheme=pd.Correspondence(), conditions=[])
 cloud = make_cloud(world(), case)
 model = make_model(case, cloud, find_families(cloud))
-assembler = Assembler(model)
+assembler = model.assembler()
 before = resident()
 matrix = TangentMatrix(assembler, np.zeros((cloud.n_owned, 2), bool), 1.0)
 print(predicted_bytes(assembler.pattern, 2), resident() - before)

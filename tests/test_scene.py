@@ -9,7 +9,7 @@ from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.loading import Loading
-from pdpetsc.model import Model
+from pdpetsc.model import CorrespondenceModel
 from pdpetsc.scene.region import View
 from pdpetsc.solution import Solution
 
@@ -33,7 +33,7 @@ def loaded(conditions, n=6, spacing=0.5, thickness=2.0, horizon=2.015, material=
     chunk = lattice.chunk(0, 1)
     cloud = distribute(world(), chunk.x, chunk.volume, chunk.sets, horizon * spacing)
     families = find_families(cloud)
-    model = Model(
+    model = CorrespondenceModel(
         cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [material or pd.Hencky(10.0, 0.3)],
         np.zeros(cloud.n_owned, dtype=np.int32), None,
     )  # fmt: skip

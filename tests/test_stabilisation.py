@@ -9,7 +9,7 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import Model
+from pdpetsc.model import CorrespondenceModel
 from tests import reference
 from tests.scenes import DIMS, NOT_AFFINE, STABILISATIONS, body, dense_tangent, displacement
 
@@ -76,7 +76,7 @@ def checkerboard_work(side, horizon, low, high, methods):
     inner = np.all((x > low) & (x < high), axis=1)
     work = []
     for scheme, control in methods:
-        model = Model(cloud, families, omega, scheme, [pd.LinearElastic(1.0)], material_of, control)
+        model = CorrespondenceModel(cloud, families, omega, scheme, [pd.LinearElastic(1.0)], material_of, control)
         work.append(np.vdot(model.internal_force(u)[inner], u[inner]) / np.vdot(u[inner], u[inner]))
     return work
 
@@ -107,7 +107,7 @@ def test_silling_is_unit_free():
         x = length * np.array(list(itertools.product(range(5), repeat=2)), dtype=float)
         cloud = distribute(world(), x, np.full(len(x), length**2), {}, 2.015 * length)
         families = find_families(cloud)
-        model = Model(
+        model = CorrespondenceModel(
             cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [pd.Hencky(E=10.0 * pressure)],
             np.zeros(len(x), dtype=np.int32), pd.Silling(0.5),
         )  # fmt: skip

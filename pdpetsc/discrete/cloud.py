@@ -13,8 +13,10 @@ from scipy.spatial import cKDTree
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.communicator import Comm, exchange, offset, total
 from pdpetsc.discrete.halo import Halo
+from pdpetsc.discrete.images import Images, refuse_outside, shifts
 from pdpetsc.discrete.partition import bisect
 from pdpetsc.errors import CaseError
+from pdpetsc.scene.cell import Cell
 
 # Bonds exactly as long as the horizon belong to the family whatever the rounding of the positions.
 HORIZON_TOLERANCE = 1e-9
@@ -25,12 +27,14 @@ COINCIDENT = 1e-6
 class Cloud:
     """Particles of this rank, owned ones first, then the ghosts within one horizon of an owned one.
 
+    In a periodic cell images are ghosts too, also those of own particles.
+
     Attributes
     ----------
     comm : Comm
         All ranks.
     x : (n_local, dim) float64
-        Reference positions [length].
+        Reference positions [length]; of an image where it is.
     volume : (n_local,) float64
         Volumes [length^dim times thickness].
     gid : (n_local,) int64
@@ -45,6 +49,12 @@ class Cloud:
         Own particles, all particles, and the row of the first own one.
     halo : Halo
         Exchange between owners and ghosts.
+    images : Images or None
+        The periodic cell.
+    offset : (n_ghost, dim) float64
+        How far each ghost is from its particle [length]: whole periods; no rows without a cell.
+    order : (n_local,) int64
+        Key that sorts a family the same on any rank count: by global id, and images by their place.
     """
 
     comm: Comm
@@ -58,6 +68,24 @@ class Cloud:
     n_global: int
     first: int
     halo: Halo
+    images: Images | None
+    offset: Float
+    order: GlobalIndex
+
+    @property
+    def n_virtual(self) -> int:
+        """Return the virtual rows that this rank holds beyond its particles: those of a periodic cell's strain."""
+        return self.images.n_rows if self.images is not None and self.images.here else 0
+
+    @property
+    def n_rows(self) -> int:
+        """Return the rows of unknowns that this rank holds: own particles, then virtual ones."""
+        return self.n_owned + self.n_virtual
+
+    @property
+    def n_virtual_global(self) -> int:
+        """Return the virtual rows of the whole problem; they are the last ones."""
+        return 0 if self.images is None else self.images.n_rows
 
     @property
     def dim(self) -> int:
@@ -75,7 +103,9 @@ class Cloud:
         return self.n_local - self.n_owned
 
 
-def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float) -> Cloud:
+def distribute(
+    comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float, cell: Cell | None = None
+) -> Cloud:
     """Partition particles over the ranks, number them and give every rank its ghosts.
 
     Parameters
@@ -84,6 +114,8 @@ def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], ho
         The part of the particles that this rank created; parts in rank order make the whole in creation order.
     horizon : float
         [length].
+    cell : Cell, optional
+        The periodic cell that holds the particles.
 
     Returns
     -------
@@ -92,7 +124,7 @@ def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], ho
     Raises
     ------
     CaseError
-        Fewer particles than ranks.
+        Fewer particles than ranks, or particles outside the cell.
 
     Notes
     -----
@@ -110,6 +142,8 @@ def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], ho
     if n_global < comm.size:
         raise CaseError(f"The case has {n_global} particles for {comm.size} ranks; run it on at most {n_global} ranks.")
 
+    if cell is not None:
+        refuse_outside(comm, cell, x)
     (x, volume, gid, flags), _ = exchange(comm, bisect(comm, x), [x, volume, gid, np.ascontiguousarray(flags)])
     order = np.argsort(gid)
     x, volume, gid, flags = x[order], volume[order], gid[order], flags[order]
@@ -117,49 +151,62 @@ def distribute(comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], ho
     first = offset(comm, n_owned)
     row = first + np.arange(n_owned, dtype=np.int64)
 
-    ghosts, counts = _candidates(comm, x, [x, volume, gid, row, flags], horizon)
+    offsets = [np.zeros(dim)]
+    if cell is not None:
+        offsets = [n * cell.lengths for n in shifts(cell, horizon * (1.0 + HORIZON_TOLERANCE))]
+    ghosts, counts = _candidates(comm, x, [volume, gid, row, flags], horizon, offsets)
     near = _within(x, ghosts[0], horizon)
     owner = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[near]
-    ghosts = [array[near] for array in ghosts]
+    place, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
     firsts = np.array(comm.allgather(first), dtype=np.int64)
-    halo = Halo(comm, n_owned, owner, (ghosts[3] - firsts[owner]).astype(np.int32))
-    flags = np.concatenate([flags, ghosts[4]]).astype(bool)
+    halo = Halo(comm, n_owned, owner, (rows - firsts[owner]).astype(np.int32))
+    flags = np.concatenate([flags, other_flags]).astype(bool)
+    gid = np.concatenate([gid, gids])
+    middle = len(offsets) // 2
     return Cloud(
         comm=comm,
-        x=np.concatenate([x, ghosts[0]]).reshape(-1, dim),
-        volume=np.concatenate([volume, ghosts[1]]),
-        gid=np.concatenate([gid, ghosts[2]]),
-        row=np.concatenate([row, ghosts[3]]),
+        x=np.concatenate([x, place]).reshape(-1, dim),
+        volume=np.concatenate([volume, volumes]),
+        gid=gid,
+        row=np.concatenate([row, rows]),
         sets={name: np.ascontiguousarray(flags[:, n]) for n, name in enumerate(names)},
         horizon=horizon,
         n_owned=n_owned,
         n_global=n_global,
         first=first,
         halo=halo,
+        images=None if cell is None else Images(comm, cell),
+        offset=np.array(offsets)[number] if cell is not None else np.empty((0, dim)),
+        order=gid * len(offsets) + np.concatenate([np.full(n_owned, middle), number]),
     )
 
 
 def _candidates(
-    comm: Comm, x: Float, arrays: list[NDArray[Any]], horizon: float
+    comm: Comm, x: Float, arrays: list[NDArray[Any]], horizon: float, offsets: list[Float]
 ) -> tuple[list[NDArray[Any]], GlobalIndex]:
-    """Receive the particles of other ranks that lie in this rank's bounding box widened by one horizon."""
+    """Receive the particles and images that lie in this rank's bounding box widened by one horizon.
+
+    Returns their positions, their rows of ``arrays`` and the number of their offset; and how many each rank sent.
+    """
     dim = x.shape[1]
     box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
     boxes = np.empty((comm.size, 2 * dim))
     comm.Allgather(box, boxes)
     reach = horizon * (1.0 + HORIZON_TOLERANCE)
-    destination = []
-    chosen = []
-    overlap = np.all((boxes[:, :dim] - reach <= box[dim:]) & (boxes[:, dim:] + reach >= box[:dim]), axis=1)
-    for rank in np.flatnonzero(overlap):
-        if rank == comm.rank:
-            continue
-        inside = np.all((x >= boxes[rank, :dim] - reach) & (x <= boxes[rank, dim:] + reach), axis=1)
-        chosen.append(np.flatnonzero(inside))
-        destination.append(np.full(len(chosen[-1]), rank, dtype=np.int32))
-    index = np.concatenate(chosen) if chosen else np.empty(0, dtype=np.int64)
-    rank_of = np.concatenate(destination) if destination else np.empty(0, dtype=np.int32)
-    return exchange(comm, rank_of, [array[index] for array in arrays])
+    index, destination, number = [], [], []
+    for n, shift in enumerate(offsets):
+        low, high = boxes[:, :dim] - reach - shift, boxes[:, dim:] + reach - shift
+        for rank in np.flatnonzero(np.all((low <= box[dim:]) & (high >= box[:dim]), axis=1)):
+            if rank == comm.rank and not shift.any():
+                continue
+            index.append(np.flatnonzero(np.all((x >= low[rank]) & (x <= high[rank]), axis=1)))
+            destination.append(np.full(len(index[-1]), rank, dtype=np.int32))
+            number.append(np.full(len(index[-1]), n, dtype=np.int64))
+    chosen = np.concatenate([np.empty(0, dtype=np.int64), *index])
+    rank_of = np.concatenate([np.empty(0, dtype=np.int32), *destination])
+    number_of = np.concatenate([np.empty(0, dtype=np.int64), *number])
+    place = x[chosen] + np.array(offsets)[number_of]
+    return exchange(comm, rank_of, [place, *(array[chosen] for array in arrays), number_of])
 
 
 def _within(x: Float, candidates: Float, horizon: float) -> Mask:

@@ -16,7 +16,7 @@ from pdpetsc.kernels.pattern import families_from_pairs
 
 @dataclass(frozen=True)
 class Families:
-    """Bonds of the owned particles in CSR form, each family sorted by global id.
+    """Bonds of the owned particles in CSR form, each family in an order that no partition changes.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ def find_families(cloud: Cloud) -> Families:
     radius = cloud.horizon * (1.0 + HORIZON_TOLERANCE)
     pairs = cKDTree(cloud.x).query_pairs(radius, output_type="ndarray")
     pairs = pairs[(pairs < cloud.n_owned).any(axis=1)]
-    indptr, neighbours = families_from_pairs(pairs, cloud.gid, cloud.n_owned)
+    indptr, neighbours = families_from_pairs(pairs, cloud.order, cloud.n_owned)
     families = Families(indptr, neighbours)
     with agreed(cloud.comm):
         length = np.linalg.norm(cloud.x[pairs[:, 0]] - cloud.x[pairs[:, 1]], axis=1)

@@ -15,7 +15,8 @@ from pdpetsc.discrete.communicator import Comm, exchange
 class Halo:
     """Forward (owner to ghost) and reverse (ghost added to owner) exchange.
 
-    Local arrays hold ``n_owned`` own rows, then the ghosts grouped by owning rank.
+    Local arrays hold ``n_owned`` own rows, then the ghosts grouped by owning rank. In a periodic cell a rank can own
+    its ghosts: images of its own particles.
 
     Parameters
     ----------
@@ -41,6 +42,9 @@ class Halo:
         self.send_index: LocalIndex = send_index
         self.targets = np.flatnonzero(asked)
         self.target_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(asked[self.targets])])
+        # Images of one particle arrive in ascending runs, one per offset; no run names a particle twice.
+        again = np.flatnonzero(np.diff(self.send_index) <= 0) + 1
+        self._runs = np.union1d(again, self.target_ptr)
         held = np.bincount(ghost_owner, minlength=comm.size)
         self.sources = np.flatnonzero(held)
         self.source_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(held[self.sources])])
@@ -55,8 +59,8 @@ class Halo:
         """Add the ghost rows of ``values`` to their owners' rows (collective)."""
         incoming = np.empty((len(self.send_index), *values.shape[1:]), dtype=values.dtype)
         self._swap(values[self.n_owned :], self.sources, self.source_ptr, incoming, self.targets, self.target_ptr)
-        for t in range(len(self.targets)):
-            part = slice(self.target_ptr[t], self.target_ptr[t + 1])
+        for begin, end in zip(self._runs[:-1], self._runs[1:], strict=True):
+            part = slice(begin, end)
             values[self.send_index[part]] += incoming[part]
 
     def reverse_rows(self, values: NDArray[Any], lengths: GlobalIndex, incoming_lengths: GlobalIndex) -> NDArray[Any]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import exchange
+from pdpetsc.discrete.communicator import Comm, exchange
 from pdpetsc.kernels.assembly import add_blocks_kernel
 from pdpetsc.kernels.pattern import merge_rows, product_pattern, transpose
 
@@ -58,17 +58,49 @@ class Arrivals:
 
 
 @dataclass(frozen=True)
+class Border:
+    """Own particles whose forces depend on the virtual unknowns, and those of all ranks where the unknowns are.
+
+    Attributes
+    ----------
+    particles : (n,) int64
+        Own particles with blocks in the virtual columns.
+    columns : (n_virtual_global,) int64
+        Number of the virtual columns on this rank.
+    arrived : (n_all,) int64
+        Number of the column of every such particle of all ranks, in the order that ``gather`` brings them; empty where
+        the unknowns are not.
+    """
+
+    comm: Comm
+    particles: GlobalIndex
+    columns: GlobalIndex
+    arrived: GlobalIndex
+
+    def gather(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return ``values`` (n, ...) of all ranks' particles on the last rank, none elsewhere (collective)."""
+        return _to_last(self.comm, values)
+
+
+@dataclass(frozen=True)
 class Pattern:
     """Block pattern of a matrix ``G^T D G`` distributed by rows.
+
+    Columns are numbered: own particles, own virtual rows, then the others in the order of their global rows.
 
     Attributes
     ----------
     owned, ghost : Rows
         Rows of the own particles, complete; and this rank's share of the rows of its ghosts.
+    virtual : Rows
+        Rows of the virtual unknowns that this rank holds; their own columns are of particles and virtual.
     other_columns : (n_other,) int64
         Global row number of the columns that this rank does not own, ascending.
-    local_of_column : (n_owned + n_other,) int32
-        Local particle of a column, -1 for a column that only other ranks add to.
+    locals_of_columns : (n_columns + 1,) int64, (n_local,) int32
+        Where the local particles of each column start in the second array: several where there are images, none for a
+        column that only other ranks add to.
+    border : Border or None
+        Where the rows meet the virtual unknowns of a periodic cell.
     arrivals : Arrivals
         Destination of the received ghost rows.
     """
@@ -76,14 +108,32 @@ class Pattern:
     cloud: Cloud
     owned: Rows
     ghost: Rows
+    virtual: Rows
     other_columns: GlobalIndex
-    local_of_column: LocalIndex
+    locals_of_columns: tuple[GlobalIndex, LocalIndex]
     arrivals: Arrivals
+    border: Border | None
+
+    @property
+    def n_own_columns(self) -> int:
+        """Return the columns that this rank owns."""
+        return self.cloud.n_rows
+
+    @property
+    def rows(self) -> Rows:
+        """Return all rows that this rank holds: those of particles, then virtual ones."""
+        one, two = self.owned, self.virtual
+        return Rows(
+            0,
+            np.concatenate([one.diag_ptr, one.diag_ptr[-1] + two.diag_ptr[1:]]),
+            np.concatenate([one.off_ptr, one.off_ptr[-1] + two.off_ptr[1:]]),
+            np.concatenate([one.columns, two.columns]),
+        )
 
     @property
     def n_blocks(self) -> int:
         """Return the number of blocks in this rank's rows."""
-        return int(self.owned.diag_ptr[-1] + self.owned.off_ptr[-1])
+        return len(self.owned.columns) + len(self.virtual.columns)
 
     def of_other_columns(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the owners' rows of ``values`` (n_owned, ...) for the columns this rank does not own (collective)."""
@@ -125,43 +175,91 @@ def build_pattern(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> 
     -----
     Collective: rows of ghosts are sent to their owners.
     """
-    n_owned, halo = cloud.n_owned, cloud.halo
+    n_owned, n_own, halo = cloud.n_owned, cloud.n_rows, cloud.halo
     entry_ptr, _, entry_point = transpose(point_ptr, members, cloud.n_local)
     row_ptr, local_columns = product_pattern(
-        entry_ptr, entry_point, point_ptr, members, np.arange(cloud.n_local, dtype=np.int64)
+        entry_ptr, entry_point, point_ptr, _one_of_each(cloud)[members], np.arange(cloud.n_local, dtype=np.int64)
     )
     ghost_begin = row_ptr[n_owned]
     ghost_blocks = np.diff(row_ptr[n_owned:])
     arriving_blocks = np.zeros(cloud.n_local, dtype=np.int64)[halo.send_index]
     arriving_blocks = halo.reverse_rows(ghost_blocks, np.ones_like(ghost_blocks), np.ones_like(arriving_blocks))
     arriving = halo.reverse_rows(cloud.row[local_columns[ghost_begin:]], ghost_blocks, arriving_blocks)
+    reached = _bordering(cloud, point_ptr, members)
+    virtual = cloud.n_global + np.arange(cloud.n_virtual_global, dtype=np.int64)
+    reached_rows = _to_last(cloud.comm, cloud.row[reached])
 
     own_columns = cloud.row[local_columns[:ghost_begin]]
-    is_own = (arriving >= cloud.first) & (arriving < cloud.first + n_owned)
-    other_columns = np.unique(np.concatenate([cloud.row[n_owned:], arriving[~is_own]]))
+    others = np.concatenate([cloud.row[n_owned:], arriving, virtual, reached_rows])
+    other_columns = np.unique(others[(others < cloud.first) | (others >= cloud.first + n_own)])
 
     def number(rows: GlobalIndex) -> GlobalIndex:
-        own = (rows >= cloud.first) & (rows < cloud.first + n_owned)
-        return np.where(own, rows - cloud.first, n_owned + np.searchsorted(other_columns, rows))
+        own = (rows >= cloud.first) & (rows < cloud.first + n_own)
+        return np.where(own, rows - cloud.first, n_own + np.searchsorted(other_columns, rows))
 
-    local_of_column = np.full(n_owned + len(other_columns), -1, dtype=np.int32)
-    local_of_column[number(cloud.row)] = np.arange(cloud.n_local, dtype=np.int32)
     arriving_ptr = np.concatenate([[0], np.cumsum(arriving_blocks)])
+    virtual_ptr = arriving_ptr[-1] + len(virtual) * np.arange(1, len(reached) + 1)
     merged_ptr, merged = merge_rows(
-        row_ptr[: n_owned + 1], number(own_columns), halo.send_index, arriving_ptr, number(arriving),
-        n_owned, n_owned + len(other_columns),
+        row_ptr[: n_owned + 1], number(own_columns),
+        np.concatenate([halo.send_index, reached]), np.concatenate([arriving_ptr, virtual_ptr]),
+        number(np.concatenate([arriving, np.tile(virtual, len(reached))])), n_owned, n_own + len(other_columns),
     )  # fmt: skip
-    owned = _split(merged_ptr, merged, n_owned)
+    owned = _split(0, merged_ptr, merged, n_own)
     ghost_ptr = row_ptr[n_owned:] - ghost_begin
     ghost = Rows(n_owned, ghost_ptr, np.zeros_like(ghost_ptr), number(cloud.row[local_columns[ghost_begin:]]))
-    arrivals = _arrivals(owned, merged_ptr, merged, halo.send_index, arriving_blocks, number(arriving), n_owned)
-    return Pattern(cloud, owned, ghost, other_columns, local_of_column, arrivals)
+    arrivals = _arrivals(owned, merged_ptr, merged, halo.send_index, arriving_blocks, number(arriving), n_own)
+    border_columns = np.sort(number(np.concatenate([reached_rows, virtual]))) if cloud.n_virtual else virtual[:0]
+    held = _split(
+        n_owned, len(border_columns) * np.arange(cloud.n_virtual + 1), np.tile(border_columns, cloud.n_virtual), n_own
+    )
+    border = None
+    if cloud.images is not None:
+        border = Border(cloud.comm, reached, number(virtual), number(reached_rows))
+    locals_of_columns = _locals(number(cloud.row), n_own + len(other_columns))
+    return Pattern(cloud, owned, ghost, held, other_columns, locals_of_columns, arrivals, border)
 
 
-def _split(row_ptr: GlobalIndex, columns: GlobalIndex, n_owned: int) -> Rows:
-    own_before = np.concatenate([[0], np.cumsum(columns < n_owned)])
+def _one_of_each(cloud: Cloud) -> LocalIndex:
+    """Return for every local particle the first local one with the same row: images share the columns of a particle."""
+    _, first, inverse = np.unique(cloud.row, return_index=True, return_inverse=True)
+    return first[inverse].astype(np.int32)
+
+
+def _locals(columns: GlobalIndex, n_columns: int) -> tuple[GlobalIndex, LocalIndex]:
+    """Return the inverse of the map from local particles to columns."""
+    counts = np.bincount(columns, minlength=n_columns)
+    return np.concatenate([[0], np.cumsum(counts)]), np.argsort(columns, kind="stable").astype(np.int32)
+
+
+def _bordering(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> GlobalIndex:
+    """Return the own particles that share a stencil with an image, or have an image that does (collective)."""
+    if cloud.images is None:
+        return np.empty(0, dtype=np.int64)
+    image = np.zeros(cloud.n_local)
+    image[cloud.n_owned :] = cloud.offset.any(axis=1)
+    reached = sharing_stencil(cloud, point_ptr, members, image)
+    return np.flatnonzero(reached)
+
+
+def sharing_stencil(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex, marked: Float) -> Mask:
+    """Return the own particles that are in a stencil with a local particle that is marked (n_local,) (collective)."""
+    n_points = len(point_ptr) - 1
+    point_of = np.repeat(np.arange(n_points), np.diff(point_ptr))
+    touched = np.bincount(point_of, marked[members], n_points) > 0.0
+    reached = np.bincount(members, touched[point_of].astype(float), cloud.n_local)
+    cloud.halo.reverse(reached)
+    return np.asarray(reached[: cloud.n_owned] > 0.0)
+
+
+def _to_last(comm: Comm, values: NDArray[Any]) -> NDArray[Any]:
+    (arrived,), _ = exchange(comm, np.full(len(values), comm.size - 1), [values])
+    return arrived
+
+
+def _split(first: int, row_ptr: GlobalIndex, columns: GlobalIndex, n_own: int) -> Rows:
+    own_before = np.concatenate([[0], np.cumsum(columns < n_own)])
     diag_ptr = own_before[row_ptr]
-    return Rows(0, diag_ptr, row_ptr - diag_ptr, columns)
+    return Rows(first, diag_ptr, row_ptr - diag_ptr, columns)
 
 
 def _arrivals(
@@ -171,14 +269,14 @@ def _arrivals(
     rows: LocalIndex,
     row_blocks: GlobalIndex,
     arriving: GlobalIndex,
-    n_owned: int,
+    n_own: int,
 ) -> Arrivals:
     """Locate each arriving block in the sorted rows: by (row, column) keys, which both lists are ordered by."""
     width = int(columns.max(initial=0)) + 1
     row = np.repeat(rows, row_blocks).astype(np.int64)
     keys = np.repeat(np.arange(len(row_ptr) - 1, dtype=np.int64), np.diff(row_ptr)) * width + columns
     found = np.searchsorted(keys, row * width + arriving)
-    in_diag = arriving < n_owned
+    in_diag = arriving < n_own
     n_diag = np.diff(owned.diag_ptr)
     slot = found - row_ptr[row]
     start = np.asarray(np.where(in_diag, owned.diag_ptr[row], owned.off_ptr[row]))

@@ -82,6 +82,8 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
 def rigid_modes(cloud: Cloud) -> Float:
     """Return the rigid motions of the own particles about the cloud's centre (n_owned, dim, modes), lengths scaled.
 
+    A periodic direction leaves no rotation that moves it.
+
     Notes
     -----
     Collective.
@@ -92,7 +94,9 @@ def rigid_modes(cloud: Cloud) -> Float:
     r = x - centre
     size = float(np.sqrt(total(cloud.comm, (r * r).sum()) / cloud.n_global)) or 1.0
     r = r / size
+    periodic = [] if cloud.images is None else cloud.images.cell.periodic
     planes = [(0, 1), (1, 2), (2, 0)][: {1: 0, 2: 1, 3: 3}[dim]]
+    planes = [plane for plane in planes if not set(plane) & set(periodic)]
     modes = np.zeros((n, dim, dim + len(planes)))
     for d in range(dim):
         modes[:, d, d] = 1.0

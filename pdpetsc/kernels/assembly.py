@@ -21,14 +21,14 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
 
     ``K_ab = sum_p W_p g_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p g_pa,m A_p,imkn g_pb,n``.
 
-    The blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``. ``local_of_column`` maps a
-    matrix column to the local particle, or to -1 where only other ranks add to it.
+    The blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``. The local
+    particles of a column, none where only other ranks add to it, are ``locals_of[local_ptr[c] : local_ptr[c + 1]]``.
     """
     size = dim * dim
 
     @compiled
     def assemble(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_of_column, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
         point_ptr, members, g, volume, A, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int32)
@@ -43,9 +43,9 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
             n_diag = diag_ptr[row + 1] - diag_ptr[row]
             n_off = off_ptr[row + 1] - off_ptr[row]
             for q in range(n_diag + n_off):
-                local = local_of_column[columns[begin + q]]
-                if local >= 0:
-                    slot[local] = q
+                column = columns[begin + q]
+                for c in range(local_ptr[column], local_ptr[column + 1]):
+                    slot[locals_of[c]] = q
             for v in range((n_diag + n_off) * size):
                 blocks[v] = 0.0
             a = first_row + row

@@ -8,8 +8,8 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def families_from_pairs(pairs, gid, n_owned):  # type: ignore[no-untyped-def]
-    """Turn unordered neighbour pairs into CSR families of the owned particles, each sorted by global id."""
+def families_from_pairs(pairs, order, n_owned):  # type: ignore[no-untyped-def]
+    """Turn unordered neighbour pairs into CSR families of the owned particles, each sorted by ``order``."""
     indptr = np.zeros(n_owned + 1, np.int64)
     for r in range(pairs.shape[0]):
         for side in range(2):
@@ -29,7 +29,7 @@ def families_from_pairs(pairs, gid, n_owned):  # type: ignore[no-untyped-def]
         for t in range(indptr[i] + 1, indptr[i + 1]):
             j = neighbours[t]
             s = t - 1
-            while s >= indptr[i] and gid[neighbours[s]] > gid[j]:
+            while s >= indptr[i] and order[neighbours[s]] > order[j]:
                 neighbours[s + 1] = neighbours[s]
                 s -= 1
             neighbours[s + 1] = j

@@ -65,7 +65,7 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
 
     @compiled
     def matrix(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_of_column, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
         point_ptr, members, stiffness, K_inverse, x, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int64)
@@ -75,9 +75,9 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
             n_diag = diag_ptr[row + 1] - diag_ptr[row]
             n_off = off_ptr[row + 1] - off_ptr[row]
             for q in range(n_diag + n_off):
-                local = local_of_column[columns[begin + q]]
-                if local >= 0:
-                    slot[local] = q
+                column = columns[begin + q]
+                for c in range(local_ptr[column], local_ptr[column + 1]):
+                    slot[locals_of[c]] = q
             for q in range(n_diag):
                 diag[diag_ptr[row] + q] = 0.0
             for q in range(n_off):
@@ -189,7 +189,7 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
 
     @compiled
     def matrix(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_of_column, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
         point_ptr, members, S, g, T, x, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int64)
@@ -204,9 +204,9 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
             n_diag = diag_ptr[row + 1] - diag_ptr[row]
             n_off = off_ptr[row + 1] - off_ptr[row]
             for q in range(n_diag + n_off):
-                local = local_of_column[columns[begin + q]]
-                if local >= 0:
-                    slot[local] = q
+                column = columns[begin + q]
+                for c in range(local_ptr[column], local_ptr[column + 1]):
+                    slot[locals_of[c]] = q
             blocks[: n_diag + n_off] = 0.0
             a = first_row + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):

@@ -13,7 +13,7 @@ from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.output.files import InCreationOrder, replacing, reserve
 
-FORMAT = 1
+FORMAT = 2
 
 
 def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float, t: float, step: int) -> None:
@@ -29,11 +29,12 @@ def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float,
         if is_root(cloud.comm):
             reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8)
     failure: OutputError | None = None
-    parts = order.parts_on_root(u)
+    virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
+    parts = order.parts_on_root(u[: cloud.n_owned])
     if is_root(cloud.comm):
         try:
             with replacing(path) as aside, h5py.File(aside, "w") as file:
-                file.attrs.update(format=FORMAT, t=t, step=step, identity=identity)
+                file.attrs.update(format=FORMAT, t=t, step=step, identity=identity, virtual=virtual)
                 dataset = file.create_dataset("u", (cloud.n_global, cloud.dim), np.float64)
                 for rows, part in parts:
                     dataset[rows] = part
@@ -47,7 +48,7 @@ def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float,
 
 
 def read_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path) -> tuple[Float, float, int]:
-    """Return displacement of the own particles, step time and step of a checkpoint (collective).
+    """Return the unknowns of this rank, step time and step of a checkpoint (collective).
 
     Raises
     ------
@@ -61,15 +62,18 @@ def read_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path) -> tuple[F
             with h5py.File(path, "r") as file:
                 if file.attrs.get("format") != FORMAT:
                     raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
-                if not np.allclose(file.attrs["identity"], identity, rtol=1e-9, atol=0.0):
+                found = np.asarray(file.attrs["identity"])
+                if found.shape != identity.shape or not np.allclose(found, identity, rtol=1e-9, atol=0.0):
                     raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
                 part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
                 t, step = float(file.attrs["t"]), int(file.attrs["step"])
+                virtual = np.asarray(file.attrs["virtual"]).reshape(-1, cloud.dim)
         except (OSError, KeyError, ValueError) as error:
             if isinstance(error, CaseError):
                 raise
             raise CaseError(f"Cannot read the checkpoint {path}: {error}.") from None
-    return order.from_parts(part), t, step
+    u = order.from_parts(part)
+    return np.concatenate([u, virtual]) if cloud.n_virtual else u, t, step
 
 
 def _identity(cloud: Cloud) -> Float:
@@ -78,4 +82,5 @@ def _identity(cloud: Cloud) -> Float:
     x, volume = cloud.x[:n], cloud.volume[:n]
     numbered = (cloud.gid[:n] % 97) @ np.abs(x).sum(axis=1)
     sums = total(cloud.comm, [volume.sum(), (x**2).sum(), numbered])
-    return np.array([cloud.n_global, cloud.dim, cloud.horizon, *sums])
+    periods = np.zeros(cloud.dim) if cloud.images is None else cloud.images.cell.lengths
+    return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums])

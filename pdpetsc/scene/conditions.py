@@ -112,4 +112,52 @@ def Pressure(
     return Traction(region, x, y, z, schedule or Ramp(), normal=tuple(normal), distribution=distribution)
 
 
-Condition: TypeAlias = Displacement | Force | BodyForce | Traction
+@dataclass(frozen=True)
+class _Tensor:
+    xx: float | None = None
+    yy: float | None = None
+    zz: float | None = None
+    xy: float | None = None
+    yz: float | None = None
+    xz: float | None = None
+    schedule: Schedule = field(default_factory=Ramp)
+
+    def components(self, available: Sequence[tuple[int, int]]) -> list[tuple[int, float]]:
+        """Return the declared components as (position in ``available``, value).
+
+        Raises
+        ------
+        CaseError
+            None is declared, the cell lacks one, or a number is not finite.
+        """
+        name = type(self).__name__
+        letters = ["xyz"[a] + "xyz"[b] for a, b in available]
+        declared = {key: getattr(self, key) for key in ("xx", "yy", "zz", "xy", "yz", "xz")}
+        given = {key: value for key, value in declared.items() if value is not None}
+        if not given:
+            raise CaseError(f"A {name} condition needs at least one of the components {', '.join(letters)}.")
+        for key, value in given.items():
+            if key not in letters:
+                raise CaseError(f"A {name} condition gives {key}; the periodic cell has {', '.join(letters)}.")
+            if not math.isfinite(value):
+                raise CaseError(f"Component {key} of a {name} condition is {value}.")
+        return [(letters.index(key), value) for key, value in given.items()]
+
+
+@dataclass(frozen=True)
+class MeanStrain(_Tensor):
+    """Prescribed components of the mean strain of a periodic cell [-], ``u(x + n L) = u(x) + strain n L``.
+
+    At finite deformation it is the mean stretch less one, ``U - I``, in axes that do not rotate.
+    """
+
+
+@dataclass(frozen=True)
+class MeanStress(_Tensor):
+    """Mean stress of a periodic cell [stress], per reference volume; 0 where neither it nor the strain is given.
+
+    At finite deformation it is the symmetric part of the mean first Piola-Kirchhoff stress.
+    """
+
+
+Condition: TypeAlias = Displacement | Force | BodyForce | Traction | MeanStrain | MeanStress

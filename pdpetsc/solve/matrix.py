@@ -22,7 +22,7 @@ def predicted_bytes(pattern: Pattern, dim: int) -> int:
     Collective.
     """
     index = np.dtype(PETSc.IntType).itemsize
-    per_rank = pattern.n_blocks * dim * dim * (8 + index) + pattern.cloud.n_owned * dim * 6 * index
+    per_rank = pattern.n_blocks * dim * dim * (8 + index) + pattern.cloud.n_rows * dim * 6 * index
     return int(total(pattern.cloud.comm, per_rank))
 
 
@@ -36,7 +36,7 @@ class TangentMatrix:
     ----------
     model : Model
         The body.
-    fixed : (n_owned, dim) bool
+    fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
         Diagonal of prescribed rows [force / length].
@@ -51,9 +51,9 @@ class TangentMatrix:
         self._scale = scale
         self._fixed = fixed.ravel()
         model, pattern = assembler.model, assembler.pattern
-        dim, n = model.dim, model.cloud.n_owned
+        dim, n = model.dim, model.cloud.n_rows
         self.mat = _allocate(model, pattern)
-        rows = pattern.owned
+        rows = pattern.rows
         self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
         self._n_off = int(rows.off_ptr[-1]) * dim * dim
         other = pattern.of_other_columns(fixed.astype(np.int8)).astype(bool)
@@ -87,11 +87,12 @@ class TangentMatrix:
 def _allocate(model: Model, pattern: Pattern) -> PETSc.Mat:
     dim, cloud = model.dim, model.cloud
     columns = _global_columns(pattern)
-    block_ptr = pattern.owned.diag_ptr + pattern.owned.off_ptr
-    row_ptr = np.empty(cloud.n_owned * dim + 1, dtype=PETSc.IntType)
+    rows = pattern.rows
+    block_ptr = rows.diag_ptr + rows.off_ptr
+    row_ptr = np.empty(cloud.n_rows * dim + 1, dtype=PETSc.IntType)
     scalar = np.empty(len(columns) * dim * dim, dtype=PETSc.IntType)
     scalar_rows(block_ptr, columns, dim, row_ptr, scalar)
-    size = (cloud.n_owned * dim, cloud.n_global * dim)
+    size = (cloud.n_rows * dim, (cloud.n_global + cloud.n_virtual_global) * dim)
     mat = PETSc.Mat().create(comm=cloud.comm)
     mat.setSizes((size, size), bsize=dim)
     mat.setType("aij")
@@ -104,8 +105,8 @@ def _allocate(model: Model, pattern: Pattern) -> PETSc.Mat:
 
 def _global_columns(pattern: Pattern) -> GlobalIndex:
     """Return the global row of every block's column, in the order of the rows of a distributed matrix."""
-    n, first = pattern.cloud.n_owned, pattern.cloud.first
-    columns = pattern.owned.columns
+    n, first = pattern.n_own_columns, pattern.cloud.first
+    columns = pattern.rows.columns
     other = np.concatenate([pattern.other_columns, [0]])
     return np.where(columns < n, columns + first, other[np.maximum(columns - n, 0)])
 
@@ -140,7 +141,7 @@ def _attach_rigid_modes(mat: PETSc.Mat, model: Model) -> None:
     basis = []
     for m in range(modes.shape[2]):
         vec = mat.createVecLeft()
-        vec.array = modes[:, :, m].ravel()
+        vec.array = np.concatenate([modes[:, :, m], np.zeros((model.cloud.n_virtual, model.dim))]).ravel()
         basis.append(vec)
     for m, vec in enumerate(basis):
         for earlier in basis[:m]:

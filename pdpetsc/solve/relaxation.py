@@ -53,7 +53,9 @@ class RelaxationSolver(Solver):
         self._options = options
         self._stop = stop
         self._free = ~loading.fixed
-        self._mass = model.cloud.volume[: model.cloud.n_owned, None]
+        cloud = model.cloud
+        whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
+        self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])[:, None]
         self._courant = _courant_step(model)
 
     @property
@@ -142,13 +144,14 @@ class RelaxationSolver(Solver):
     def _time_step(self, u: Float) -> float:
         """Return the time step that is stable at ``u``."""
         cloud = self._model.cloud
-        gid = cloud.gid[: cloud.n_owned, None].astype(float)
+        gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
+        gid = gid[:, None].astype(float)
         v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
-        A = self._model.moduli(self._model.deformation(self._model.with_ghosts(u)))
+        tangent = self._model.linearised(u)
         square = 0.0
         for _ in range(POWER_ITERATIONS):
             v = v / max(self._norm(v), np.finfo(float).tiny)
-            v = np.where(self._free, self._model.moduli_times(A, v) / self._mass, 0.0)
+            v = np.where(self._free, tangent(v) / self._mass, 0.0)
             square = self._norm(v)
         # Power iterations approach the largest frequency from below.
         critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf
@@ -159,9 +162,8 @@ def _courant_step(model: Model) -> float:
     """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
     cloud = model.cloud
     shortest = -largest(cloud.comm, -_shortest_bond(model))
-    stiffest = max(law.largest_modulus() for law in model.laws)
-    stiffest = largest(cloud.comm, stiffest)
-    several = largest(cloud.comm, float(model.operator.n_points > cloud.n_owned))
+    stiffest = largest(cloud.comm, model.largest_modulus)
+    several = largest(cloud.comm, float(model.n_points > cloud.n_owned))
     return float((1.0 if several else 2.0) / model.dim * shortest / np.sqrt(stiffest))
 
 

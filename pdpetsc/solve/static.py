@@ -87,7 +87,9 @@ class StaticSolver(Solver):
         self.loading = loading
         self._stop = stop
         self._free = ~loading.fixed
-        self._spacing = cloud.volume[: cloud.n_owned, None] ** (1.0 / model.dim)
+        spacing = cloud.volume[: cloud.n_owned, None] ** (1.0 / model.dim)
+        whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
+        self._spacing = np.concatenate([spacing, whole])
         self._scale = _stiffness_scale(model)
         self._matrix = TangentMatrix(assembler, loading.fixed, self._scale)
         self._x = self._matrix.mat.createVecRight()
@@ -126,11 +128,11 @@ class StaticSolver(Solver):
         return f"snes {self.snes.getType()}, ksp {ksp.getType()}, pc {pc_name}"
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Find equilibrium at step time ``t`` starting from ``u`` (n_owned, dim).
+        """Find equilibrium at step time ``t`` starting from ``u`` (n_rows, dim).
 
         Returns
         -------
-        u : (n_owned, dim) float64
+        u : (n_rows, dim) float64
             The new displacement, or an unusable one where the step failed.
         result : StepResult
         """
@@ -250,8 +252,9 @@ class StaticSolver(Solver):
 def _stiffness_scale(model: Model) -> float:
     """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials."""
     cloud = model.cloud
-    kappa = max(law.material.bulk_like_modulus(model.dim) for law in model.laws)
-    return kappa * float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global / cloud.horizon**2
+    return (
+        model.kappa * float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global / cloud.horizon**2
+    )
 
 
 def _first_line(error: PETSc.Error) -> str:

@@ -104,7 +104,7 @@ def fill(
     for rows in (pattern.owned, pattern.ghost):
         diag, off = np.empty(dim * dim * rows.diag_ptr[-1]), np.empty(dim * dim * rows.off_ptr[-1])
         kernel(
-            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, pattern.local_of_column, *transposed,
+            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *transposed,
             *stencils, *data, diag, off,
         )  # fmt: skip
         values.append((diag, off))

@@ -17,7 +17,6 @@ import pdpetsc as pd  # noqa: E402
 from pdpetsc.build import make_cloud, make_model  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
-from pdpetsc.model import Assembler  # noqa: E402
 from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes  # noqa: E402
 
 REPEATS = 5
@@ -42,7 +41,7 @@ def main(n=201, horizon=3.015, scheme="correspondence"):
         t_cloud, cloud = timed(comm, lambda: make_cloud(comm, case))
         t_families, families = timed(comm, lambda: find_families(cloud))
         t_model, model = timed(comm, lambda: make_model(case, cloud, families))
-        t_pattern, assembler = timed(comm, lambda: Assembler(model))
+        t_pattern, assembler = timed(comm, lambda: model.assembler())
         u = 1e-3 * np.sin(cloud.x[: cloud.n_owned])
         t_residual = timed(comm, lambda: model.internal_force(u))[0]
         t_residual = timed(comm, lambda: model.internal_force(u))[0]

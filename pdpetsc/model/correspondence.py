@@ -1,4 +1,4 @@
-"""The discrete body: residual, tangent and energy composed from scheme, materials and stabilisation."""
+"""Correspondence: residual, tangent and energy composed from scheme, materials and stabilisation."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.pattern import Pattern, Rows, build_pattern
+from pdpetsc.discrete.pattern import Rows, build_pattern, sharing_stencil
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.pattern import transpose
 from pdpetsc.law import Law, make_law
 from pdpetsc.material.base import Material
+from pdpetsc.model.base import Assembler, Linearised, Model
 from pdpetsc.stabilisation.base import Control, Stabilisation, Stiffness
 
 
-class Model:
+class CorrespondenceModel(Model):
     """Internal forces ``f = G^T (W P)`` and tangent ``K = G^T (W A) G`` of a body, with its zero-energy control.
 
     Parameters
@@ -61,9 +62,9 @@ class Model:
         stabilisation: Stabilisation | None,
         factor: Float | None = None,
     ) -> None:
-        self.cloud = cloud
-        self.families = families
+        super().__init__(cloud, families)
         self.operator: GradientOperator = scheme.build(cloud, families, omega)
+        self.note = self.operator.note
         law_of = material_of[self.operator.owner]
         self.laws: list[Law] = []
         for number, material in enumerate(materials):
@@ -75,18 +76,18 @@ class Model:
         if stabilisation is not None:
             stiffness = _stiffness(materials, material_of, factor, cloud)
             self.control = stabilisation.build(cloud, families, omega, stiffness)
-        self._u = np.zeros((cloud.n_local, cloud.dim))
+            self.control_name = type(stabilisation).__name__
 
     @property
-    def dim(self) -> int:
-        """Return the dimension."""
-        return self.cloud.dim
+    def n_points(self) -> int:
+        """Return the gradient points of this rank."""
+        return self.operator.n_points
 
-    def with_ghosts(self, u: Float) -> Float:
-        """Return ``u`` (n_owned, dim) extended by the ghosts; the array is reused by the next call."""
-        self._u[: self.cloud.n_owned] = u
-        self.cloud.halo.forward(self._u)
-        return self._u
+    @property
+    def parts(self) -> list[str]:
+        """Return what the body is made of."""
+        made = ["families", "gradient operator", *(f"material {type(law.material).__name__}" for law in self.laws)]
+        return made + ([] if self.control is None else [f"control {self.control_name}"])
 
     def deformation(self, u_local: Float) -> Float:
         """Return ``F_p`` (n_points, dim, dim) for displacements with ghosts (not collective)."""
@@ -113,13 +114,7 @@ class Model:
         return A
 
     def internal_force(self, u: Float) -> Float | None:
-        """Return the internal forces of the own particles (n_owned, dim) [force].
-
-        Returns
-        -------
-        (n_owned, dim) float64 or None
-            None on all ranks where any rank has ``det F <= 0``.
-        """
+        """Return the internal forces (n_rows, dim) [force]; None on all ranks where any rank has ``det F <= 0``."""
         u_local = self.with_ghosts(u)
         F = self.deformation(u_local)
         if int(total(self.cloud.comm, int(not self.admissible(F)))):
@@ -128,39 +123,36 @@ class Model:
         self.operator.divergence(self.stress(F), f)
         if self.control is not None:
             self.control.force(u_local, f)
-        self.cloud.halo.reverse(f)
-        return f[: self.cloud.n_owned]
+        return self.gather(f)
 
     def all_admissible(self, u: Float) -> bool:
         """Return whether ``det F > 0`` on every rank."""
         F = self.deformation(self.with_ghosts(u))
         return int(total(self.cloud.comm, int(not self.admissible(F)))) == 0
 
-    def tangent_times(self, u: Float, du: Float) -> Float:
-        """Return ``K(u) du`` (n_owned, dim) [force] without assembling K."""
-        return self.moduli_times(self.moduli(self.deformation(self.with_ghosts(u))), du)
+    def linearised(self, u: Float) -> Linearised:
+        """Return ``du -> (G^T W A G + K_control) du`` with the moduli A at u."""
+        A = self.moduli(self.deformation(self.with_ghosts(u)))
+        return lambda du: self._moduli_times(A, du)
 
-    def moduli_times(self, A: Float, du: Float) -> Float:
-        """Return ``(G^T W A G + K_control) du`` (n_owned, dim) [force] for moduli A at the points."""
+    def _moduli_times(self, A: Float, du: Float) -> Float:
         du_local = self.with_ghosts(du)
         f = np.zeros_like(du_local)
         self.operator.divergence(np.einsum("pimkn,pkn->pim", A, self.operator.gradient(du_local)), f)
         if self.control is not None:
             self.control.force(du_local, f)
-        self.cloud.halo.reverse(f)
-        return f[: self.cloud.n_owned]
+        return self.gather(f)
 
-    def weighted_divergence(self, P: Float) -> Float:
-        """Return ``G^T (W P)`` (n_owned, dim) [force] for given stresses (n_points, dim, dim)."""
+    def uniform_stress_force(self, P: Float) -> Float:
+        """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
         f = np.zeros((self.cloud.n_local, self.dim))
-        self.operator.divergence(P, f)
-        self.cloud.halo.reverse(f)
-        return f[: self.cloud.n_owned]
+        self.operator.divergence(P[self.operator.owner], f)
+        return self.gather(f)
 
     def energy(self, u: Float) -> tuple[float, float]:
         """Return the strain energy of the body and that of its zero-energy control [energy]."""
         u_local = self.with_ghosts(u)
-        elastic = float(self.operator.volume @ self.energy_density(self.deformation(u_local)))
+        elastic = float(self.operator.volume @ self.point_energy(self.deformation(u_local)))
         control = 0.0 if self.control is None else self.control.force(u_local, np.zeros_like(u_local))
         both = total(self.cloud.comm, [elastic, control])
         return float(both[0]), float(both[1])
@@ -177,21 +169,32 @@ class Model:
         """Return whether stresses depend on converged steps; the same on all ranks."""
         return any(law.has_history for law in self.laws)
 
-    def plastic_strain(self) -> Float:
-        """Return the accumulated plastic strain (n_points,) [-]."""
-        alpha = np.zeros(self.operator.n_points)
-        for law in self.laws:
-            alpha[law.points] = law.plastic_strain()
-        return alpha
+    @property
+    def kappa(self) -> float:
+        """Return the largest ``lambda + 2 mu / dim`` of the materials [stress]."""
+        return max(law.material.bulk_like_modulus(self.dim) for law in self.laws)
 
-    def energy_density(self, F: Float) -> Float:
-        """Return ``psi_p`` (n_points,) [energy / volume]."""
+    @property
+    def largest_modulus(self) -> float:
+        """Return the largest entry of the small-strain stiffness on this rank [stress]."""
+        return max(law.largest_modulus() for law in self.laws)
+
+    def assembler(self) -> Assembler:
+        """Return what fills the tangent matrix (collective)."""
+        return CorrespondenceAssembler(self)
+
+    def reach(self, marked: Float) -> Mask:
+        """Return the own particles that share a gradient point with a marked local one (collective)."""
+        return sharing_stencil(self.cloud, self.operator.point_ptr, self.operator.members, marked)
+
+    def point_energy(self, F: Float) -> Float:
+        """Return ``psi_p`` (n_points,) [energy / volume] (not collective)."""
         psi = np.empty(len(F))
         for law in self.laws:
             law.energy(F, psi)
         return psi
 
-    def cauchy_stress(self, F: Float) -> Float:
+    def cauchy(self, F: Float) -> Float:
         """Return ``sigma_p = P F^T / J`` (n_points, dim, dim) [stress], J with the hidden stretches; P where linear."""
         sigma = self.stress(F)
         for law in self.laws:
@@ -200,6 +203,32 @@ class Model:
                 J = np.linalg.det(part) * law.material.thickness_stretch(part)
                 sigma[law.points] = np.einsum("pik,pjk->pij", sigma[law.points], part) / J[:, None, None]
         return sigma
+
+    def deformation_gradient(self, u: Float) -> Float:
+        """Return the mean of F over the points of each own particle (n_owned, dim, dim) [-]."""
+        return self._mean(self.deformation(self.with_ghosts(u)))
+
+    def first_piola_stress(self, u: Float) -> Float:
+        """Return the mean of P over the points of each own particle (n_owned, dim, dim) [stress]."""
+        return self._mean(self.stress(self.deformation(self.with_ghosts(u))))
+
+    def cauchy_stress(self, u: Float) -> Float:
+        """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
+        return self._mean(self.cauchy(self.deformation(self.with_ghosts(u))))
+
+    def energy_density(self, u: Float) -> Float:
+        """Return the mean of psi over the points of each own particle (n_owned,) [energy / volume]."""
+        return self._mean(self.point_energy(self.deformation(self.with_ghosts(u))))
+
+    def plastic_strain(self) -> Float:
+        """Return the mean accumulated plastic strain over the points of each own particle (n_owned,) [-]."""
+        alpha = np.zeros(self.operator.n_points)
+        for law in self.laws:
+            alpha[law.points] = law.plastic_strain()
+        return self._mean(alpha)
+
+    def _mean(self, values: Float) -> Float:
+        return self.operator.mean_over_points(values, self.cloud.n_owned)
 
 
 def _stiffness(materials: Sequence[Material], material_of: LocalIndex, factor: Float | None, cloud: Cloud) -> Stiffness:
@@ -215,36 +244,23 @@ def _stiffness(materials: Sequence[Material], material_of: LocalIndex, factor: F
     return Stiffness(kappa, moduli, material_of, factor)
 
 
-class Assembler:
-    """Fills the value arrays of the tangent matrix of a model.
+class CorrespondenceAssembler(Assembler):
+    """Row-wise assembly; index arrays and the constant matrix of the zero-energy control are computed once."""
 
-    The index arrays and the constant matrix of the zero-energy control are computed once.
+    model: CorrespondenceModel
 
-    Notes
-    -----
-    Construction and ``assemble`` are collective.
-    """
-
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: CorrespondenceModel) -> None:
         self.model = model
         operator, control = model.operator, model.control
         # The stencil of every scheme lies inside its owner's family, which is what a control couples.
         stencils = (operator.point_ptr, operator.members) if control is None else (control.point_ptr, control.members)
-        self.pattern: Pattern = build_pattern(model.cloud, *stencils)
+        self.pattern = build_pattern(model.cloud, *stencils)
         self._transposed = transpose(operator.point_ptr, operator.members, model.cloud.n_local)
         self._control = None if control is None else control.matrix(self.pattern)
         self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
 
-    def assemble(self, u: Float, diag: Float, off: Float) -> None:
-        """Write the values of K(u) for the own rows: own columns into ``diag``, the others into ``off``.
-
-        Parameters
-        ----------
-        u : (n_owned, dim) float64
-            Displacement [length], admissible on all ranks.
-        diag, off : float64
-            Scalar CSR values in ``pattern.owned`` order.
-        """
+    def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
+        """Write the rows of the own particles."""
         model, pattern, dim = self.model, self.pattern, self.model.dim
         A = model.moduli(model.deformation(model.with_ghosts(u)))
         self._rows(pattern.owned, A, diag, off)
@@ -256,6 +272,6 @@ class Assembler:
     def _rows(self, rows: Rows, A: Float, diag: Float, off: Float) -> None:
         operator = self.model.operator
         assemble_kernel(self.model.dim)(
-            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, self.pattern.local_of_column, *self._transposed,
+            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *self.pattern.locals_of_columns, *self._transposed,
             operator.point_ptr, operator.members, operator.g, operator.volume, A, diag, off,
         )  # fmt: skip

@@ -1,0 +1,6 @@
+"""The discrete body: residual, tangent and energy, composed from the layers below."""
+
+from pdpetsc.model.base import Assembler, Linearised, Model
+from pdpetsc.model.correspondence import CorrespondenceModel
+
+__all__ = ["Assembler", "CorrespondenceModel", "Linearised", "Model"]

@@ -1,0 +1,229 @@
+"""What a discrete body gives to loading, solvers and outputs, whatever its formulation."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.pattern import Pattern
+
+# Applies the tangent at one displacement to others: (n_rows, dim) -> (n_rows, dim).
+Linearised: TypeAlias = Callable[[Float], Float]
+
+
+class Model(ABC):
+    """A body: its internal forces, tangent and energy as functions of the unknowns of this rank.
+
+    Unknowns ``u`` (n_rows, dim) are the displacements of the own particles and, on the last rank, the virtual rows of a
+    periodic cell; forces have the same rows.
+
+    Parameters
+    ----------
+    cloud, families
+        Particles of this rank and their bonds.
+
+    Attributes
+    ----------
+    linear : bool
+        Whether forces are linear in the unknowns.
+    note : str
+        What a user should know about how the body was built; the same on all ranks.
+
+    Notes
+    -----
+    Every method is collective but where it says otherwise.
+    """
+
+    linear: bool
+    note: str = ""
+
+    def __init__(self, cloud: Cloud, families: Families) -> None:
+        self.cloud = cloud
+        self.families = families
+        self._u = np.zeros((cloud.n_local, cloud.dim))
+
+    @property
+    def dim(self) -> int:
+        """Return the dimension (not collective)."""
+        return self.cloud.dim
+
+    def with_ghosts(self, u: Float) -> Float:
+        """Return the displacements of all local particles (n_local, dim); the array is reused by the next call."""
+        cloud = self.cloud
+        self._u[: cloud.n_owned] = u[: cloud.n_owned]
+        cloud.halo.forward(self._u)
+        if cloud.images is not None:
+            self._u[cloud.n_owned :] += cloud.offset @ cloud.images.strain(u[cloud.n_owned :])
+        return self._u
+
+    def gather(self, f: Float) -> Float:
+        """Return the forces on the unknowns (n_rows, dim) from those on local particles (n_local, dim), overwritten."""
+        cloud = self.cloud
+        if cloud.images is None:
+            cloud.halo.reverse(f)
+            return f[: cloud.n_owned]
+        virtual = cloud.images.force(cloud.offset, f[cloud.n_owned :])
+        cloud.halo.reverse(f)
+        return np.concatenate([f[: cloud.n_owned], virtual])
+
+    @property
+    @abstractmethod
+    def n_points(self) -> int:
+        """Return the gradient points of this rank, 0 for a body without (not collective)."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> list[str]:
+        """Return what the body is made of, for the record (not collective)."""
+
+    @abstractmethod
+    def internal_force(self, u: Float) -> Float | None:
+        """Return the internal forces (n_rows, dim) [force]; None on all ranks where u is inadmissible on any."""
+
+    @abstractmethod
+    def all_admissible(self, u: Float) -> bool:
+        """Return whether forces are defined at u on every rank."""
+
+    @abstractmethod
+    def linearised(self, u: Float) -> Linearised:
+        """Return ``du -> K(u) du`` [force] without assembling K; the result is collective too."""
+
+    def tangent_times(self, u: Float, du: Float) -> Float:
+        """Return ``K(u) du`` (n_rows, dim) [force]."""
+        return self.linearised(u)(du)
+
+    @abstractmethod
+    def energy(self, u: Float) -> tuple[float, float]:
+        """Return the strain energy of the body and that of its zero-energy control [energy]."""
+
+    @abstractmethod
+    def commit(self, u: Float) -> None:
+        """Take ``u`` as converged: what has a history remembers it."""
+
+    @property
+    @abstractmethod
+    def has_history(self) -> bool:
+        """Return whether forces depend on converged steps; the same on all ranks (not collective)."""
+
+    @property
+    @abstractmethod
+    def kappa(self) -> float:
+        """Return a typical modulus, ``lambda + 2 mu / dim`` [stress] (not collective)."""
+
+    @property
+    @abstractmethod
+    def largest_modulus(self) -> float:
+        """Return the largest modulus on this rank [stress] (not collective)."""
+
+    @abstractmethod
+    def assembler(self) -> Assembler:
+        """Return what fills the tangent matrix."""
+
+    @abstractmethod
+    def deformation_gradient(self, u: Float) -> Float:
+        """Return F of the own particles (n_owned, dim, dim) [-]."""
+
+    @abstractmethod
+    def first_piola_stress(self, u: Float) -> Float:
+        """Return P of the own particles (n_owned, dim, dim) [stress]."""
+
+    @abstractmethod
+    def cauchy_stress(self, u: Float) -> Float:
+        """Return the Cauchy stress of the own particles (n_owned, dim, dim) [stress]; P where the body is linear."""
+
+    @abstractmethod
+    def energy_density(self, u: Float) -> Float:
+        """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
+
+    @abstractmethod
+    def plastic_strain(self) -> Float:
+        """Return the accumulated plastic strain of the own particles (n_owned,) [-] (not collective)."""
+
+    @abstractmethod
+    def uniform_stress_force(self, P: Float) -> Float:
+        """Return the forces that hold stresses ``P`` (n_owned, dim, dim) of the particles in balance (n_rows, dim).
+
+        Raises
+        ------
+        CaseError
+            The formulation has no such forces.
+        """
+
+    @abstractmethod
+    def reach(self, marked: Float) -> Mask:
+        """Return the own particles whose forces depend on a marked local particle: (n_local,) -> (n_owned,) bool."""
+
+
+class Assembler(ABC):
+    """Fills the value arrays of the tangent matrix of a model.
+
+    Attributes
+    ----------
+    model : Model
+        The body.
+    pattern : Pattern
+        Where the values go.
+
+    Notes
+    -----
+    Construction and ``assemble`` are collective.
+    """
+
+    model: Model
+    pattern: Pattern
+
+    def assemble(self, u: Float, diag: Float, off: Float) -> None:
+        """Write the values of K(u) for the own rows: own columns into ``diag``, the others into ``off``.
+
+        Parameters
+        ----------
+        u : (n_rows, dim) float64
+            Unknowns [length], admissible on all ranks.
+        diag, off : float64
+            Scalar CSR values in ``pattern.rows`` order.
+        """
+        size = self.model.dim**2
+        particles = self.pattern.owned
+        n_diag, n_off = size * int(particles.diag_ptr[-1]), size * int(particles.off_ptr[-1])
+        self.assemble_particles(u, diag[:n_diag], off[:n_off])
+        if self.pattern.border is not None:
+            self._assemble_border(self.model.linearised(u), diag, off)
+
+    @abstractmethod
+    def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
+        """Write the rows of the own particles, with virtual unknowns held; zero in virtual columns."""
+
+    def _assemble_border(self, tangent: Linearised, diag: Float, off: Float) -> None:
+        """Write the columns of the virtual unknowns, from the tangent applied to each of them, and their rows."""
+        pattern, cloud, dim = self.pattern, self.model.cloud, self.model.dim
+        border, n = pattern.border, cloud.n_owned
+        assert border is not None
+        rows = pattern.rows
+        numbers = np.concatenate([border.arrived, border.columns])
+        order = np.argsort(numbers)
+        n_here = dim * int(np.count_nonzero(numbers < pattern.n_own_columns))
+        # Virtual columns are the last of the columns of the rank that holds them, and of the others elsewhere.
+        values, ptr = (diag, rows.diag_ptr) if cloud.n_virtual else (off, rows.off_ptr)
+        n_blocks = np.diff(ptr)[border.particles]
+        start = dim * dim * ptr[border.particles] + dim * (n_blocks - cloud.n_virtual_global)
+        for v in range(cloud.n_virtual_global):
+            for c in range(dim):
+                unit = np.zeros((cloud.n_rows, dim))
+                if cloud.n_virtual:
+                    unit[n + v, c] = 1.0
+                column = tangent(unit)
+                for i in range(dim):
+                    values[start + i * dim * n_blocks + dim * v + c] = column[border.particles, i]
+                arrived = border.gather(np.ascontiguousarray(column[border.particles]))
+                if cloud.n_virtual:
+                    row = np.concatenate([arrived, column[n:]])[order].ravel()
+                    here = dim * dim * rows.diag_ptr[n + v] + c * n_here
+                    diag[here : here + n_here] = row[:n_here]
+                    there = dim * dim * rows.off_ptr[n + v] + c * (len(row) - n_here)
+                    off[there : there + len(row) - n_here] = row[n_here:]

@@ -1,0 +1,73 @@
+"""Periodic cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell that repeats in some directions.
+
+    A particle and its images move alike but for the mean strain of the cell, which ``MeanStrain`` prescribes, or which
+    follows from ``MeanStress``: ``u(x + n L) = u(x) + strain n L``.
+
+    Parameters
+    ----------
+    low, high : float or sequence of float
+        Corners of the cell [length]; only the coordinates in periodic directions matter.
+    axes : str, optional
+        Periodic directions, such as ``"x"`` or ``"xy"``; all of them where absent.
+    """
+
+    low: float | Sequence[float]
+    high: float | Sequence[float]
+    axes: str | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self._corners()
+        if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
+            raise CaseError("The corners low and high of a Cell need the same 1, 2 or 3 coordinates.")
+        letters = "xyz"[: len(low)]
+        if self.axes is not None and (not self.axes or sorted(set(self.axes) & set(letters)) != sorted(self.axes)):
+            raise CaseError(f"The axes of this Cell are letters of {letters!r}, not {self.axes!r}.")
+        for axis in self.periodic:
+            if not (np.isfinite([low[axis], high[axis]]).all() and high[axis] > low[axis]):
+                raise CaseError(f"Side {'xyz'[axis]} of the Cell goes from {low[axis]:g} to {high[axis]:g}.")
+
+    @property
+    def dim(self) -> int:
+        """Return the number of coordinates."""
+        return len(self._corners()[0])
+
+    @property
+    def periodic(self) -> list[int]:
+        """Return the periodic directions, ascending."""
+        return sorted("xyz".index(letter) for letter in (self.axes or "xyz"[: self.dim]))
+
+    @property
+    def origin(self) -> Float:
+        """Return the lower corner (dim,) [length]."""
+        return self._corners()[0]
+
+    @property
+    def lengths(self) -> Float:
+        """Return the period in each direction (dim,) [length], 0 where there is none."""
+        low, high = self._corners()
+        lengths = np.zeros(len(low))
+        lengths[self.periodic] = (high - low)[self.periodic]
+        return lengths
+
+    @property
+    def components(self) -> list[tuple[int, int]]:
+        """Return the components of strain that the cell has: pairs of periodic directions ``a <= b``."""
+        return [(a, b) for a in self.periodic for b in self.periodic if a <= b]
+
+    def _corners(self) -> tuple[Float, Float]:
+        return np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))

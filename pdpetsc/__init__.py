@@ -5,6 +5,8 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 
 from typing import TYPE_CHECKING, Any
 
+from pdpetsc.bond_based import BondBased, LinearSolid
+from pdpetsc.damage import Brittle, ConstantCritical, CriticalFunction, LinearCritical, LinearSoftening
 from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
 from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
@@ -59,14 +61,18 @@ __all__ = [
     "AveragedDisplacement",
     "BodyForce",
     "BondAssociated",
+    "BondBased",
+    "Brittle",
     "Case",
     "CaseError",
     "Cell",
     "CellStrain",
     "CellStress",
+    "ConstantCritical",
     "ControlEnergy",
     "Corrected",
     "Correspondence",
+    "CriticalFunction",
     "Displacement",
     "DynamicRelaxation",
     "Force",
@@ -77,7 +83,10 @@ __all__ = [
     "Interrupted",
     "LargestError",
     "Lattice",
+    "LinearCritical",
     "LinearElastic",
+    "LinearSoftening",
+    "LinearSolid",
     "Littlewood",
     "Mean",
     "MeanStrain",

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
-from pdpetsc.case import Case
+from pdpetsc.bond_based import BondMaterial, Neighbourhood
+from pdpetsc.case import Case, law_of
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
@@ -13,7 +18,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
-from pdpetsc.model import CorrespondenceModel, Model
+from pdpetsc.model import BondModel, CorrespondenceModel, Model
 from pdpetsc.scene.particles import Chunk
 
 
@@ -29,10 +34,8 @@ def make_cloud(comm: Comm, case: Case) -> Cloud:
 
 def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     """Return the model of a case on a distributed cloud (collective)."""
-    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    omega: Float = case.influence(length / case.horizon)
     materials, material_of, factor = _materials(case, cloud)
-    return CorrespondenceModel(cloud, families, omega, case.scheme, materials, material_of, case.stabilisation, factor)
+    return _model(case, cloud, families, materials, material_of, factor)
 
 
 def rehearse(comm: Comm, case: Case, dim: int) -> None:
@@ -48,27 +51,36 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
     with agreed(comm):
         if is_root(comm):
             x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-            materials = [_law(material) for _, material in case.materials]
+            materials = [law_of(material) for _, material in case.materials]
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
-                families = find_families(cloud)
-                omega = np.ones(len(families.neighbours))
                 law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
-                model = CorrespondenceModel(cloud, families, omega, case.scheme, materials, law_of, case.stabilisation)
+                # Critical stretches are those of another body: no damage here, whose loops are numpy's.
+                model = _model(replace(case, damage=None), cloud, find_families(cloud), materials, law_of, None)
                 assembler = model.assembler()
                 u = np.zeros_like(x)
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
                 assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
                 model.internal_force(u)
+                model.tangent_times(u, u)
                 model.energy(u)
                 model.commit(u)
 
 
-def _law(material: Material | Graded) -> Material:
-    return material.material if isinstance(material, Graded) else material
+def _model(
+    case: Case, cloud: Cloud, families: Families, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> Model:  # fmt: skip
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    omega: Float = case.influence(length / cloud.horizon)
+    if case.of_bonds:
+        bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+        return BondModel(bonds, cast(Sequence[BondMaterial], materials), material_of, factor, case.damage)
+    laws = cast(Sequence[Material], materials)
+    return CorrespondenceModel(cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor)
 
 
-def _materials(case: Case, cloud: Cloud) -> tuple[list[Material], LocalIndex, Float | None]:
+def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:
     """Return the materials, the index of each own particle's, and its factor where any is graded (collective)."""
     count = np.zeros(cloud.n_owned, dtype=np.int32)
     index = np.zeros(cloud.n_owned, dtype=np.int32)
@@ -87,7 +99,7 @@ def _materials(case: Case, cloud: Cloud) -> tuple[list[Material], LocalIndex, Fl
             gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
             raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
     graded = any(isinstance(material, Graded) for _, material in case.materials)
-    return [_law(material) for _, material in case.materials], index, factor if graded else None
+    return [law_of(material) for _, material in case.materials], index, factor if graded else None
 
 
 def _factors(material: Graded, x: Float) -> Float:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
+from pdpetsc.bond_based import BondMaterial
+from pdpetsc.damage import BondDamage
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, SubHorizons
 from pdpetsc.material import Graded, Material
@@ -22,7 +24,13 @@ from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import Field, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
 
+AnyMaterial: TypeAlias = Material | BondMaterial | Graded
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
+
+
+def law_of(material: AnyMaterial) -> Material | BondMaterial:
+    """Return the material without its grading."""
+    return material.material if isinstance(material, Graded) else material
 
 
 @dataclass(frozen=True)
@@ -35,16 +43,19 @@ class Case:
         Where the particles are.
     horizon : float
         Radius of the families [length].
-    material : Material, Graded, or sequence of (Region, Material or Graded)
-        One material, or one per region; every particle needs exactly one.
+    material : Material, BondMaterial, Graded, or sequence of (Region, one of these)
+        One material, or one per region; every particle needs exactly one. Materials of bonds do not mix with others.
     conditions : sequence of Condition
         Displacements and loads.
-    scheme : Scheme
+    scheme : Scheme, optional
         Where deformation gradients are evaluated; sub-horizons by default, which need no control and no coefficient.
+        Materials of bonds have none.
     influence : Influence
         How much a bond counts.
     stabilisation : Stabilisation, optional
         Zero-energy control; none where absent.
+    damage : BondDamage, optional
+        How the bonds of a bond-based material fail; they do not where absent.
     cell : Cell, optional
         Periodic cell that the particles fill; hold one particle against translation.
     steps : Steps or AdaptiveSteps
@@ -65,11 +76,12 @@ class Case:
 
     particles: Particles
     horizon: float
-    material: Material | Graded | Sequence[tuple[Region, Material | Graded]]
+    material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]]
     conditions: Sequence[Condition]
-    scheme: Scheme = field(default_factory=SubHorizons)
+    scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
     stabilisation: Stabilisation | None = None
+    damage: BondDamage | None = None
     cell: Cell | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
     solver: Newton | DynamicRelaxation = field(default_factory=Newton)
@@ -80,11 +92,21 @@ class Case:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def materials(self) -> list[tuple[Region, Material | Graded]]:
+    def materials(self) -> list[tuple[Region, AnyMaterial]]:
         """Return the materials with the regions they are in."""
-        if isinstance(self.material, Material | Graded):
+        if isinstance(self.material, AnyMaterial):
             return [(All(), self.material)]
         return list(self.material)
+
+    @property
+    def of_bonds(self) -> bool:
+        """Return whether the forces act along bonds."""
+        return any(isinstance(law_of(material), BondMaterial) for _, material in self.materials)
+
+    @property
+    def gradients(self) -> Scheme:
+        """Return the scheme of a body with deformation gradients."""
+        return SubHorizons() if self.scheme is None else self.scheme
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.horizon) and self.horizon > 0.0):
@@ -92,6 +114,17 @@ class Case:
         spacing = getattr(self.particles, "spacing", 0.0)
         if self.horizon < spacing * (1.0 - 1e-9):
             raise CaseError(f"The horizon {self.horizon:g} is below the spacing {spacing:g}; families would be empty.")
+        self._check_formulation()
         clash = {"step", "t"} & set(self.history)
         if clash:
             raise CaseError(f"The history cannot have a quantity named {clash.pop()!r}; step and t are always there.")
+
+    def _check_formulation(self) -> None:
+        if self.of_bonds:
+            if not all(isinstance(law_of(material), BondMaterial) for _, material in self.materials):
+                raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")
+            for name, given in (("scheme", self.scheme), ("stabilisation", self.stabilisation)):
+                if given is not None:
+                    raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
+        elif self.damage is not None:
+            raise CaseError(f"{type(self.damage).__name__} breaks bonds of bond-based materials; this case has none.")

@@ -246,10 +246,11 @@ class _Run:
         matrix = [] if isinstance(self.case.solver, DynamicRelaxation) else ["tangent matrix"]
         self.summary["allocated"] = model.parts + matrix
         self.report.say(
-            f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, {int(points)} gradient points, "
-            f"{comm.size} rank{'s' if comm.size > 1 else ''}"
+            f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
+            f"{f'{int(points)} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
         )
-        self.summary["scheme"] = {"name": type(self.case.scheme).__name__, "note": model.note}
+        scheme = "bonds" if self.case.of_bonds else type(self.case.gradients).__name__
+        self.summary["scheme"] = {"name": scheme, "note": model.note}
         if model.note:
             self.report.say(f"scheme: {model.note}")
 

@@ -88,10 +88,10 @@ def write_curves(folder, name, title, columns, curves, reference=(), **axes):
 def dense_tangent(model, u):
     """Return K(u) of a small model on one process as a dense matrix."""
     assembler = model.assembler()
-    dim, rows = model.dim, assembler.pattern.owned
+    dim, rows = model.dim, assembler.pattern.rows
     values = np.empty(dim * dim * int(rows.diag_ptr[-1]))
     assembler.assemble(u, values, np.empty(0))
-    n = model.cloud.n_owned
+    n = model.cloud.n_rows
     K = np.zeros((n, dim, n, dim))
     for a in range(n):
         first, last = rows.diag_ptr[a], rows.diag_ptr[a + 1]

@@ -45,3 +45,24 @@ def silling_energy(x, volume, neighbours, G, kappa, u):
         z = eta - xi @ H.T
         energy += 0.5 * volume[i] * G * kappa / np.trace(K) * (V @ (z**2).sum(axis=1))
     return energy
+
+
+def bond_forces(model, u):
+    """Return the internal forces of a free body of bonds, bond by bond."""
+    x, family = model.cloud.x, model.families
+    f = np.zeros_like(u)
+    for i in range(len(u)):
+        bonds = range(family.indptr[i], family.indptr[i + 1])
+        xi = np.array([x[family.neighbours[b]] - x[i] for b in bonds])
+        eta = np.array([u[family.neighbours[b]] - u[i] for b in bonds])
+        y = xi + eta if model.finite else xi
+        n = y / np.linalg.norm(y, axis=1)[:, None]
+        e = np.linalg.norm(y, axis=1) - np.linalg.norm(xi, axis=1) if model.finite else (n * eta).sum(axis=1)
+        t = model.k[bonds.start : bonds.stop] * e
+        if model.a is not None:
+            a = model.a[bonds.start : bonds.stop]
+            t += a * model.B[i] * (a @ e)
+        for b, force in zip(bonds, t[:, None] * n, strict=True):
+            f[family.neighbours[b]] += force
+            f[i] -= force
+    return f

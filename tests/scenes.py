@@ -1,5 +1,6 @@
 """Tables of what the property tests run over, and small bodies. A new model gets one row here."""
 
+import dataclasses
 import itertools
 import sys
 from pathlib import Path
@@ -7,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 import pdpetsc as pd
+from pdpetsc.bond_based import Neighbourhood
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import CorrespondenceModel
+from pdpetsc.model import BondModel, CorrespondenceModel
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 from study import dense_tangent as dense_tangent
@@ -42,6 +44,16 @@ STABILISATIONS = {
 }
 # Controls that resist affine displacements too, by what they are.
 NOT_AFFINE = ("springs", "averaged_displacement")
+BONDS = {
+    "bond_based": pd.BondBased(E=10.0),
+    "bond_based_lattice": pd.BondBased(E=10.0, calibration="lattice"),
+    "bond_based_family": pd.BondBased(E=10.0, calibration="family"),
+    "linear_solid": pd.LinearSolid(E=10.0, nu=0.1),
+}
+BONDS |= {f"{name}_finite": dataclasses.replace(m, kinematics="finite") for name, m in BONDS.items()}
+PLANE_STRESS_BONDS = {f"{name}_plane_stress": dataclasses.replace(m, plane="stress") for name, m in BONDS.items()}
+# Step of central differences.
+STEP = 1e-6
 SIDES = {1: (12,), 2: (6, 5), 3: (4, 3, 4)}
 
 
@@ -71,6 +83,26 @@ def body(
     return CorrespondenceModel(cloud, families, omega, scheme, [material], material_of, stabilisation)
 
 
+def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
+    """Return the model of a small body of bonds on this process, in a periodic cell on request."""
+    x = lattice(dim, rng)
+    volume = np.ones(len(x)) if rng is None else rng.uniform(0.8, 1.2, len(x))
+    whole = pd.Cell([-0.5] * dim, np.array(SIDES[dim]) - 0.5) if cell else None
+    cloud = distribute(world(), x, volume, {}, horizon, whole)
+    families = find_families(cloud)
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    influence = pd.influence.Gaussian()
+    bonds = Neighbourhood(cloud, families, influence(length / horizon), length, influence, 1.0)
+    return BondModel(bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32), damage=damage)
+
+
+def bond_bodies(rng):
+    """Yield (label, model) for every dimension and material of bonds, free and periodic, on shaken clouds."""
+    for dim, cell in itertools.product(DIMS, (False, True)):
+        for name, material in (BONDS | (PLANE_STRESS_BONDS if dim == 2 else {})).items():
+            yield f"{dim}D {name} {'periodic' if cell else 'free'}", bond_body(dim, material, rng=rng, cell=cell)
+
+
 def bodies(rng):
     """Yield (label, model) for every dimension, scheme and stabilisation, on shaken clouds."""
     for dim, (s, scheme), (c, control) in itertools.product(DIMS, SCHEMES.items(), STABILISATIONS.items()):
@@ -79,7 +111,7 @@ def bodies(rng):
 
 def displacement(model, rng, size=0.05):
     """Return a rough displacement of the own particles, as large as keeps det F > 0 at every gradient point."""
-    u = size * rng.uniform(-1.0, 1.0, (model.cloud.n_owned, model.dim))
+    u = size * rng.uniform(-1.0, 1.0, (model.cloud.n_rows, model.dim))
     while not model.all_admissible(2.0 * u):
         u *= 0.5
     return u
@@ -90,3 +122,14 @@ def rotation(dim, rng):
     Q, _ = np.linalg.qr(rng.standard_normal((dim, dim)))
     Q[:, 0] *= np.sign(np.linalg.det(Q))
     return Q
+
+
+def differences(model, u, columns):
+    """Return the given columns of the tangent by central differences of the internal force."""
+    found = []
+    for column in columns:
+        d = np.zeros(u.size)
+        d[column] = STEP
+        d = d.reshape(u.shape)
+        found.append((model.internal_force(u + d) - model.internal_force(u - d)).ravel() / (2.0 * STEP))
+    return np.array(found).T

@@ -12,7 +12,7 @@ LAYERS = [
     {"kernels"},
     {"scene"},
     {"discrete", "signals"},
-    {"gradient", "material"},
+    {"gradient", "material", "bond_based", "damage"},
     {"stabilisation", "law"},
     {"model"},
     {"loading"},

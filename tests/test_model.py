@@ -11,25 +11,14 @@ from tests.scenes import (
     PLANE_STRESS,
     SCHEMES,
     STABILISATIONS,
+    STEP,
     bodies,
     body,
     dense_tangent,
+    differences,
     displacement,
     rotation,
 )
-
-STEP = 1e-6
-
-
-def differences(model, u, columns):
-    """Return the given columns of the tangent by central differences of the internal force."""
-    found = []
-    for column in columns:
-        d = np.zeros(u.size)
-        d[column] = STEP
-        d = d.reshape(u.shape)
-        found.append((model.internal_force(u + d) - model.internal_force(u - d)).ravel() / (2.0 * STEP))
-    return np.array(found).T
 
 
 @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES.keys())

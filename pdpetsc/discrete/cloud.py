@@ -53,8 +53,10 @@ class Cloud:
         The periodic cell.
     offset : (n_ghost, dim) float64
         How far each ghost is from its particle [length]: whole periods; no rows without a cell.
-    order : (n_local,) int64
-        Key that sorts a family the same on any rank count: by global id, and images by their place.
+    place : (n_local,) int64
+        Number of the period that each particle is in: 0 at home; differences tell relative places apart.
+    n_places : int
+        How many such numbers there are.
     """
 
     comm: Comm
@@ -70,7 +72,13 @@ class Cloud:
     halo: Halo
     images: Images | None
     offset: Float
-    order: GlobalIndex
+    place: GlobalIndex
+    n_places: int
+
+    @property
+    def order(self) -> GlobalIndex:
+        """Return the key that sorts a family the same on any rank count: by global id, images by their place."""
+        return np.asarray(self.gid * self.n_places + self.place + self.n_places // 2)
 
     @property
     def n_virtual(self) -> int:
@@ -157,17 +165,15 @@ def distribute(
     ghosts, counts = _candidates(comm, x, [volume, gid, row, flags], horizon, offsets)
     near = _within(x, ghosts[0], horizon)
     owner = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[near]
-    place, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
+    positions, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
     firsts = np.array(comm.allgather(first), dtype=np.int64)
     halo = Halo(comm, n_owned, owner, (rows - firsts[owner]).astype(np.int32))
     flags = np.concatenate([flags, other_flags]).astype(bool)
-    gid = np.concatenate([gid, gids])
-    middle = len(offsets) // 2
     return Cloud(
         comm=comm,
-        x=np.concatenate([x, place]).reshape(-1, dim),
+        x=np.concatenate([x, positions]).reshape(-1, dim),
         volume=np.concatenate([volume, volumes]),
-        gid=gid,
+        gid=np.concatenate([gid, gids]),
         row=np.concatenate([row, rows]),
         sets={name: np.ascontiguousarray(flags[:, n]) for n, name in enumerate(names)},
         horizon=horizon,
@@ -177,7 +183,8 @@ def distribute(
         halo=halo,
         images=None if cell is None else Images(comm, cell),
         offset=np.array(offsets)[number] if cell is not None else np.empty((0, dim)),
-        order=gid * len(offsets) + np.concatenate([np.full(n_owned, middle), number]),
+        place=np.concatenate([np.zeros(n_owned, dtype=np.int64), number - len(offsets) // 2]),
+        n_places=len(offsets),
     )
 
 

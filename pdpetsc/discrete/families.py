@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -29,7 +30,7 @@ class Families:
     indptr: GlobalIndex
     neighbours: LocalIndex
 
-    @property
+    @cached_property
     def centres(self) -> LocalIndex:
         """Return the local index of ``i`` for every bond."""
         return np.repeat(np.arange(len(self.indptr) - 1, dtype=np.int32), np.diff(self.indptr))

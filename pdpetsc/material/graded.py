@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from pdpetsc.arrays import Float
 from pdpetsc.material.base import Material
+
+if TYPE_CHECKING:
+    from pdpetsc.bond_based import BondMaterial
 
 
 @dataclass(frozen=True)
@@ -15,11 +19,11 @@ class Graded:
 
     Parameters
     ----------
-    material : Material
+    material : Material or BondMaterial
         The law; energy, stress and tangent are multiplied.
     factor : callable
         ``factor(x)`` with positions (n, dim) returns positive numbers (n,) [-].
     """
 
-    material: Material
+    material: Material | BondMaterial
     factor: Callable[[Float], Float]

@@ -1,0 +1,123 @@
+"""What a material of forces along bonds declares and what the model asks of it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import roots_legendre
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.scene.influence import Influence
+
+# Points of the quadrature of a moment of the influence function on each half of the horizon.
+QUADRATURE = 40
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """The bonds of the own particles as a material reads them.
+
+    Attributes
+    ----------
+    cloud, families
+        Particles and bonds.
+    omega, length : (n_bonds,) float64
+        Influence [-] and reference length [length] of every bond.
+    influence : Influence
+        The function that gave ``omega``.
+    thickness : float
+        What the volumes contain beyond the dimension [length^(3 - dim)].
+    """
+
+    cloud: Cloud
+    families: Families
+    omega: Float
+    length: Float
+    influence: Influence
+    thickness: float
+
+    def moment(self, power: int) -> Float:
+        """Return ``sum_j omega |xi|^power V_j`` of every own particle (n_owned,)."""
+        values = self.omega * self.length**power * self.cloud.volume[self.families.neighbours]
+        return np.asarray(np.bincount(self.families.centres, values, self.cloud.n_owned), dtype=float)
+
+    def continuous_moment(self, power: int) -> float:
+        """Return the integral of ``omega |xi|^power`` over a whole ball of the horizon."""
+        dim, horizon = self.cloud.dim, self.cloud.horizon
+        surface = {1: 2.0, 2: 2.0 * np.pi, 3: 4.0 * np.pi}[dim]
+        points, weights = roots_legendre(QUADRATURE)
+        s = np.concatenate([0.25 * (points + 1.0), 0.25 * (points + 3.0)])
+        values = self.influence(s) * s ** (power + dim - 1) * np.tile(0.25 * weights, 2)
+        return float(surface * self.thickness * horizon ** (power + dim) * values.sum())
+
+
+@dataclass(frozen=True)
+class BondStiffness:
+    """What a material gives to its bonds and particles.
+
+    The energy is ``sum_ij 1/2 k_ij e_ij^2 + sum_i 1/2 B_i (sum_j a_ij e_ij)^2`` over the bonds ``ij`` of every particle
+    ``i``, so that a pair counts twice, once from each end.
+
+    Attributes
+    ----------
+    k : (n_bonds,) float64
+        Stiffness of every bond [force / length].
+    a : (n_bonds,) float64 or None
+        What the elongation of a bond adds to the dilatation of its particle [1 / length]; None for no such term.
+    B : (n_owned,) float64 or None
+        Stiffness against dilatation [energy].
+    """
+
+    k: Float
+    a: Float | None = None
+    B: Float | None = None
+
+
+@dataclass(frozen=True)
+class BondMaterial(ABC):
+    """A material whose forces act along bonds.
+
+    Parameters
+    ----------
+    E : float
+        Young's modulus [stress], positive.
+    nu : float, optional
+        Poisson's ratio [-]. A line ignores it.
+    plane : {"strain", "stress"}
+        What a two-dimensional body does out of plane.
+    kinematics : {"small", "finite"}
+        ``small``: bonds keep their direction and elongate by ``n . eta``, the forces are linear in the displacement.
+        ``finite``: bonds turn, and elongate by ``|xi + eta| - |xi|``.
+    """
+
+    E: float
+    nu: float | None = None
+    plane: Literal["strain", "stress"] = "strain"
+    kinematics: Literal["small", "finite"] = "small"
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if self.kinematics not in ("small", "finite"):
+            raise CaseError(f'{name} takes kinematics="small" or "finite", not {self.kinematics!r}.')
+        LinearElastic(self.E, 0.0 if self.nu is None else self.nu, self.plane)
+
+    @abstractmethod
+    def elastic(self, dim: int) -> LinearElastic:
+        """Return the linear elastic material it stands for in ``dim`` dimensions.
+
+        Raises
+        ------
+        CaseError
+            It cannot have the declared Poisson's ratio.
+        """
+
+    @abstractmethod
+    def stiffness(self, bonds: Neighbourhood) -> BondStiffness:
+        """Return its constants on all bonds of the own particles (collective)."""

@@ -1,0 +1,90 @@
+"""Critical stretch of a bond as a function of its length and place."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+
+
+class CriticalStretch(ABC):
+    """The stretch at which a bond fails."""
+
+    @abstractmethod
+    def __call__(self, length: Float, middle: Float) -> Float:
+        """Return the critical stretch (n_bonds,) [-].
+
+        Parameters
+        ----------
+        length : (n_bonds,) float64
+            Reference length of the bonds [length].
+        middle : (n_bonds, dim) float64
+            Their middles [length].
+        """
+
+
+@dataclass(frozen=True)
+class ConstantCritical(CriticalStretch):
+    """The same critical stretch ``value`` [-] for every bond."""
+
+    value: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.value) and self.value > 0.0):
+            raise CaseError(f"A critical stretch must be positive, not {self.value}.")
+
+    def __call__(self, length: Float, middle: Float) -> Float:
+        """Return the value for every bond."""
+        return np.full(len(length), self.value)
+
+
+@dataclass(frozen=True)
+class LinearCritical(CriticalStretch):
+    """Critical stretch that changes linearly with the length of the bond.
+
+    Parameters
+    ----------
+    start : float
+        Value for a bond without length [-].
+    end : float
+        Value for a bond as long as ``length`` [-].
+    length : float
+        [length], usually the horizon.
+    """
+
+    start: float
+    end: float
+    length: float
+
+    def __post_init__(self) -> None:
+        if not (min(self.start, self.end) >= 0.0 and max(self.start, self.end) > 0.0 and self.length > 0.0):
+            raise CaseError(
+                f"A linear critical stretch needs values that are not negative and a positive length, "
+                f"not {self.start}, {self.end} and {self.length}."
+            )
+
+    def __call__(self, length: Float, middle: Float) -> Float:
+        """Return ``start + (end - start) |xi| / length``."""
+        return np.asarray(self.start + (self.end - self.start) * length / self.length)
+
+
+@dataclass(frozen=True)
+class CriticalFunction(CriticalStretch):
+    """Critical stretch from a function of length (n_bonds,) and middle (n_bonds, dim) of the bonds."""
+
+    function: Callable[[Float, Float], Float]
+
+    def __call__(self, length: Float, middle: Float) -> Float:
+        """Return what the function returns."""
+        values = np.asarray(self.function(length, middle), dtype=float)
+        if values.shape != length.shape:
+            raise CaseError(
+                f"The critical stretch must be one number per bond, {length.shape}, the function gave {values.shape}."
+            )
+        return values

@@ -1,0 +1,171 @@
+"""Loops over bonds whose force acts along the bond.
+
+``finite`` is 0 or 1, a compile-time constant: with 0 a bond keeps its direction ``n = xi / |xi|`` and its elongation is
+``e = n . eta``, with 1 ``n`` is the current direction and ``e = |xi + eta| - |xi|``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.kernels.compile import compiled
+
+
+@compiled
+def _direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
+    """Write the direction of bond ``ij`` into ``n``; return its reference and its current length."""
+    reference = 0.0
+    current = 0.0
+    for m in range(n.size):
+        xi = x[j, m] - x[i, m]
+        y = xi + finite * (u[j, m] - u[i, m])
+        n[m] = y
+        reference += xi * xi
+        current += y * y
+    current = np.sqrt(current)
+    if current > 0.0:
+        for m in range(n.size):
+            n[m] /= current
+    return np.sqrt(reference), current
+
+
+@lru_cache
+def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the least current length."""
+
+    @compiled
+    def elongation(indptr, neighbours, x, u, e):  # type: ignore[no-untyped-def]
+        n = np.empty(dim)
+        least = np.inf
+        for i in range(indptr.size - 1):
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                reference, current = _direction(i, j, x, u, finite, n)
+                least = min(least, current)
+                if finite:
+                    e[b] = current - reference
+                else:
+                    value = 0.0
+                    for m in range(dim):
+                        value += n[m] * (u[j, m] - u[i, m])
+                    e[b] = value
+        return least
+
+    return elongation
+
+
+@lru_cache
+def elongation_rate_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``rate(indptr, neighbours, x, u, du, de)``: ``de_ij = n_ij . (du_j - du_i)`` with ``n`` at ``u``."""
+
+    @compiled
+    def rate(indptr, neighbours, x, u, du, de):  # type: ignore[no-untyped-def]
+        n = np.empty(dim)
+        for i in range(indptr.size - 1):
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                _direction(i, j, x, u, finite, n)
+                value = 0.0
+                for m in range(dim):
+                    value += n[m] * (du[j, m] - du[i, m])
+                de[b] = value
+
+    return rate
+
+
+@lru_cache
+def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``force(indptr, neighbours, x, u, tension, f)``: adds ``t_ij n_ij`` to ``j`` and its opposite to ``i``."""
+
+    @compiled
+    def force(indptr, neighbours, x, u, tension, f):  # type: ignore[no-untyped-def]
+        n = np.empty(dim)
+        centre = np.empty(dim)
+        for i in range(indptr.size - 1):
+            centre[:] = 0.0
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                _direction(i, j, x, u, finite, n)
+                for m in range(dim):
+                    value = tension[b] * n[m]
+                    f[j, m] += value
+                    centre[m] -= value
+            for m in range(dim):
+                f[i, m] += centre[m]
+
+    return force
+
+
+@lru_cache
+def turning_force_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``force(indptr, neighbours, x, u, tension, du, f)``: forces of bonds under tension that turn.
+
+    Adds ``t / |xi + eta| (I - n n) (du_j - du_i)`` to ``j`` and its opposite to ``i``.
+    """
+
+    @compiled
+    def force(indptr, neighbours, x, u, tension, du, f):  # type: ignore[no-untyped-def]
+        n = np.empty(dim)
+        for i in range(indptr.size - 1):
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                _, current = _direction(i, j, x, u, 1, n)
+                along = 0.0
+                for m in range(dim):
+                    along += n[m] * (du[j, m] - du[i, m])
+                for m in range(dim):
+                    value = tension[b] / current * (du[j, m] - du[i, m] - along * n[m])
+                    f[j, m] += value
+                    f[i, m] -= value
+
+    return force
+
+
+@lru_cache
+def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return the kernel that adds the tangent of bonds to rows of K.
+
+    The block of bond ``ij`` is ``k n n + finite t / |xi + eta| (I - n n)``; it goes to ``ii`` and ``jj``, its opposite
+    to ``ij`` and ``ji``. Arguments up to ``entry_point`` are those of ``kernels.assembly.assemble_kernel`` with bonds
+    for points and ``ends``, ``i`` and ``j`` of each bond, for members.
+    """
+    size = dim * dim
+
+    @compiled
+    def rows(  # type: ignore[no-untyped-def]
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
+        ends, x, u, stiffness, tension, diag, off,
+    ):  # fmt: skip
+        slot = np.zeros(entry_ptr.size, np.int32)
+        n = np.empty(dim)
+        for row in range(diag_ptr.size - 1):
+            begin = diag_ptr[row] + off_ptr[row]
+            n_diag = diag_ptr[row + 1] - diag_ptr[row]
+            n_off = off_ptr[row + 1] - off_ptr[row]
+            for q in range(n_diag + n_off):
+                column = columns[begin + q]
+                for c in range(local_ptr[column], local_ptr[column + 1]):
+                    slot[locals_of[c]] = q
+            a = first_row + row
+            for e in range(entry_ptr[a], entry_ptr[a + 1]):
+                b = entry_point[e]
+                _, current = _direction(ends[2 * b], ends[2 * b + 1], x, u, finite, n)
+                turning = finite * tension[b] / current
+                for side in range(2):
+                    q = slot[ends[entries[e] ^ side]]
+                    sign = 1.0 - 2.0 * side
+                    for i in range(dim):
+                        for k in range(dim):
+                            value = sign * (stiffness[b] - turning) * n[i] * n[k]
+                            if i == k:
+                                value += sign * turning
+                            if q < n_diag:
+                                diag[size * diag_ptr[row] + i * dim * n_diag + dim * q + k] += value
+                            else:
+                                off[size * off_ptr[row] + i * dim * n_off + dim * (q - n_diag) + k] += value
+
+    return rows

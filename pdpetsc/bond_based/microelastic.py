@@ -32,10 +32,11 @@ class BondBased(BondMaterial):
     nu : float, optional
         Poisson's ratio [-]; where given it must be the fixed one.
     calibration : {"continuum", "lattice", "family"}
-        What ``I`` is. ``continuum``: the integral over a whole ball. ``lattice``: so that the particles with whole
-        families, pulled along x with free sides, have the modulus E exactly. ``family``: as ``lattice``, divided by the
-        sum over the particle's own family relative to that of a whole one; a particle with a cut family then stores
-        the energy of the continuum in uniform dilation, which corrects most of the soft surface.
+        What ``I`` is. ``continuum``: the integral over a whole ball. ``lattice``: one number for the body, with which
+        the particles with the largest families, pulled along x with free sides, have the modulus E exactly; the body
+        must be thick enough to have whole families. ``family``: the sum over each particle's own family. A particle
+        then stores the energy of the continuum in uniform dilation, whole its family or cut, which corrects most of
+        the soft surface.
 
     References
     ----------
@@ -73,10 +74,18 @@ class BondBased(BondMaterial):
 
 def _continuum(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     """Return the micromodulus of the own particles from the integral over a whole ball."""
-    dim = bonds.cloud.dim
-    # int omega |xi| n n n n dV is isotropic with both Lame constants I / (dim (dim + 2)); 1D: lambda + 2 mu = E.
-    mu = elastic.E / 3.0 if dim == 1 else elastic.lame(dim)[1]
-    return np.full(bonds.cloud.n_owned, 2.0 * dim * (dim + 2) * mu / bonds.continuous_moment(1))
+    return np.full(bonds.cloud.n_owned, _isotropic(elastic, bonds.cloud.dim) / bonds.continuous_moment(1))
+
+
+def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
+    """Return the micromodulus of the own particles from the sum over their own families."""
+    return np.asarray(_isotropic(elastic, bonds.cloud.dim) / bonds.moment(1))
+
+
+def _isotropic(elastic: LinearElastic, dim: int) -> float:
+    """Return ``a E``: both Lame constants of ``1/2 c int omega |xi| n n n n dV`` are ``c I / (2 dim (dim + 2))``."""
+    mu = elastic.E / 3.0 if dim == 1 else elastic.lame(dim)[1]  # lambda + 2 mu = E on a line
+    return 2.0 * dim * (dim + 2) * mu
 
 
 def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
@@ -93,12 +102,6 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     one = np.eye(cloud.dim)
     both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
     return np.full(cloud.n_owned, _modulus_along_x(lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit)
-
-
-def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus of whole families over the share of each particle's family."""
-    moment = bonds.moment(1)
-    return _lattice(bonds, elastic) * largest(bonds.cloud.comm, float(moment.max(initial=0.0))) / moment
 
 
 def _modulus_along_x(C: Float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
@@ -135,3 +137,10 @@ def scalar_rows(block_ptr, block_columns, dim, row_ptr, columns):  # type: ignor
                 c = block_columns[block_ptr[a] + q]
                 for k in range(dim):
                     columns[row_ptr[row] + q * dim + k] = c * dim + k
+
+
+def sum_by(index: Any, values: Any, n: int) -> Any:
+    """Return the sums of the rows of ``values`` with the same index, (n, ...)."""
+    flat = values.reshape(len(values), -1)
+    sums = np.stack([np.bincount(index, column, n) for column in flat.T], axis=1)
+    return sums.reshape(n, *values.shape[1:])

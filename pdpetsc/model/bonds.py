@@ -7,26 +7,23 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondMaterial, Neighbourhood
 from pdpetsc.damage import BondDamage
-from pdpetsc.discrete.communicator import agreed, largest, total
-from pdpetsc.discrete.pattern import Rows, build_pattern, sharing_stencil
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.pattern import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import Stencils, whole_families
-from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import (
     bond_force_kernel,
-    bond_rows_kernel,
     elongation_kernel,
     elongation_rate_kernel,
     turning_force_kernel,
 )
-from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.model.base import Assembler, Linearised, Model
-
-# Bonds this close to the most overstretched one break with it: symmetric pairs, and both ends of one bond.
-TOGETHER = 1e-8
+from pdpetsc.model.bond_assembly import BondAssembler, DilatationAssembler
+from pdpetsc.model.failure import BondFailure
 
 
 class BondModel(Model):
@@ -67,15 +64,17 @@ class BondModel(Model):
             raise CaseError("All materials of a body need the same kinematics, small or finite.")
         self.finite = int(materials[0].kinematics == "finite")
         self.linear = not self.finite
-        self.damage = damage
         self._bonds = bonds
         self._materials = materials
         self._material_of = material_of
         self._elastic = [material.elastic(cloud.dim) for material in materials]
         self._factor = np.ones(cloud.n_owned) if factor is None else factor
         self._combine(bonds, materials, material_of)
-        self.integrity: Float = np.ones(len(families.neighbours) if damage is not None else 0)
-        self.limit: Float = np.empty(0) if damage is None else self._limits(damage)
+        self.failure: BondFailure | None = None
+        if damage is not None:
+            if self.a is not None:
+                raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
+            self.failure = BondFailure(bonds, damage)
 
     @property
     def n_points(self) -> int:
@@ -87,12 +86,12 @@ class BondModel(Model):
         """Return what the body is made of."""
         made = ["families", *(f"bonds {type(material).__name__}" for material in self._materials)]
         made += [] if self.a is None else ["dilatation"]
-        return made + ([] if self.damage is None else [f"damage {type(self.damage).__name__}"])
+        return made + ([] if self.failure is None else [f"damage {type(self.failure.law).__name__}"])
 
     @property
     def stiffness(self) -> Float:
         """Return ``mu k`` of every bond (n_bonds,) [force / length]."""
-        return self.k if self.damage is None else self.integrity * self.k
+        return self.k if self.failure is None else self.failure.integrity * self.k
 
     def elongation(self, u_local: Float) -> tuple[Float, float]:
         """Return ``e`` (n_bonds,) [length] for displacements with ghosts, and the least current length of a bond."""
@@ -170,7 +169,7 @@ class BondModel(Model):
     @property
     def has_history(self) -> bool:
         """Return whether bonds can fail."""
-        return self.damage is not None
+        return self.failure is not None
 
     @property
     def kappa(self) -> float:
@@ -184,33 +183,18 @@ class BondModel(Model):
         return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
 
     def break_bonds(self, u: Float) -> int:
-        """Break the bonds most beyond their critical stretch, and those within 1e-8 of them; return how many pairs."""
-        if self.damage is None:
-            return 0
-        if self.damage.final_ratio > 1.0:
-            raise CaseError("Newton and relaxation take bonds that snap; softening bonds need the event-driven solver.")
-        e, _ = self.elongation(self.with_ghosts(u))
-        over = np.where(self.integrity > 0.0, e / self.limit, 0.0)
-        most = largest(self.cloud.comm, float(over.max(initial=0.0)))
-        if most <= 1.0:
-            return 0
-        broken = over >= max(1.0, most * (1.0 - TOGETHER))
-        self.integrity[broken] = 0.0
-        return int(total(self.cloud.comm, np.count_nonzero(broken))) // 2
+        """Break the bonds most beyond their critical stretch, all that tie; return how many pairs."""
+        return 0 if self.failure is None else self.failure.break_most(self.elongation(self.with_ghosts(u))[0])
 
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""
-        if self.damage is None:
-            return 0.0
-        return float(total(self.cloud.comm, self.damage.dissipated(self.integrity, self.k, self.limit).sum()))
+        return 0.0 if self.failure is None else self.failure.dissipated(self.k)
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
-        if self.damage is None:
-            return np.zeros(self.cloud.n_owned)
         centres, n = self.families.centres, self.cloud.n_owned
         whole = np.bincount(centres, self.k, n)
-        return np.asarray(1.0 - np.bincount(centres, self.k * self.integrity, n) / np.where(whole > 0.0, whole, 1.0))
+        return np.asarray(1.0 - np.bincount(centres, self.stiffness, n) / np.where(whole > 0.0, whole, 1.0))
 
     def assembler(self) -> Assembler:
         """Return what fills the tangent matrix (collective)."""
@@ -223,8 +207,8 @@ class BondModel(Model):
         xi = self.families.bonds(self.cloud.x)
         eta = u_local[neighbours] - u_local[centres]
         weight = self._bonds.omega * self.cloud.volume[neighbours]
-        K = _sum_by(centres, np.einsum("b,bi,bj->bij", weight, xi, xi), self.cloud.n_owned)
-        N = _sum_by(centres, np.einsum("b,bi,bj->bij", weight, eta, xi), self.cloud.n_owned)
+        K = sum_by(centres, np.einsum("b,bi,bj->bij", weight, xi, xi), self.cloud.n_owned)
+        N = sum_by(centres, np.einsum("b,bi,bj->bij", weight, eta, xi), self.cloud.n_owned)
         return np.asarray(np.eye(self.dim) + N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
 
     def first_piola_stress(self, u: Float) -> Float:
@@ -235,7 +219,7 @@ class BondModel(Model):
         xi = self.families.bonds(self.cloud.x)
         y = xi + self.finite * (u_local[neighbours] - u_local[centres])
         n = y / np.linalg.norm(y, axis=1)[:, None]
-        moment = _sum_by(centres, np.einsum("b,bi,bj->bij", t, n, xi), self.cloud.n_owned)
+        moment = sum_by(centres, np.einsum("b,bi,bj->bij", t, n, xi), self.cloud.n_owned)
         return np.asarray(moment / self.cloud.volume[: self.cloud.n_owned, None, None])
 
     def cauchy_stress(self, u: Float) -> Float:
@@ -274,13 +258,6 @@ class BondModel(Model):
         """Return the families with their centre first (not collective)."""
         return whole_families(self.cloud, self.families, self.k)
 
-    @cached_property
-    def ordered_ends(self) -> tuple[LocalIndex, LocalIndex]:
-        """Return both ends of every bond, that with the lower key first: the same from both (not collective)."""
-        order, centres, neighbours = self.cloud.order, self.families.centres, self.families.neighbours
-        low = order[centres] <= order[neighbours]
-        return np.where(low, centres, neighbours), np.where(low, neighbours, centres)
-
     def _combine(self, bonds: Neighbourhood, materials: Sequence[BondMaterial], material_of: LocalIndex) -> None:
         """Take the constants of each bond from the material of its centre (collective)."""
         n_bonds, n = len(bonds.omega), bonds.cloud.n_owned
@@ -295,107 +272,3 @@ class BondModel(Model):
             if part.a is not None and part.B is not None and self.a is not None and self.B is not None:
                 self.a[mine] = part.a[mine]
                 self.B[own] = part.B[own] * self._factor[own]
-
-    def _limits(self, damage: BondDamage) -> Float:
-        """Return the critical elongation of every bond (n_bonds,) [length], the same from both of its ends."""
-        x = self.cloud.x
-        if self.a is not None:
-            raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
-        one, other = self.ordered_ends
-        middle = 0.5 * (x[one] + x[other])
-        if self.cloud.images is not None:
-            home = np.concatenate([np.zeros((self.cloud.n_owned, self.dim)), self.cloud.offset])
-            middle -= home[one]
-        with agreed(self.cloud.comm):
-            stretch = damage.critical(self._bonds.length, middle)
-            bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
-            if len(bad):
-                length, value = self._bonds.length[bad[0]], stretch[bad[0]]
-                raise CaseError(
-                    f"The critical stretch of a bond of length {length:g} is {value:g}; it must be positive."
-                )
-        return np.asarray(stretch * self._bonds.length)
-
-
-class BondAssembler(Assembler):
-    """Rows of bonds: a particle couples to its family alone."""
-
-    model: BondModel
-
-    def __init__(self, model: BondModel) -> None:
-        self.model = model
-        self._start(2 * np.arange(len(model.families.neighbours) + 1, dtype=np.int64), _ends(model))
-
-    def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
-        """Write the rows of the own particles."""
-        diag[:] = 0.0
-        off[:] = 0.0
-        self._ghost[:] = 0.0
-        u_local = self.model.with_ghosts(u)
-        tension = self.model.tension(self.model.elongation(u_local)[0])
-        self._add_bonds(u_local, tension, diag, off)
-        self.pattern.complete(self._ghost, diag, off, self.model.dim)
-
-    def _start(self, point_ptr: GlobalIndex, members: LocalIndex) -> None:
-        model = self.model
-        self.pattern = build_pattern(model.cloud, point_ptr, members)
-        self._ends = _ends(model)
-        ends_ptr = 2 * np.arange(len(model.families.neighbours) + 1, dtype=np.int64)
-        self._by_particle = transpose(ends_ptr, self._ends, model.cloud.n_local)
-        self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
-
-    def _add_bonds(self, u_local: Float, tension: Float, diag: Float, off: Float) -> None:
-        model, pattern = self.model, self.pattern
-        kernel = bond_rows_kernel(model.dim, model.finite)
-        for rows, own in ((pattern.owned, diag), (pattern.ghost, self._ghost)):
-            kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *self._by_particle,
-                self._ends, model.cloud.x, u_local, model.stiffness, tension, own, off,
-            )  # fmt: skip
-
-
-class DilatationAssembler(BondAssembler):
-    """Rows of bonds and of the dilatation, ``sum_i B_i grad theta_i (x) grad theta_i``, which reaches two horizons."""
-
-    def __init__(self, model: BondModel) -> None:
-        self.model = model
-        stencils = model.with_centres
-        self._start(stencils.point_ptr, stencils.members)
-        self._transposed = transpose(stencils.point_ptr, stencils.members, model.cloud.n_local)
-
-    def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
-        """Write the rows of the own particles."""
-        model = self.model
-        assert model.a is not None and model.B is not None
-        u_local = model.with_ghosts(u)
-        tension = model.tension(model.elongation(u_local)[0])
-        xi = model.families.bonds(model.cloud.x)
-        y = xi + model.finite * (u_local[model.families.neighbours] - u_local[model.families.centres])
-        bond = model.a[:, None] * y / np.linalg.norm(y, axis=1)[:, None]
-        at = model.families.indptr[:-1]
-        g = np.insert(bond, at, -_sum_by(model.families.centres, bond, model.cloud.n_owned), axis=0)
-        one = np.eye(model.dim)
-        A = np.tile(np.einsum("im,kn->imkn", one, one), (model.cloud.n_owned, 1, 1, 1, 1))
-        for rows, own in ((self.pattern.owned, diag), (self.pattern.ghost, self._ghost)):
-            self._dilatation_rows(rows, g, A, own, off)
-        self._add_bonds(u_local, tension, diag, off)
-        self.pattern.complete(self._ghost, diag, off, model.dim)
-
-    def _dilatation_rows(self, rows: Rows, g: Float, A: Float, diag: Float, off: Float) -> None:
-        model, stencils = self.model, self.model.with_centres
-        assemble_kernel(model.dim)(
-            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *self.pattern.locals_of_columns, *self._transposed,
-            stencils.point_ptr, stencils.members, g, model.B, A, diag, off,
-        )  # fmt: skip
-
-
-def _ends(model: BondModel) -> LocalIndex:
-    """Return both particles of every bond one after the other, (2 n_bonds,)."""
-    return np.stack([model.families.centres, model.families.neighbours], axis=1).ravel()
-
-
-def _sum_by(index: LocalIndex, values: Float, n: int) -> Float:
-    """Return the sums of the rows of ``values`` with the same index, (n, ...)."""
-    flat = values.reshape(len(values), -1)
-    sums = np.stack([np.bincount(index, column, n) for column in flat.T], axis=1)
-    return np.asarray(sums.reshape(n, *values.shape[1:]))

@@ -16,6 +16,8 @@ from pdpetsc.quantities import (
     CellStrain,
     CellStress,
     ControlEnergy,
+    DissipatedEnergy,
+    Largest,
     LargestError,
     Mean,
     Quantity,
@@ -30,7 +32,7 @@ from pdpetsc.scene.conditions import BodyForce, Displacement, Force, MeanStrain,
 from pdpetsc.scene.files import Mesh, TextFile
 from pdpetsc.scene.particles import Arrays, Lattice
 from pdpetsc.scene.schedule import Hold, Ramp, Table
-from pdpetsc.scene.solver import SOLVERS, DynamicRelaxation, Newton
+from pdpetsc.scene.solver import SOLVERS, DynamicRelaxation, EventDriven, Newton
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import (
     Solution,
@@ -38,6 +40,7 @@ from pdpetsc.solution import (
     displacement,
     energy_density,
     first_piola_stress,
+    local_damage,
     plastic_strain,
     reaction,
     stress,
@@ -74,13 +77,16 @@ __all__ = [
     "Correspondence",
     "CriticalFunction",
     "Displacement",
+    "DissipatedEnergy",
     "DynamicRelaxation",
+    "EventDriven",
     "Force",
     "Graded",
     "Hencky",
     "HigherOrder",
     "Hold",
     "Interrupted",
+    "Largest",
     "LargestError",
     "Lattice",
     "LinearCritical",
@@ -120,6 +126,7 @@ __all__ = [
     "energy_density",
     "first_piola_stress",
     "influence",
+    "local_damage",
     "plastic_strain",
     "reaction",
     "region",

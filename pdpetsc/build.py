@@ -54,9 +54,9 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
             materials = [law_of(material) for _, material in case.materials]
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
-                law_of = (np.arange(len(x)) % len(materials)).astype(np.int32)
+                alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
                 # Critical stretches are those of another body: no damage here, whose loops are numpy's.
-                model = _model(replace(case, damage=None), cloud, find_families(cloud), materials, law_of, None)
+                model = _model(replace(case, damage=None), cloud, find_families(cloud), materials, alternating, None)
                 assembler = model.assembler()
                 u = np.zeros_like(x)
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])

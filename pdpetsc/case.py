@@ -19,7 +19,7 @@ from pdpetsc.scene.conditions import Condition
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import All, Region
-from pdpetsc.scene.solver import DynamicRelaxation, Newton
+from pdpetsc.scene.solver import AnySolver, Newton
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import Field, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
@@ -60,7 +60,7 @@ class Case:
         Periodic cell that the particles fill; hold one particle against translation.
     steps : Steps or AdaptiveSteps
         How the load is applied.
-    solver : Newton or DynamicRelaxation
+    solver : Newton, DynamicRelaxation or EventDriven
         How equilibrium is found.
     history : mapping of str to Quantity
         Numbers written per step.
@@ -84,7 +84,7 @@ class Case:
     damage: BondDamage | None = None
     cell: Cell | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
-    solver: Newton | DynamicRelaxation = field(default_factory=Newton)
+    solver: AnySolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
     fields: Sequence[Field] = (displacement, stress)

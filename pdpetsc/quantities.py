@@ -112,6 +112,29 @@ class ControlEnergy(Quantity):
 
 
 @dataclass(frozen=True)
+class DissipatedEnergy(Quantity):
+    """What failing bonds have dissipated [energy]."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        return solution.model.dissipated_energy()
+
+
+@dataclass(frozen=True)
+class Largest(Quantity):
+    """Largest value of a field component over a region."""
+
+    field: Field
+    component: str = ""
+    region: Region = EVERYWHERE
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the maximum."""
+        values = component(self.field(solution), self.component)[solution.select(self.region)]
+        return solution.largest(float(values.max(initial=-np.inf)))
+
+
+@dataclass(frozen=True)
 class RelativeError(Quantity):
     """Volume-weighted mean of ``|a - b| / |b|`` between a field and a reference function of position.
 

@@ -20,22 +20,24 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.loading import Loading
-from pdpetsc.model import Model
+from pdpetsc.model import BondModel, Model
+from pdpetsc.output.broken import BrokenBonds
 from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder, prepare_folder
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
 from pdpetsc.output.records import HistoryWriter, earlier_history, write_summary
-from pdpetsc.scene.solver import DynamicRelaxation
+from pdpetsc.scene.solver import DynamicRelaxation, EventDriven
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
 from pdpetsc.solve.base import Solver, StepResult
+from pdpetsc.solve.events import EventSolver
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import petsc_version
 from pdpetsc.solve.relaxation import RelaxationSolver
-from pdpetsc.solve.static import StaticSolver, default_options
+from pdpetsc.solve.static import StaticSolver, default_options, stiffness_scale
 from pdpetsc.solve.steps import Converged, load_steps
 
 
@@ -133,14 +135,19 @@ class _Run:
                 solver.destroy()
 
     def _solver(self, model: Model, loading: Loading, stop: Callable[[], bool]) -> Solver:
-        if isinstance(self.case.solver, DynamicRelaxation):
-            return RelaxationSolver(model, loading, self.case.solver, stop)
+        chosen = self.case.solver
+        if isinstance(chosen, DynamicRelaxation):
+            return RelaxationSolver(model, loading, chosen, stop)
         with self._timed("pattern"):
             assembler = model.assembler()
             predicted = predicted_bytes(assembler.pattern, model.dim)
             self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
         with self._timed("allocation"):
-            solver = StaticSolver(model, loading, assembler, stop)
+            solver: StaticSolver | EventSolver
+            if isinstance(chosen, EventDriven):
+                solver = EventSolver(model, loading, assembler, chosen, stiffness_scale(model), stop)
+            else:
+                solver = StaticSolver(model, loading, assembler, stop)
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
         return solver
 
@@ -150,7 +157,9 @@ class _Run:
         u, t, step = np.zeros((cloud.n_rows, model.dim)), 0.0, 0
         if self.restart is not None:
             if model.has_history:
-                raise CaseError("A case with a material that has a history cannot be restarted: a checkpoint lacks it.")
+                raise CaseError(
+                    "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."
+                )
             u, t, step = read_checkpoint(cloud, order, Path(self.restart))
         with self._timed("output"):
             kept = self._earlier(step)
@@ -158,6 +167,8 @@ class _Run:
             writer = FieldWriter(cloud, order, self.folder, self._fields(), first) if self._fields() else None
             records = HistoryWriter(self.comm, self.folder, list(self.history), kept)
             self._record(Solution(model, loading, u, t, step), writer, records)
+            failure = model.failure if isinstance(model, BondModel) else None
+            broken = None if failure is None else BrokenBonds(self.comm, self.folder, failure)
         failed: list[StepResult] = []
 
         def on_failure(at: float, dt: float, result: StepResult) -> None:
@@ -167,15 +178,20 @@ class _Run:
         status = "converged"
         try:
             before = time.perf_counter()
-            for converged in load_steps(solver, case.steps, u, t, stop, on_failure):
+            march = solver.march() if isinstance(solver, EventSolver) else None
+            for converged in march or load_steps(solver, case.steps, u, t, stop, on_failure):
                 self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
                 step += 1
                 self.report.step(step, converged.t, converged.result, solver.unit)
                 self.steps.append(_step_summary(step, converged, solver.unit))
                 failed.clear()
                 with self._timed("output"):
-                    self._record(Solution(model, loading, converged.u, converged.t, step), writer, records)
-                    write_checkpoint(cloud, order, self.folder / "checkpoint.h5", converged.u, converged.t, step)
+                    written = writer if converged.write_fields else None
+                    self._record(Solution(model, loading, converged.u, converged.t, step), written, records)
+                    if broken is not None:
+                        broken.write(step, converged.t)
+                    if not model.has_history:
+                        write_checkpoint(cloud, order, self.folder / "checkpoint.h5", converged.u, converged.t, step)
                 before = time.perf_counter()
         except PdpetscError as error:
             status = str(error)

@@ -141,3 +141,13 @@ def reaction(solution: Solution) -> Float:
 def plastic_strain(solution: Solution) -> Float:
     """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
     return solution.model.plastic_strain()
+
+
+def local_damage(solution: Solution) -> Float:
+    """Return the lost share of the stiffness of each particle's bonds (n_owned,) [-]; 0 where bonds do not fail.
+
+    References
+    ----------
+    Silling, Askari (2005), Eq. (29), with the bonds weighted by their stiffness.
+    """
+    return solution.model.local_damage()

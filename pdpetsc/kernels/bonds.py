@@ -169,3 +169,24 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
                                 off[size * off_ptr[row] + i * dim * n_off + dim * (q - n_diag) + k] += value
 
     return rows
+
+
+@compiled
+def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
+    """Return the least step along ``rate`` at which an ``able`` bond reaches its limit; infinity where none does."""
+    least = np.inf
+    for b in range(e.size):
+        if able[b] and rate[b] > 0.0:
+            step = (limit[b] - e[b]) / rate[b]
+            if step < least:
+                least = step
+    return max(least, 0.0)
+
+
+@compiled
+def first_of_tied(e, rate, limit, able, step, tolerance):  # type: ignore[no-untyped-def]
+    """Return the first ``able`` growing bond that is within a relative tolerance of its limit after a step, or -1."""
+    for b in range(e.size):
+        if able[b] and rate[b] > 0.0 and e[b] + step * rate[b] >= limit[b] * (1.0 - tolerance):
+            return b
+    return -1

@@ -32,6 +32,8 @@ class Model(ABC):
     ----------
     linear : bool
         Whether forces are linear in the unknowns.
+    version : int
+        Grows whenever the constants of the forces change, as they do when bonds fail.
     note : str
         What a user should know about how the body was built; the same on all ranks.
 
@@ -41,6 +43,7 @@ class Model(ABC):
     """
 
     linear: bool
+    version: int = 0
     note: str = ""
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
@@ -105,6 +108,22 @@ class Model(ABC):
     @abstractmethod
     def commit(self, u: Float) -> None:
         """Take ``u`` as converged: what has a history remembers it."""
+
+    @abstractmethod
+    def revert(self) -> None:
+        """Take back what failed since the last ``commit`` (not collective)."""
+
+    def break_bonds(self, u: Float) -> int:
+        """Break what has reached its limit at ``u``; return how many bonds."""
+        return 0
+
+    def local_damage(self) -> Float:
+        """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
+        return np.zeros(self.cloud.n_owned)
+
+    def dissipated_energy(self) -> float:
+        """Return what bonds have dissipated in failing [energy]."""
+        return 0.0
 
     @property
     @abstractmethod

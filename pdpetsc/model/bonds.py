@@ -164,7 +164,15 @@ class BondModel(Model):
         return float(total(self.cloud.comm, volume @ self.energy_density(u))), 0.0
 
     def commit(self, u: Float) -> None:
-        """Do nothing: the integrity changes where ``break_bonds`` or a solver changes it."""
+        """Keep what has failed."""
+        if self.failure is not None:
+            self.failure.commit()
+
+    def revert(self) -> None:
+        """Restore the bonds that failed since the last ``commit``."""
+        if self.failure is not None:
+            self.failure.revert()
+            self.version += 1
 
     @property
     def has_history(self) -> bool:
@@ -184,7 +192,11 @@ class BondModel(Model):
 
     def break_bonds(self, u: Float) -> int:
         """Break the bonds most beyond their critical stretch, all that tie; return how many pairs."""
-        return 0 if self.failure is None else self.failure.break_most(self.elongation(self.with_ghosts(u))[0])
+        if self.failure is None:
+            return 0
+        broken = self.failure.break_most(self.elongation(self.with_ghosts(u))[0])
+        self.version += int(broken > 0)
+        return broken
 
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""

@@ -164,6 +164,9 @@ class CorrespondenceModel(Model):
             for law in self.laws:
                 law.commit(F)
 
+    def revert(self) -> None:
+        """Do nothing: nothing changes before ``commit``."""
+
     @property
     def has_history(self) -> bool:
         """Return whether stresses depend on converged steps; the same on all ranks."""

@@ -69,6 +69,15 @@ class BondFailure:
                 raise CaseError(f"The critical stretch of a bond of length {length:g} is {value:g}, not positive.")
         self.limit: Float = stretch * bonds.length
         self.integrity: Float = np.ones(len(bonds.length))
+        self.commit()
+
+    def commit(self) -> None:
+        """Keep the present state (not collective)."""
+        self._kept = self.integrity.copy()
+
+    def revert(self) -> None:
+        """Go back to the state last kept (not collective)."""
+        self.integrity[:] = self._kept
 
     def break_most(self, e: Float) -> int:
         """Break the bonds most beyond their limit and those within 1e-8 of them; return how many pairs (collective).

@@ -10,6 +10,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from pdpetsc.discrete.communicator import Comm, is_root
 from pdpetsc.solve.base import StepResult
 
+# Events of which every one is printed, and how many there are to a line after these.
+FIRST_EVENTS, EVENTS_A_LINE = 10, 100
+
 
 class Reporter:
     """Prints a line per step, with a bar where one rank writes to a terminal.
@@ -43,7 +46,12 @@ class Reporter:
         self._console.print(text)
 
     def step(self, number: int, t: float, result: StepResult, unit: str) -> None:
-        """Print how a converged step went."""
+        """Print how a converged step went; of events every hundredth and the first ones."""
+        if unit == "event":
+            self._progress.update(self._task, completed=t)
+            if number <= FIRST_EVENTS or number % EVENTS_A_LINE == 0 or not result.reason.startswith("bond"):
+                self.say(f"event {number:5d}  t = {t:<10.6g} {result.reason}")
+            return
         last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
         self._progress.update(self._task, completed=t)
         inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from pdpetsc.errors import CaseError
 
@@ -35,5 +36,37 @@ class DynamicRelaxation:
             raise CaseError(f"Dynamic relaxation needs at least one time step, not {self.most}.")
 
 
+@dataclass(frozen=True)
+class EventDriven:
+    """From one failing bond to the next, without iterations: for bodies whose laws are piecewise linear.
+
+    Between events everything is linear in the step time, so the time of the next failure is known exactly. A failing
+    bond releases its force while the load goes up or down as equilibrium demands: the step time, to which all
+    conditions must be proportional, need not grow, and snap-back is followed.
+
+    Parameters
+    ----------
+    updates : int, optional
+        Changed bonds at which the matrix is factored anew; until then they are corrections to the old factor. By
+        default their number grows with the square root of the number of unknowns.
+    most : int
+        Largest number of events.
+    fields_every : int
+        Fields are written every so many events, and at the end; 0 for the end only.
+    """
+
+    updates: int | None = None
+    most: int = 1_000_000
+    fields_every: int = 0
+
+    def __post_init__(self) -> None:
+        if self.updates is not None and self.updates < 1:
+            raise CaseError(f"The event-driven solver needs updates >= 1, not {self.updates}.")
+        if self.most < 1 or self.fields_every < 0:
+            raise CaseError("The event-driven solver needs most >= 1 and fields_every >= 0.")
+
+
+AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven
+
 # The ways to equilibrium by the word that the command line uses.
-SOLVERS: dict[str, Newton | DynamicRelaxation] = {"newton": Newton(), "relaxation": DynamicRelaxation()}
+SOLVERS: dict[str, AnySolver] = {"newton": Newton(), "relaxation": DynamicRelaxation(), "events": EventDriven()}

@@ -66,6 +66,14 @@ class Solver(ABC):
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find equilibrium at step time ``t`` from ``u`` (n_owned, dim); collective."""
 
+    def break_bonds(self, u: Float) -> int:
+        """Break what has reached its limit at equilibrium ``u``; return how many bonds (collective)."""
+        return 0
+
+    @abstractmethod
+    def revert(self) -> None:
+        """Take back what broke since the last ``accept``."""
+
     @abstractmethod
     def accept(self, u: Float) -> None:
         """Take ``u`` as the converged state that the next step starts from (collective)."""

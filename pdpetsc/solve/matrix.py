@@ -62,12 +62,13 @@ class TangentMatrix:
         self._zero_off = _constrained(rows.off_ptr, rows.columns[~is_diag] - n, fixed, other)
         self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
         self._handles = seq_blocks(self.mat)
-        self._done = False
+        self._filled = -1
         self.diagonal: Float = np.zeros(n * dim)
 
     def update(self, u: Float) -> None:
-        """Fill the matrix with K(u); a linear model is filled once."""
-        if self._done and self._assembler.model.linear:
+        """Fill the matrix with K(u); that of a linear model only where bonds have failed since."""
+        version = self._assembler.model.version
+        if self._filled == version and self._assembler.model.linear:
             return
         with values_of(self._handles[0], self._n_diag) as diag, values_of(self._handles[1], self._n_off) as off:
             self._assembler.assemble(u, diag, off)
@@ -77,7 +78,13 @@ class TangentMatrix:
             diag[self._diagonal[self._fixed]] = self._scale
         self.mat.assemble()
         self.mat.stateIncrease()
-        self._done = True
+        self._filled = version
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+        entries = self.mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_allocated"]
+        return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
 
     def destroy(self) -> None:
         """Free the PETSc object."""

@@ -68,8 +68,16 @@ class RelaxationSolver(Solver):
         return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
 
     def accept(self, u: Float) -> None:
-        """Let materials with history remember ``u``."""
+        """Let what has a history remember ``u``."""
         self._model.commit(u)
+
+    def break_bonds(self, u: Float) -> int:
+        """Break the bonds that are most beyond their limit at ``u``; return how many."""
+        return self._model.break_bonds(u)
+
+    def revert(self) -> None:
+        """Restore what broke since the last accepted step."""
+        self._model.revert()
 
     def destroy(self) -> None:
         """Free nothing."""

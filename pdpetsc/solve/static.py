@@ -90,7 +90,7 @@ class StaticSolver(Solver):
         spacing = cloud.volume[: cloud.n_owned, None] ** (1.0 / model.dim)
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self._spacing = np.concatenate([spacing, whole])
-        self._scale = _stiffness_scale(model)
+        self._scale = stiffness_scale(model)
         self._matrix = TangentMatrix(assembler, loading.fixed, self._scale)
         self._x = self._matrix.mat.createVecRight()
         self._r = self._x.duplicate()
@@ -116,8 +116,7 @@ class StaticSolver(Solver):
     @property
     def matrix_bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
-        entries = self._matrix.mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_allocated"]
-        return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
+        return self._matrix.bytes
 
     def description(self) -> str:
         """Return the solver in force in a few words."""
@@ -160,8 +159,16 @@ class StaticSolver(Solver):
         return self._at_prescribed(self._x.array).copy(), result
 
     def accept(self, u: Float) -> None:
-        """Let materials with history remember ``u``."""
+        """Let what has a history remember ``u``."""
         self.model.commit(u)
+
+    def break_bonds(self, u: Float) -> int:
+        """Break the bonds that are most beyond their limit at ``u``; return how many."""
+        return self.model.break_bonds(u)
+
+    def revert(self) -> None:
+        """Restore what broke since the last accepted step."""
+        self.model.revert()
 
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
@@ -249,7 +256,7 @@ class StaticSolver(Solver):
         return float(total(self.model.cloud.comm, value))
 
 
-def _stiffness_scale(model: Model) -> float:
+def stiffness_scale(model: Model) -> float:
     """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials."""
     cloud = model.cloud
     return (

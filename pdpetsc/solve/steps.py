@@ -16,12 +16,30 @@ GROWTH = 1.5
 
 @dataclass(frozen=True)
 class Converged:
-    """A converged step: its displacement, time and how it went, with the failed attempts before it."""
+    """A converged step.
+
+    Attributes
+    ----------
+    u : (n_rows, dim) float64
+        Unknowns [length].
+    t : float
+        Step time [-].
+    result : StepResult
+        How it went.
+    failures : list of StepResult
+        Failed attempts before it.
+    broken : int
+        Bonds that broke in it.
+    write_fields : bool
+        Whether it is one of those whose fields are written.
+    """
 
     u: Float
     t: float
     result: StepResult
     failures: list[StepResult] = field(default_factory=list)
+    broken: int = 0
+    write_fields: bool = True
 
 
 def load_steps(
@@ -34,6 +52,7 @@ def load_steps(
 ) -> Iterator[Converged]:
     """Yield converged steps from step time ``t`` to 1.
 
+    Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
     up to the largest, if it was easy.
 
@@ -57,14 +76,19 @@ def load_steps(
         attempt, result = solver.solve(u, target)
         if stop():
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
+        broken = 0
+        while result.converged and (more := solver.break_bonds(attempt)):
+            broken += more
+            attempt, result = solver.solve(attempt, target)
         if result.converged:
             u, t = attempt, target
             solver.accept(u)
-            yield Converged(u, t, result, failures)
+            yield Converged(u, t, result, failures, broken)
             failures = []
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
             continue
+        solver.revert()
         failures.append(result)
         dt = 0.5 * (target - t)
         on_failure(t, dt, result)

@@ -1,0 +1,64 @@
+"""``broken_bonds.csv``: which bonds broke, when and where."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import Comm, agreed, is_root, total
+from pdpetsc.errors import OutputError
+from pdpetsc.model.failure import BondFailure
+
+
+class BrokenBonds:
+    """Appends a row for every bond that has broken since the last step, in the order of the ids within a step.
+
+    Parameters
+    ----------
+    comm : Comm
+        All ranks.
+    folder : Path
+        Where the file goes.
+    failure : BondFailure
+        The state of the bonds.
+
+    Notes
+    -----
+    Construction and ``write`` are collective; rank 0 writes.
+    """
+
+    def __init__(self, comm: Comm, folder: Path, failure: BondFailure) -> None:
+        self._comm = comm
+        self._path = folder / "broken_bonds.csv"
+        self._failure = failure
+        self._listed = np.zeros(len(failure.integrity), dtype=bool)
+        axes = "xyz"[: failure.middle.shape[1]]
+        with agreed(comm):
+            self._append("w", [["step", "t", "i", "j", "length", *axes]])
+
+    def write(self, step: int, t: float) -> None:
+        """Append the bonds that broke in a step, with the ids of their ends, their length and their middle."""
+        failure = self._failure
+        new = np.flatnonzero((failure.integrity == 0.0) & ~self._listed)
+        if int(total(self._comm, len(new))) == 0:
+            return
+        self._listed[new] = True
+        rows = np.column_stack([failure.keys[new], failure.length[new], failure.middle[new]])
+        parts: list[Float] | None = self._comm.gather(rows)
+        with agreed(self._comm):
+            if parts is not None:
+                _, first = np.unique(np.concatenate(parts)[:, :3], axis=0, return_index=True)
+                found = np.concatenate(parts)[first]
+                self._append("a", [[step, repr(t), int(r[0]), int(r[1]), *map(repr, r[3:].tolist())] for r in found])
+
+    def _append(self, mode: str, rows: list[list[object]]) -> None:
+        if not is_root(self._comm):
+            return
+        try:
+            with self._path.open(mode, newline="") as file:
+                csv.writer(file).writerows(rows)
+        except OSError as error:
+            raise OutputError(f"Cannot write {self._path}: {error.strerror or error}.") from error

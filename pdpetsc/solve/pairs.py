@@ -1,0 +1,73 @@
+"""Bonds as pairs of particles: both directions of a bond together, on every rank that holds one of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.communicator import exchange
+from pdpetsc.errors import CaseError
+from pdpetsc.model import BondModel
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Bonds that touch an own particle, in an order that no partition changes.
+
+    Attributes
+    ----------
+    keys : (n, 3) int64
+        What names each bond on every rank.
+    of_bond : (n_bonds,) int64
+        The pair of every bond of an own particle.
+    bond : (n,) int64
+        One bond of each pair.
+    k : (n,) float64
+        Stiffness from both ends [force / length].
+    limit : (n,) float64
+        Elongation at which each first fails [length].
+    reported : (n,) bool
+        Whether this rank speaks for the pair; one rank does.
+    """
+
+    keys: GlobalIndex
+    of_bond: GlobalIndex
+    bond: GlobalIndex
+    k: Float
+    limit: Float
+    reported: Mask
+
+    def local(self, key: tuple[int, int, int]) -> int:
+        """Return the number of a pair here, -1 where it is not."""
+        span = np.searchsorted(self.keys[:, 0], key[0]), np.searchsorted(self.keys[:, 0], key[0], side="right")
+        found = np.flatnonzero((self.keys[span[0] : span[1], 1:] == key[1:]).all(axis=1))
+        return int(span[0] + found[0]) if len(found) else -1
+
+
+def make_pairs(model: BondModel) -> Pairs:
+    """Return the pairs of a body whose bonds can fail (collective)."""
+    failure, cloud, families = model.failure, model.cloud, model.families
+    if failure is None:
+        raise CaseError("This body has no bonds that fail.")
+    keys, first, of_bond = np.unique(failure.keys, axis=0, return_index=True, return_inverse=True)
+    of_bond = of_bond.reshape(-1)
+    k = np.bincount(of_bond, model.k, len(keys))
+    # The other direction of a bond that leaves the rank is held by the owner of the ghost.
+    outward = np.flatnonzero(families.neighbours >= cloud.n_owned)
+    firsts = np.array(cloud.comm.allgather(cloud.first), dtype=np.int64)
+    owner = np.searchsorted(firsts, cloud.row[families.neighbours[outward]], side="right") - 1
+    leaving = outward[owner != cloud.comm.rank]
+    (their_keys, their_k), _ = exchange(
+        cloud.comm, owner[owner != cloud.comm.rank], [failure.keys[leaving], model.k[leaving]]
+    )
+    if len(their_keys):
+        together, index = np.unique(np.concatenate([keys, their_keys]), axis=0, return_inverse=True)
+        index = index.reshape(-1)
+        sums = np.bincount(index, np.concatenate([k, their_k]), len(together))
+        k = sums[index[: len(keys)]]
+    centre_first = cloud.gid[families.centres] == failure.keys[:, 0]
+    reported = np.zeros(len(keys), dtype=bool)
+    reported[of_bond[centre_first]] = True
+    return Pairs(keys, of_bond, first, np.asarray(k, dtype=float), failure.limit[first], reported)

@@ -34,19 +34,20 @@ class Images:
         Virtual rows.
     here : bool
         Whether this rank holds them: the last one does.
+    sizes : (n_components,) float64
+        ``sqrt(L_a L_b)`` of every unknown [length].
     """
 
     def __init__(self, comm: Comm, cell: Cell) -> None:
         self.comm = comm
         self.cell = cell
-        self.n_rows = -(-len(cell.components) // cell.dim)
         self.here = comm.rank == comm.size - 1
-
-    @property
-    def sizes(self) -> Float:
-        """Return ``sqrt(L_a L_b)`` of every unknown (n_components,) [length]."""
-        lengths = self.cell.lengths
-        return np.array([np.sqrt(lengths[a] * lengths[b]) for a, b in self.cell.components])
+        self._dim = cell.dim
+        lengths = cell.lengths
+        pairs = cell.components
+        self.n_rows = -(-len(pairs) // cell.dim)
+        self._a, self._b = np.array(pairs).T
+        self.sizes: Float = np.array([np.sqrt(lengths[a] * lengths[b]) for a, b in pairs])
 
     def strain(self, rows: Float) -> Float:
         """Return the mean strain (dim, dim) on every rank from the virtual rows (collective).
@@ -56,14 +57,12 @@ class Images:
         rows : (n_rows, dim) float64 on the last rank, (0, dim) elsewhere
             Virtual unknowns [length].
         """
-        components = self.cell.components
-        q = np.zeros(self.n_rows * self.cell.dim)
+        q = np.zeros(self.n_rows * self._dim)
         if self.here:
             q[:] = rows.ravel()
         self.comm.Bcast(q, root=self.comm.size - 1)
-        strain = np.zeros((self.cell.dim, self.cell.dim))
-        for (a, b), size, value in zip(components, self.sizes, q, strict=False):
-            strain[a, b] = strain[b, a] = value / size
+        strain = np.zeros((self._dim, self._dim))
+        strain[self._a, self._b] = strain[self._b, self._a] = q[: len(self.sizes)] / self.sizes
         return strain
 
     def force(self, offset: Float, f: Float) -> Float:
@@ -81,7 +80,7 @@ class Images:
         -----
         Collective.
         """
-        dim = self.cell.dim
+        dim = self._dim
         moment = total(self.comm, f.T @ offset)
         if not self.here:
             return np.empty((0, dim))
@@ -91,9 +90,8 @@ class Images:
 
     def conjugate(self, moment: Float) -> Float:
         """Return the forces on the unknowns (n_components,) from ``sum f (x) o`` (dim, dim) [energy]."""
-        pairs = self.cell.components
-        both = [moment[a, b] + moment[b, a] if a != b else moment[a, a] for a, b in pairs]
-        return np.asarray(np.array(both) / self.sizes)
+        both = moment[self._a, self._b] + moment[self._b, self._a]
+        return np.asarray(np.where(self._a == self._b, 0.5, 1.0) * both / self.sizes)
 
 
 def shifts(cell: Cell, horizon: float) -> list[GlobalIndex]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -18,50 +17,24 @@ from pdpetsc.model import Assembler, BondModel, Model
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.base import Solver, StepResult
 from pdpetsc.solve.inelastic import InelasticForces
-from pdpetsc.solve.pairs import Pairs, make_pairs
+from pdpetsc.solve.pairs import Key, Pairs, make_pairs
+from pdpetsc.solve.path import Changed, Direction, find_direction
 from pdpetsc.solve.steps import Converged
 
 # Bonds this close to their limit fail at the same load, one after the other in the order of their keys.
 TIED = 1e-10
-# A force below this share of the one at failure is gone, a rate below this share of the largest one is none.
-GONE = 1e-12
+# An event this much nearer than another, relatively, comes first.
+NEARER = 1e-12
 # Where the load has fallen to this share of its largest value the body carries nothing any more.
 UNLOADED = 1e-9
 # Changed bonds at which the matrix is factored anew: this times the root of the number of unknowns, within limits.
 UPDATES = 2.0
 FEWEST, MOST = 32, 400
-# Up to so many failing bonds all ways in which some unload are tried.
-TRIED = 10
-
+# So many events at one load, and nothing has moved: the path goes in circles.
+STANDSTILL = 1000
 # Step times at which conditions are compared with their proportional values, and how closely.
 PROBES = (0.0, 0.3, 0.7)
 PROPORTIONAL = 1e-12
-
-Key = tuple[int, int, int]
-
-
-@dataclass(eq=False)
-class Failing:
-    """A bond that is losing its force, or has lost part of it.
-
-    Attributes
-    ----------
-    key : tuple of int
-        The bond.
-    k, limit : float
-        Stiffness [force / length] and elongation at which it first fails [length].
-    force, elongation : float
-        At present.
-    number : int
-        Its number among the changed bonds.
-    """
-
-    key: Key
-    k: float
-    limit: float
-    force: float
-    elongation: float
-    number: int
 
 
 class EventSolver(Solver):
@@ -114,12 +87,9 @@ class EventSolver(Solver):
         self._updates = options.updates or automatic
         self.factored = 0
         self._law = None if self._pairs is None else _law_of(model)
-        self._ratio = 1.0 if self._law is None else self._law.final_ratio
         n = 0 if self._pairs is None else len(self._pairs.k)
-        self._e, self._integrity, self._base, self._able = np.zeros(n), np.ones(n), np.ones(n), np.ones(n, dtype=bool)
+        self._e, self._integrity, self._able = np.zeros(n), np.ones(n), np.ones(n, dtype=bool)
         self._reach = np.empty(0) if self._pairs is None else self._pairs.limit.copy()
-        self._failing: list[Failing] = []
-        self._changed: dict[Key, Failing] = {}
 
     @property
     def matrix_bytes(self) -> int:
@@ -157,29 +127,30 @@ class EventSolver(Solver):
             A signal asked to stop.
         """
         model = self._model
-        u, t, highest = np.zeros((model.cloud.n_rows, model.dim)), 0.0, 0.0
+        u, t, highest, still = np.zeros((model.cloud.n_rows, model.dim)), 0.0, 0.0, 0
         self._factor()
         for event in range(self._options.most):
             if self._stop():
                 raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
-            if len(self.solver.members) >= self._updates and not self._failing:
+            if len(self.solver.local) >= self._updates and not self._changed.failing:
                 self._factor()
                 # All forces are secant forces under a proportional load: this is the same state without the round-off.
                 u = t * self.solver.elastic
                 self._e = self._elongation(u)
-            rate, du, dq = self._direction(t)
+            ahead = self._ahead(t)
+            du = self.solver.response(ahead.rate, ahead.p)
             de = self._elongation(du)
-            step, fails, breaks = self._next(de, dq, rate, t)
-            u, t = u + step * du, t + step * rate
+            step, fails, breaks = self._next(de, ahead, t)
+            u, t = u + step * du, t + step * ahead.rate
             self._e += step * de
-            for bond, change in zip(self._failing, dq, strict=True):
-                bond.force += step * float(change)
-                bond.elongation += step * float(change) * self._softness(bond)
-                self._set_integrity(bond)
+            self._move(ahead, step)
             done = fails is None and breaks is None
-            reason = "the whole load" if done else self._break(breaks) if breaks is not None else self._begin(fails)
+            reason = "the whole load" if done else self._begin(fails) if fails is not None else self._break(breaks)
             highest = max(highest, abs(t))
-            done = done or (not self._failing and abs(t) <= UNLOADED * highest)
+            done = done or (not self._changed.failing and abs(t) <= UNLOADED * highest)
+            still = still + 1 if step == 0.0 else 0
+            if still > STANDSTILL:
+                raise SolveError(f"At step time {t:.6g} {still} events in a row move nothing; {self.advice}.")
             self._store()
             every = self._options.fields_every
             write = done or (every > 0 and (event + 1) % every == 0)
@@ -191,8 +162,8 @@ class EventSolver(Solver):
     def _factor(self) -> None:
         self.solver.factor()
         self.factored += 1
-        self._base = self._integrity.copy()
-        self._changed = {}
+        self._changed = Changed()
+        self._keys: list[Key] = []
 
     def _elongation(self, u: Float) -> Float:
         """Return the elongation of every pair here (n_pairs,) [length] (collective)."""
@@ -201,76 +172,37 @@ class EventSolver(Solver):
         assert isinstance(self._model, BondModel)
         return self._model.elongation(self._model.with_ghosts(u))[0][self._pairs.bond]
 
-    def _softness(self, bond: Failing) -> float:
-        """Return the change of elongation per change of force of a failing bond [length / force]."""
-        return -(self._ratio - 1.0) / bond.k
+    def _ahead(self, t: float) -> Direction:
+        """Return the direction of the path; bonds that it leaves out no longer fail."""
+        bonds = self._changed
+        waiting = []
+        if bonds.failing and self._law is not None:
+            at_limit = bonds.elongation >= bonds.limit * self._law.reached(bonds.integrity) * (1.0 - TIED)
+            waiting = [int(m) for m in np.flatnonzero(at_limit & (bonds.integrity > 0.0)) if m not in bonds.failing]
+        try:
+            ahead = find_direction(bonds, waiting)
+        except SolveError as error:
+            raise SolveError(f"At step time {t:.6g} {error}.") from None
+        switched = set(bonds.failing) ^ set(ahead.failing)
+        bonds.failing = ahead.failing
+        for m in switched:
+            self._mark(m)
+        return ahead
 
-    def _direction(self, t: float) -> tuple[float, Float, Float]:
-        """Return the rates of the step time, of the displacement and of the forces of failing bonds along the path."""
-        if not self._failing:
-            return self._along([])[:3]
-        *others, newest = self._failing
-        for dropped in _subsets(others):
-            kept = [bond for bond in others if bond not in dropped]
-            rate, du, dq, shorten = self._along([*kept, newest])
-            if np.all(dq < 0.0) and shorten:
-                self._failing = [*kept, newest]
-                for bond in dropped:
-                    self._set_integrity(bond)
-                return rate, du, dq
-        raise SolveError(
-            f"At step time {t:.6g} no direction lets the forces of {len(self._failing)} failing bonds decrease, the "
-            f"last one between particles {newest.key[0]} and {newest.key[1]}; {self.advice}."
-        )
-
-    def _along(self, active: list[Failing]) -> tuple[float, Float, Float, bool]:
-        """Return the rates of step time, displacement and forces, and whether the failing bonds left out shorten.
-
-        The load grows at rate 1 where nothing fails. Otherwise the last of the failing bonds loses its force at failure
-        at rate 1, and the load and the other forces follow.
-        """
-        solver = self.solver
-        numbers, inverse = [], []
-        for bond in self._changed.values():
-            change = bond.force / bond.elongation - solver.members[bond.number].base
-            if change != 0.0 and bond not in active:
-                numbers.append(bond.number)
-                inverse.append(1.0 / change)
-        factors = []
-        for bond in active:
-            c = self._softness(bond)
-            factors.append(1.0 - solver.members[bond.number].base * c)
-            numbers.append(bond.number)
-            inverse.append(c / factors[-1])
-        M = solver.S[np.ix_(numbers, numbers)] + np.diag(inverse)
-        g = solver.E[numbers]
-        if active:
-            last = -active[-1].k * active[-1].limit * factors[-1]
-            found = _dense_solve(np.column_stack([M[:, :-1], -g]), -last * M[:, -1])
-            p, rate = np.append(found[:-1], last), float(found[-1])
-        else:
-            p, rate = _dense_solve(M, g), 1.0
-        dq = p[len(p) - len(active) :] / np.array(factors)
-        left_out = [bond.number for bond in self._failing if bond not in active]
-        lengthening = rate * solver.E[left_out] - solver.S[np.ix_(left_out, numbers)] @ p
-        shorten = bool(np.all(lengthening <= GONE * np.abs(rate * solver.E).max(initial=0.0)))
-        return rate, solver.response(rate, numbers, p), dq, shorten
-
-    def _next(self, de: Float, dq: Float, rate: float, t: float) -> tuple[float, _Candidate | None, Failing | None]:
+    def _next(self, de: Float, ahead: Direction, t: float) -> tuple[float, _Candidate | None, int | None]:
         """Return the step to the next event, the bond that then begins to fail and the one that then is broken."""
-        comm = self._model.cloud.comm
-        end = (1.0 - t) / rate if rate > 0.0 else np.inf
-        ends = [bond.force / -float(change) for bond, change in zip(self._failing, dq, strict=True)]
-        breaking = int(np.argmin(ends)) if ends else -1
-        step = min([end, *ends])
+        end = (1.0 - t) / ahead.rate if ahead.rate > 0.0 else np.inf
+        force = self._changed.force
+        breaks = min(ahead.failing, key=lambda m: -force[m] / ahead.force[m], default=None)
+        step = end if breaks is None else min(end, max(-force[breaks] / ahead.force[breaks], 0.0))
         failing = np.inf
         if self._pairs is not None:
-            failing = smallest(comm, first_failure(self._e, de, self._reach, self._able))
-        if min(step, failing) == np.inf:
-            raise SolveError(f"At step time {t:.6g} the load falls and nothing fails any more; {self.advice}.")
-        if failing < step * (1.0 - GONE):
+            failing = smallest(self._model.cloud.comm, first_failure(self._e, de, self._reach, self._able))
+        if failing < step * (1.0 - NEARER):
             return failing, self._candidate(de, failing), None
-        return (step, None, self._failing[breaking]) if ends and ends[breaking] == step else (step, None, None)
+        if step == np.inf:
+            raise SolveError(f"At step time {t:.6g} the load falls and nothing fails any more; {self.advice}.")
+        return float(step), None, None if step == end else breaks
 
     def _candidate(self, de: Float, step: float) -> _Candidate:
         """Return the first, by its key, of the bonds that reach their limit after a step."""
@@ -280,39 +212,53 @@ class EventSolver(Solver):
         mine = None
         if found >= 0:
             key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
-            state = float(self._integrity[found]), float(self._base[found])
-            mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), float(self._reach[found]), *state)
+            state = float(self._reach[found]), float(self._integrity[found])
+            mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), *state)
         found_by = [c for c in self._model.cloud.comm.allgather(mine) if c is not None]
         first: _Candidate = min(found_by, key=lambda c: c.key)
         return first
 
-    def _begin(self, found: _Candidate | None) -> str:
+    def _move(self, ahead: Direction, step: float) -> None:
+        """Take the changed bonds along the direction."""
+        bonds = self._changed
+        force = bonds.force[ahead.failing] + step * ahead.force[ahead.failing]
+        bonds.elongation = bonds.elongation + step * ahead.elongation
+        bonds.integrity[ahead.failing] = force / (bonds.k * bonds.elongation)[ahead.failing]
+        for m in ahead.failing:
+            self._mark(m)
+
+    def _begin(self, found: _Candidate) -> str:
         """Let a bond fail."""
-        assert found is not None
-        bond = self._changed.get(found.key)
-        if bond is None:
-            number = self.solver.place(found.key, found.base * found.k)
-            bond = Failing(found.key, found.k, found.limit, 0.0, 0.0, number)
-            self._changed[found.key] = bond
-        bond.force, bond.elongation = found.integrity * found.k * found.reach, found.reach
-        self._failing.append(bond)
-        self._set_integrity(bond)
-        return f"bond {bond.key[0]}-{bond.key[1]} begins to fail"
+        bonds = self._changed
+        m = self.solver.numbers.get(found.key, -1)
+        if m < 0:
+            assert self._law is not None
+            softness = -(self._law.final_ratio - 1.0) / found.k
+            row, E = self.solver.add(found.key)
+            m = bonds.append(row, E, found.k, found.limit, found.integrity, softness)
+            self._keys.append(found.key)
+        bonds.elongation[m] = found.reach
+        bonds.failing.append(m)
+        self._mark(m)
+        return f"bond {found.key[0]}-{found.key[1]} begins to fail"
 
-    def _break(self, bond: Failing) -> str:
-        bond.force = 0.0
-        self._failing.remove(bond)
-        self._set_integrity(bond)
-        return f"bond {bond.key[0]}-{bond.key[1]} is broken"
+    def _break(self, m: int | None) -> str:
+        assert m is not None
+        self._changed.integrity[m] = 0.0
+        self._changed.failing.remove(m)
+        self._mark(m)
+        return f"bond {self._keys[m][0]}-{self._keys[m][1]} is broken"
 
-    def _set_integrity(self, bond: Failing) -> None:
-        here = self.solver.members[bond.number].pair
+    def _mark(self, m: int) -> None:
+        """Note the state of a changed bond among the pairs here."""
+        here = self.solver.local[m]
         if here < 0:
             return
         assert self._law is not None
-        self._integrity[here] = bond.force / (bond.k * bond.elongation)
-        self._reach[here] = bond.limit * self._law.reached(self._integrity[here : here + 1])[0]
-        self._able[here] = bond.force > 0.0 and not any(bond is other for other in self._failing)
+        bonds = self._changed
+        self._integrity[here] = bonds.integrity[m]
+        self._reach[here] = (bonds.limit * self._law.reached(bonds.integrity))[m]
+        self._able[here] = bonds.integrity[m] > 0.0 and m not in bonds.failing
 
     def _store(self) -> None:
         """Give the body the present integrity of its bonds."""
@@ -324,30 +270,13 @@ class EventSolver(Solver):
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A bond at its limit: ``reach`` is the present limit of its elongation, ``base`` its integrity when factored."""
+    """A bond at its limit: ``reach`` is the present limit of its elongation."""
 
     key: Key
     k: float
     limit: float
     reach: float
     integrity: float
-    base: float
-
-
-def _subsets(bonds: list[Failing]) -> Iterator[list[Failing]]:
-    """Yield sets of failing bonds to leave out, the smallest first."""
-    most = len(bonds) if len(bonds) <= TRIED else 1
-    for n in range(most + 1):
-        for chosen in itertools.combinations(bonds, n):
-            yield list(chosen)
-
-
-def _dense_solve(M: Float, g: Float) -> Float:
-    """Return the solution of a small system, the least one where it is singular."""
-    try:
-        return np.asarray(np.linalg.solve(M, g))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(M, g, rcond=None)[0])
 
 
 def _law_of(model: Model) -> BondDamage | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from petsc4py import PETSc
 
@@ -13,26 +11,7 @@ from pdpetsc.errors import SolveError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, BondModel, Model
 from pdpetsc.solve.matrix import TangentMatrix
-from pdpetsc.solve.pairs import Pairs
-
-
-@dataclass
-class Member:
-    """A bond whose stiffness is no longer that of the factored matrix.
-
-    Attributes
-    ----------
-    key : tuple of int
-        Its name on every rank.
-    pair : int
-        Its number here, -1 where it is not.
-    base : float
-        Its stiffness in the factored matrix [force / length].
-    """
-
-    key: tuple[int, int, int]
-    pair: int
-    base: float
+from pdpetsc.solve.pairs import Key, Pairs
 
 
 class InelasticForces:
@@ -50,6 +29,15 @@ class InelasticForces:
         Its bonds where they can fail.
     scale : float
         Diagonal of prescribed rows [force / length].
+
+    Attributes
+    ----------
+    numbers : dict of Key to int
+        The changed bonds.
+    local : list of int
+        The pair of each here, -1 where it is not.
+    elastic : (n_rows, dim) float64
+        Displacement under the whole load with the factored stiffness [length].
 
     References
     ----------
@@ -72,35 +60,22 @@ class InelasticForces:
         self.ksp = PETSc.KSP().create(comm=model.cloud.comm)
         self.ksp.setOperators(self.matrix.mat)
         self.ksp.setFromOptions()
-        self.members: list[Member] = []
-        self._place: dict[tuple[int, int, int], int] = {}
         self._w = np.empty((0, *loading.fixed.shape))
-        self.S = np.empty((0, 0))
-        self.E = np.empty(0)
         self.elastic: Float = np.zeros(loading.fixed.shape)
+        self.numbers: dict[Key, int] = {}
+        self.local: list[int] = []
 
     def factor(self) -> None:
         """Factor the present stiffness; no bond differs from it then."""
         zero = np.zeros(self._free.shape)
         self.matrix.update(zero)
-        self.members, self._place = [], {}
-        self.S, self.E = np.empty((0, 0)), np.empty(0)
+        self.numbers, self.local = {}, []
         load = self._external - self._model.tangent_times(zero, self._prescribed)
         self.elastic = self._solve(load) + self._prescribed
         self._elongated = self._elongation(self.elastic)
 
-    def place(self, key: tuple[int, int, int], base: float) -> int:
-        """Return the number of a bond among the changed ones, taking it in with one solve where it is new.
-
-        Parameters
-        ----------
-        key : tuple of int
-            The bond.
-        base : float
-            Its stiffness in the factored matrix [force / length].
-        """
-        if key in self._place:
-            return self._place[key]
+    def add(self, key: Key) -> tuple[Float, float]:
+        """Take in a bond, with one solve; return its row of ``S`` (r + 1,) and its elongation under the whole load."""
         model, pairs = self._model, self._pairs
         assert isinstance(model, BondModel) and pairs is not None
         pair = pairs.local(key)
@@ -108,32 +83,26 @@ class InelasticForces:
         if pair >= 0 and pairs.reported[pair]:
             tension[pairs.bond[pair]] = 1.0
         w = self._solve(model.gather(model.bond_forces(np.zeros_like(model.cloud.x), tension)))
-        self.members.append(Member(key, pair, base))
-        r = len(self.members)
-        self._place[key] = r - 1
-        mine = [m for m, member in enumerate(self.members) if member.pair >= 0 and pairs.reported[member.pair]]
-        bonds = pairs.bond[[self.members[m].pair for m in mine]]
-        values = np.zeros(r + 1)
-        values[mine] = self._elongation(w)[bonds]
-        if r - 1 in mine:
-            values[r] = self._elongated[bonds[-1]]
-        values = total(model.cloud.comm, values)
-        grown = np.empty((r, r))
-        grown[: r - 1, : r - 1] = self.S
-        grown[r - 1, :] = grown[:, r - 1] = values[:r]
-        self.S = grown
-        self.E = np.append(self.E, values[r])
-        if len(self._w) < r:
+        r = len(self.local)
+        self.numbers[key] = r
+        self.local.append(pair)
+        if len(self._w) <= r:
             self._w = np.concatenate([self._w, np.empty((max(r, 16), *w.shape))])
-        self._w[r - 1] = w
-        return r - 1
+        self._w[r] = w
+        here = np.array(self.local)
+        mine = np.flatnonzero((here >= 0) & pairs.reported[here])
+        bonds = pairs.bond[here[mine]]
+        values = np.zeros(r + 2)
+        values[mine] = self._elongation(w)[bonds]
+        if len(mine) and mine[-1] == r:
+            values[r + 1] = self._elongated[bonds[-1]]
+        values = total(model.cloud.comm, values)
+        return values[: r + 1], float(values[r + 1])
 
-    def response(self, rate: float, chosen: list[int], p: Float) -> Float:
-        """Return ``u = rate u_elastic - sum_b p_b w_b`` (n_rows, dim) for the changed bonds ``chosen``."""
+    def response(self, rate: float, p: Float) -> Float:
+        """Return ``u = rate u_elastic - sum_b p_b w_b`` (n_rows, dim) for inelastic forces p of the changed bonds."""
         u = rate * self.elastic
-        if chosen:
-            u = u - np.tensordot(p, self._w[chosen], axes=1)
-        return u
+        return u - np.tensordot(p, self._w[: len(p)], axes=1) if len(p) else u
 
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.errors import CaseError
 from pdpetsc.model import BondModel
+
+# What names a bond on every rank: ids of both ends and the relative place of the second.
+Key: TypeAlias = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Pairs:
     limit: Float
     reported: Mask
 
-    def local(self, key: tuple[int, int, int]) -> int:
+    def local(self, key: Key) -> int:
         """Return the number of a pair here, -1 where it is not."""
         span = np.searchsorted(self.keys[:, 0], key[0]), np.searchsorted(self.keys[:, 0], key[0], side="right")
         found = np.flatnonzero((self.keys[span[0] : span[1], 1:] == key[1:]).all(axis=1))

@@ -1,0 +1,183 @@
+"""Where the equilibrium path goes when bonds fail: dense algebra on the changed bonds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import SolveError
+
+# A rate below this share of the largest one is none.
+NONE = 1e-11
+# Changes of mode that are tried at once, and one by one, for each bond that may set the pace, and how many may.
+TOGETHER, SINGLY, PACES = 20, 200, 12
+
+
+@dataclass
+class Changed:
+    """Bonds whose stiffness is not that of the factored matrix, the same on every rank.
+
+    Attributes
+    ----------
+    S : (r, r) float64
+        Elongations under unit tensions of the bonds in the factored body [length / force].
+    E : (r,) float64
+        Elongations under the whole load in the factored body [length].
+    k, limit, base : (r,) float64
+        Elastic stiffness [force / length], elongation of first failure [length], stiffness in the factored matrix.
+    integrity, elongation : (r,) float64
+        At present [-], [length].
+    softness : (r,) float64
+        Change of elongation per change of force while a bond fails, not positive [length / force].
+    failing : list of int
+        Bonds that are losing force, in the order in which they began.
+    """
+
+    S: Float = field(default_factory=lambda: np.empty((0, 0)))
+    E: Float = field(default_factory=lambda: np.empty(0))
+    k: Float = field(default_factory=lambda: np.empty(0))
+    limit: Float = field(default_factory=lambda: np.empty(0))
+    base: Float = field(default_factory=lambda: np.empty(0))
+    integrity: Float = field(default_factory=lambda: np.empty(0))
+    elongation: Float = field(default_factory=lambda: np.empty(0))
+    softness: Float = field(default_factory=lambda: np.empty(0))
+    failing: list[int] = field(default_factory=list)
+
+    @property
+    def force(self) -> Float:
+        """Return the tensions (r,) [force]."""
+        return self.integrity * self.k * self.elongation
+
+    def append(self, row: Float, E: float, k: float, limit: float, integrity: float, softness: float) -> int:
+        """Take in a bond that still has its stiffness in the factored matrix; return its number.
+
+        Parameters
+        ----------
+        row : (r + 1,) float64
+            Its row of ``S``.
+        """
+        r = len(self.E)
+        grown = np.empty((r + 1, r + 1))
+        grown[:r, :r] = self.S
+        grown[r, :] = grown[:, r] = row
+        self.S = grown
+        self.E = np.append(self.E, E)
+        self.k = np.append(self.k, k)
+        self.limit = np.append(self.limit, limit)
+        self.base = np.append(self.base, integrity * k)
+        self.integrity = np.append(self.integrity, integrity)
+        self.elongation = np.append(self.elongation, 0.0)
+        self.softness = np.append(self.softness, softness)
+        return r
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction of the path.
+
+    Attributes
+    ----------
+    rate : float
+        Of the step time.
+    p : (r,) float64
+        Inelastic forces of the changed bonds [force].
+    force, elongation : (r,) float64
+        Rates of tension and elongation of the changed bonds.
+    failing : list of int
+        Bonds that fail on; those that it leaves out unload.
+    """
+
+    rate: float
+    p: Float
+    force: Float
+    elongation: Float
+    failing: list[int]
+
+
+def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
+    """Return the direction in which every bond at its limit either loses force or shortens.
+
+    Without failing bonds the load grows. Otherwise the last of them loses force at a fixed rate and the load follows;
+    where that has no solution another one sets the pace.
+
+    Parameters
+    ----------
+    bonds : Changed
+        The changed bonds.
+    waiting : list of int
+        Those at their limit that do not fail at present.
+
+    Raises
+    ------
+    SolveError
+        No such direction was found.
+    """
+    if not bonds.failing:
+        return _along(bonds, [])
+    for pace in reversed(bonds.failing[-PACES:]):
+        others = [m for m in [*bonds.failing, *waiting] if m != pace]
+        found = _complementary(bonds, others, {m for m in waiting if m != pace}, pace)
+        if found is not None:
+            return found
+    raise SolveError(
+        f"no direction lets the forces of {len(bonds.failing)} failing bonds decrease; perturb the positions, so that "
+        f"fewer bonds fail at once"
+    )
+
+
+def _complementary(bonds: Changed, others: list[int], out: set[int], pace: int) -> Direction | None:
+    """Switch bonds between failing and unloading until each does what its mode says; None where that goes in circles.
+
+    First all that are wrong at once, then the worst one, then the first one.
+    """
+    seen: set[frozenset[int]] = set()
+    scale = bonds.k * bonds.limit
+    for attempt in range(TOGETHER + SINGLY):
+        found = _along(bonds, [*(m for m in others if m not in out), pace])
+        size = NONE * float(np.abs(bonds.E * found.rate).max(initial=0.0))
+        wrong = [m for m in others if (found.elongation[m] > size if m in out else found.force[m] >= 0.0)]
+        if not wrong:
+            return found
+        if attempt >= TOGETHER or frozenset(out) in seen:
+            badness = [found.elongation[m] / bonds.limit[m] if m in out else found.force[m] / scale[m] for m in wrong]
+            wrong = [wrong[int(np.argmax(badness))] if attempt < TOGETHER + SINGLY // 2 else min(wrong)]
+        seen.add(frozenset(out))
+        out = out ^ set(wrong)
+    return None
+
+
+def _along(bonds: Changed, failing: list[int]) -> Direction:
+    """Return the direction in which ``failing`` lose force and all others keep their secant stiffness."""
+    change = bonds.integrity * bonds.k - bonds.base
+    elastic = np.flatnonzero(change != 0.0)
+    elastic = elastic[~np.isin(elastic, failing)] if failing else elastic
+    c = bonds.softness[failing]
+    factor = 1.0 - bonds.base[failing] * c
+    numbers: NDArray[np.int64] = np.concatenate([elastic, np.array(failing, dtype=np.int64)])
+    M = bonds.S[np.ix_(numbers, numbers)]
+    M[np.arange(len(M)), np.arange(len(M))] += np.concatenate([1.0 / change[elastic], c / factor])
+    g = bonds.E[numbers]
+    p = np.zeros(len(bonds.E))
+    if failing:
+        last = -bonds.k[failing[-1]] * bonds.limit[failing[-1]] * factor[-1]
+        found = _solve(np.column_stack([M[:, :-1], -g]), -last * M[:, -1])
+        p[numbers] = np.append(found[:-1], last)
+        rate = float(found[-1])
+    else:
+        p[numbers] = _solve(M, g)
+        rate = 1.0
+    elongation = rate * bonds.E - bonds.S @ p
+    force = bonds.integrity * bonds.k * elongation
+    force[failing] = p[failing] / factor
+    return Direction(rate, p, force, elongation, list(failing))
+
+
+def _solve(M: Float, g: Float) -> Float:
+    """Return the solution of a small system, the least one where it is singular."""
+    try:
+        return np.asarray(np.linalg.solve(M, g))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(M, g, rcond=None)[0])

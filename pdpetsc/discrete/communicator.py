@@ -52,17 +52,24 @@ def agreed(comm: Comm) -> Iterator[None]:
 
 def total(comm: Comm, values: Any) -> NDArray[Any]:
     """Return the sum over ranks of an array (collective)."""
-    return np.asarray(comm.allreduce(np.asarray(values), op=MPI.SUM))
+    return _reduced(comm, values, MPI.SUM)
 
 
 def largest(comm: Comm, value: float) -> float:
     """Return the maximum over ranks of a number (collective)."""
-    return float(comm.allreduce(value, op=MPI.MAX))
+    return float(_reduced(comm, float(value), MPI.MAX))
 
 
 def smallest(comm: Comm, value: float) -> float:
     """Return the minimum over ranks of a number (collective)."""
-    return float(comm.allreduce(value, op=MPI.MIN))
+    return float(_reduced(comm, float(value), MPI.MIN))
+
+
+def _reduced(comm: Comm, values: Any, operation: MPI.Op) -> NDArray[Any]:
+    mine = np.ascontiguousarray(values).reshape(np.shape(values))
+    result = np.empty_like(mine)
+    comm.Allreduce(mine, result, op=operation)
+    return result
 
 
 def offset(comm: Comm, count: int) -> int:

@@ -99,11 +99,17 @@ class Halo:
         source: NDArray[Any],
         in_ptr: NDArray[Any],
     ) -> None:
+        here = self.comm.rank
         requests = [
-            self.comm.Irecv(incoming[in_ptr[r] : in_ptr[r + 1]], source=int(rank)) for r, rank in enumerate(source)
+            self.comm.Irecv(incoming[in_ptr[r] : in_ptr[r + 1]], source=rank)
+            for r, rank in enumerate(source.tolist())
+            if rank != here
         ]
-        requests += [
-            self.comm.Isend(np.ascontiguousarray(outgoing[out_ptr[r] : out_ptr[r + 1]]), dest=int(rank))
-            for r, rank in enumerate(to)
-        ]
+        for r, rank in enumerate(to.tolist()):
+            part = outgoing[out_ptr[r] : out_ptr[r + 1]]
+            if rank != here:
+                requests.append(self.comm.Isend(np.ascontiguousarray(part), dest=rank))
+            else:
+                own = int(np.searchsorted(source, here))
+                incoming[in_ptr[own] : in_ptr[own + 1]] = part
         MPI.Request.Waitall(requests)

@@ -60,7 +60,8 @@ class Images:
         q = np.zeros(self.n_rows * self._dim)
         if self.here:
             q[:] = rows.ravel()
-        self.comm.Bcast(q, root=self.comm.size - 1)
+        if self.comm.size > 1:
+            self.comm.Bcast(q, root=self.comm.size - 1)
         strain = np.zeros((self._dim, self._dim))
         strain[self._a, self._b] = strain[self._b, self._a] = q[: len(self.sizes)] / self.sizes
         return strain

@@ -171,6 +171,21 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
     return rows
 
 
+@lru_cache
+def pair_elongation_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``elongation(ends, n, u, e)``: ``e = n . (u_j - u_i)`` for pairs with fixed directions ``n``."""
+
+    @compiled
+    def elongation(ends, n, u, e):  # type: ignore[no-untyped-def]
+        for p in range(e.size):
+            value = 0.0
+            for m in range(dim):
+                value += n[p, m] * (u[ends[p, 1], m] - u[ends[p, 0], m])
+            e[p] = value
+
+    return elongation
+
+
 @compiled
 def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
     """Return the least step along ``rate`` at which an ``able`` bond reaches its limit; infinity where none does."""

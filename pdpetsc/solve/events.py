@@ -87,6 +87,7 @@ class EventSolver(Solver):
         self._updates = options.updates or automatic
         self.factored = 0
         self._law = None if self._pairs is None else _law_of(model)
+        self._touched: list[int] = []
         n = 0 if self._pairs is None else len(self._pairs.k)
         self._e, self._integrity, self._able = np.zeros(n), np.ones(n), np.ones(n, dtype=bool)
         self._reach = np.empty(0) if self._pairs is None else self._pairs.limit.copy()
@@ -162,23 +163,24 @@ class EventSolver(Solver):
     def _factor(self) -> None:
         self.solver.factor()
         self.factored += 1
-        self._changed = Changed()
+        self._changed = Changed(2 * self._updates)
         self._keys: list[Key] = []
 
     def _elongation(self, u: Float) -> Float:
         """Return the elongation of every pair here (n_pairs,) [length] (collective)."""
         if self._pairs is None:
             return np.empty(0)
-        assert isinstance(self._model, BondModel)
-        return self._model.elongation(self._model.with_ghosts(u))[0][self._pairs.bond]
+        return self._pairs.elongation(self._model.with_ghosts(u))
 
     def _ahead(self, t: float) -> Direction:
         """Return the direction of the path; bonds that it leaves out no longer fail."""
         bonds = self._changed
         waiting = []
         if bonds.failing and self._law is not None:
-            at_limit = bonds.elongation >= bonds.limit * self._law.reached(bonds.integrity) * (1.0 - TIED)
-            waiting = [int(m) for m in np.flatnonzero(at_limit & (bonds.integrity > 0.0)) if m not in bonds.failing]
+            near = np.flatnonzero((bonds.elongation >= bonds.limit * (1.0 - TIED)) & (bonds.integrity > 0.0))
+            reach = bonds.limit[near] * self._law.reached(bonds.integrity[near])
+            at_limit = near[bonds.elongation[near] >= reach * (1.0 - TIED)].tolist()
+            waiting = [m for m in at_limit if m not in bonds.failing]
         try:
             ahead = find_direction(bonds, waiting)
         except SolveError as error:
@@ -222,7 +224,7 @@ class EventSolver(Solver):
         """Take the changed bonds along the direction."""
         bonds = self._changed
         force = bonds.force[ahead.failing] + step * ahead.force[ahead.failing]
-        bonds.elongation = bonds.elongation + step * ahead.elongation
+        bonds.elongation[:] += step * ahead.elongation
         bonds.integrity[ahead.failing] = force / (bonds.k * bonds.elongation)[ahead.failing]
         for m in ahead.failing:
             self._mark(m)
@@ -257,15 +259,18 @@ class EventSolver(Solver):
         assert self._law is not None
         bonds = self._changed
         self._integrity[here] = bonds.integrity[m]
-        self._reach[here] = (bonds.limit * self._law.reached(bonds.integrity))[m]
+        self._touched.append(here)
+        self._reach[here] = bonds.limit[m] * self._law.reached(bonds.integrity[m : m + 1])[0]
         self._able[here] = bonds.integrity[m] > 0.0 and m not in bonds.failing
 
     def _store(self) -> None:
-        """Give the body the present integrity of its bonds."""
+        """Give the body the present integrity of the bonds that have changed."""
         if self._pairs is not None:
             assert isinstance(self._model, BondModel) and self._model.failure is not None
-            self._model.failure.integrity[:] = self._integrity[self._pairs.of_bond]
+            touched = np.array(self._touched, dtype=np.int64)
+            self._model.failure.integrity[self._pairs.bonds[touched]] = self._integrity[touched, None]
             self._model.version += 1
+            self._touched.clear()
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import SolveError
 from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, BondModel, Model
+from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.pairs import Key, Pairs
 
@@ -72,17 +72,19 @@ class InelasticForces:
         self.numbers, self.local = {}, []
         load = self._external - self._model.tangent_times(zero, self._prescribed)
         self.elastic = self._solve(load) + self._prescribed
-        self._elongated = self._elongation(self.elastic)
+        if self._pairs is not None:
+            self._elongated = self._pairs.elongation(self._model.with_ghosts(self.elastic))
 
     def add(self, key: Key) -> tuple[Float, float]:
         """Take in a bond, with one solve; return its row of ``S`` (r + 1,) and its elongation under the whole load."""
         model, pairs = self._model, self._pairs
-        assert isinstance(model, BondModel) and pairs is not None
+        assert pairs is not None
         pair = pairs.local(key)
-        tension = np.zeros(len(pairs.of_bond))
+        f = np.zeros_like(model.cloud.x)
         if pair >= 0 and pairs.reported[pair]:
-            tension[pairs.bond[pair]] = 1.0
-        w = self._solve(model.gather(model.bond_forces(np.zeros_like(model.cloud.x), tension)))
+            f[pairs.ends[pair, 1]] += pairs.n[pair]
+            f[pairs.ends[pair, 0]] -= pairs.n[pair]
+        w = self._solve(model.gather(f))
         r = len(self.local)
         self.numbers[key] = r
         self.local.append(pair)
@@ -91,18 +93,19 @@ class InelasticForces:
         self._w[r] = w
         here = np.array(self.local)
         mine = np.flatnonzero((here >= 0) & pairs.reported[here])
-        bonds = pairs.bond[here[mine]]
+        ends, n = pairs.ends[here[mine]], pairs.n[here[mine]]
         values = np.zeros(r + 2)
-        values[mine] = self._elongation(w)[bonds]
+        w_local = model.with_ghosts(w)
+        values[mine] = np.einsum("pm,pm->p", n, w_local[ends[:, 1]] - w_local[ends[:, 0]])
         if len(mine) and mine[-1] == r:
-            values[r + 1] = self._elongated[bonds[-1]]
+            values[r + 1] = self._elongated[pair]
         values = total(model.cloud.comm, values)
         return values[: r + 1], float(values[r + 1])
 
     def response(self, rate: float, p: Float) -> Float:
         """Return ``u = rate u_elastic - sum_b p_b w_b`` (n_rows, dim) for inelastic forces p of the changed bonds."""
         u = rate * self.elastic
-        return u - np.tensordot(p, self._w[: len(p)], axes=1) if len(p) else u
+        return u - (p @ self._w[: len(p)].reshape(len(p), -1)).reshape(u.shape) if len(p) else u
 
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
@@ -122,10 +125,3 @@ class InelasticForces:
                 "-pc_type cholesky."
             )
         return u
-
-    def _elongation(self, u: Float) -> Float:
-        """Return the elongation of every bond (n_bonds,), none where bonds do not fail."""
-        model = self._model
-        if self._pairs is None or not isinstance(model, BondModel):
-            return np.empty(0)
-        return model.elongation(model.with_ghosts(u))[0]

@@ -7,9 +7,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.errors import CaseError
+from pdpetsc.kernels.bonds import pair_elongation_kernel
 from pdpetsc.model import BondModel
 
 # What names a bond on every rank: ids of both ends and the relative place of the second.
@@ -24,10 +25,12 @@ class Pairs:
     ----------
     keys : (n, 3) int64
         What names each bond on every rank.
-    of_bond : (n_bonds,) int64
-        The pair of every bond of an own particle.
-    bond : (n,) int64
-        One bond of each pair.
+    bonds : (n, 2) int64
+        Its bonds from either end, one of them twice where the other is on another rank.
+    ends : (n, 2) int32
+        Local particles of each pair.
+    n : (n, dim) float64
+        Its direction, from the first end to the second.
     k : (n,) float64
         Stiffness from both ends [force / length].
     limit : (n,) float64
@@ -37,11 +40,18 @@ class Pairs:
     """
 
     keys: GlobalIndex
-    of_bond: GlobalIndex
-    bond: GlobalIndex
+    bonds: GlobalIndex
+    ends: LocalIndex
+    n: Float
     k: Float
     limit: Float
     reported: Mask
+
+    def elongation(self, u_local: Float) -> Float:
+        """Return the elongation of every pair (n,) [length] for displacements with ghosts (n_local, dim)."""
+        e = np.empty(len(self.k))
+        pair_elongation_kernel(u_local.shape[1])(self.ends, self.n, u_local, e)
+        return e
 
     def local(self, key: Key) -> int:
         """Return the number of a pair here, -1 where it is not."""
@@ -74,4 +84,11 @@ def make_pairs(model: BondModel) -> Pairs:
     centre_first = cloud.gid[families.centres] == failure.keys[:, 0]
     reported = np.zeros(len(keys), dtype=bool)
     reported[of_bond[centre_first]] = True
-    return Pairs(keys, of_bond, first, np.asarray(k, dtype=float), failure.limit[first], reported)
+    ends = np.stack([families.centres[first], families.neighbours[first]], axis=1)
+    xi = cloud.x[ends[:, 1]] - cloud.x[ends[:, 0]]
+    n = xi / np.linalg.norm(xi, axis=1)[:, None]
+    last = np.empty(len(keys), dtype=np.int64)
+    last[of_bond] = np.arange(len(of_bond))
+    return Pairs(
+        keys, np.stack([first, last], axis=1), ends, n, np.asarray(k, dtype=float), failure.limit[first], reported
+    )

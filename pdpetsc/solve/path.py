@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,39 +16,66 @@ NONE = 1e-11
 TOGETHER, SINGLY, PACES = 20, 200, 12
 
 
-@dataclass
 class Changed:
     """Bonds whose stiffness is not that of the factored matrix, the same on every rank.
 
     Attributes
     ----------
-    S : (r, r) float64
-        Elongations under unit tensions of the bonds in the factored body [length / force].
-    E : (r,) float64
-        Elongations under the whole load in the factored body [length].
-    k, limit, base : (r,) float64
-        Elastic stiffness [force / length], elongation of first failure [length], stiffness in the factored matrix.
-    integrity, elongation : (r,) float64
-        At present [-], [length].
-    softness : (r,) float64
-        Change of elongation per change of force while a bond fails, not positive [length / force].
+    n : int
+        How many there are.
     failing : list of int
-        Bonds that are losing force, in the order in which they began.
+        Those that are losing force, in the order in which they began.
     """
 
-    S: Float = field(default_factory=lambda: np.empty((0, 0)))
-    E: Float = field(default_factory=lambda: np.empty(0))
-    k: Float = field(default_factory=lambda: np.empty(0))
-    limit: Float = field(default_factory=lambda: np.empty(0))
-    base: Float = field(default_factory=lambda: np.empty(0))
-    integrity: Float = field(default_factory=lambda: np.empty(0))
-    elongation: Float = field(default_factory=lambda: np.empty(0))
-    softness: Float = field(default_factory=lambda: np.empty(0))
-    failing: list[int] = field(default_factory=list)
+    def __init__(self, capacity: int) -> None:
+        self.n = 0
+        self.failing: list[int] = []
+        self._S = np.empty((capacity, capacity))
+        self._columns = np.empty((7, capacity))
+
+    @property
+    def S(self) -> Float:
+        """Return the elongations under unit tensions of the bonds in the factored body (n, n) [length / force]."""
+        return self._S[: self.n, : self.n]
+
+    @property
+    def E(self) -> Float:
+        """Return the elongations under the whole load in the factored body (n,) [length]."""
+        return self._columns[0, : self.n]
+
+    @property
+    def k(self) -> Float:
+        """Return the elastic stiffness (n,) [force / length]."""
+        return self._columns[1, : self.n]
+
+    @property
+    def limit(self) -> Float:
+        """Return the elongations of first failure (n,) [length]."""
+        return self._columns[2, : self.n]
+
+    @property
+    def base(self) -> Float:
+        """Return the stiffness in the factored matrix (n,) [force / length]."""
+        return self._columns[3, : self.n]
+
+    @property
+    def softness(self) -> Float:
+        """Return the change of elongation per change of force of failing bonds, not positive (n,) [length / force]."""
+        return self._columns[4, : self.n]
+
+    @property
+    def integrity(self) -> Float:
+        """Return the present force over the elastic one (n,) [-]."""
+        return self._columns[5, : self.n]
+
+    @property
+    def elongation(self) -> Float:
+        """Return the present elongations (n,) [length]."""
+        return self._columns[6, : self.n]
 
     @property
     def force(self) -> Float:
-        """Return the tensions (r,) [force]."""
+        """Return the tensions (n,) [force]."""
         return self.integrity * self.k * self.elongation
 
     def append(self, row: Float, E: float, k: float, limit: float, integrity: float, softness: float) -> int:
@@ -56,22 +83,17 @@ class Changed:
 
         Parameters
         ----------
-        row : (r + 1,) float64
+        row : (n + 1,) float64
             Its row of ``S``.
         """
-        r = len(self.E)
-        grown = np.empty((r + 1, r + 1))
-        grown[:r, :r] = self.S
-        grown[r, :] = grown[:, r] = row
-        self.S = grown
-        self.E = np.append(self.E, E)
-        self.k = np.append(self.k, k)
-        self.limit = np.append(self.limit, limit)
-        self.base = np.append(self.base, integrity * k)
-        self.integrity = np.append(self.integrity, integrity)
-        self.elongation = np.append(self.elongation, 0.0)
-        self.softness = np.append(self.softness, softness)
-        return r
+        m = self.n
+        if m == len(self._S):
+            self._S = np.pad(self._S, (0, m))
+            self._columns = np.pad(self._columns, ((0, 0), (0, m)))
+        self.n = m + 1
+        self._S[m, : m + 1] = self._S[: m + 1, m] = row
+        self._columns[:, m] = E, k, limit, integrity * k, softness, integrity, 0.0
+        return m
 
 
 @dataclass(frozen=True)
@@ -152,18 +174,20 @@ def _complementary(bonds: Changed, others: list[int], out: set[int], pace: int) 
 def _along(bonds: Changed, failing: list[int]) -> Direction:
     """Return the direction in which ``failing`` lose force and all others keep their secant stiffness."""
     change = bonds.integrity * bonds.k - bonds.base
-    elastic = np.flatnonzero(change != 0.0)
-    elastic = elastic[~np.isin(elastic, failing)] if failing else elastic
+    change[failing] = 0.0
+    elastic = np.flatnonzero(change)
     c = bonds.softness[failing]
     factor = 1.0 - bonds.base[failing] * c
     numbers: NDArray[np.int64] = np.concatenate([elastic, np.array(failing, dtype=np.int64)])
-    M = bonds.S[np.ix_(numbers, numbers)]
-    M[np.arange(len(M)), np.arange(len(M))] += np.concatenate([1.0 / change[elastic], c / factor])
+    M = bonds.S[numbers[:, None], numbers]
+    M.flat[:: len(M) + 1] += np.concatenate([1.0 / change[elastic], c / factor])
     g = bonds.E[numbers]
-    p = np.zeros(len(bonds.E))
+    p = np.zeros(bonds.n)
     if failing:
         last = -bonds.k[failing[-1]] * bonds.limit[failing[-1]] * factor[-1]
-        found = _solve(np.column_stack([M[:, :-1], -g]), -last * M[:, -1])
+        right = -last * M[:, -1]
+        M[:, -1] = -g
+        found = _solve(M, right)
         p[numbers] = np.append(found[:-1], last)
         rate = float(found[-1])
     else:

@@ -1,0 +1,79 @@
+"""Cost of an event: corrections to an old factor against factoring anew at every event.
+
+    python runs/bench/events.py [n] [bonds per particle]     # defaults: 1000 10
+
+The bar of the periodic cell with critical stretch increasing with the length of the bond, in which events are many.
+First what a step costs that assembles and factors the tangent matrix and solves once, as an algorithm needs at every
+event that keeps no factor. Then for several numbers of changed bonds at which the matrix is factored anew: number of
+factorisations, mean and median milliseconds per event of the solver alone (1 factors once for every bond, whose failure
+is two events), and how many times faster than that step an event is. PETSc options as on the command line.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+import study
+
+words = study.start("localisation")
+
+import numpy as np  # noqa: E402
+from periodic_cell import case  # noqa: E402
+
+from pdpetsc.build import make_cloud, make_model  # noqa: E402
+from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+from pdpetsc.discrete.families import find_families  # noqa: E402
+from pdpetsc.loading import Loading  # noqa: E402
+from pdpetsc.scene.solver import EventDriven  # noqa: E402
+from pdpetsc.solve.events import EventSolver  # noqa: E402
+from pdpetsc.solve.petsc import options  # noqa: E402
+from pdpetsc.solve.static import default_options, stiffness_scale  # noqa: E402
+
+EVENTS = 600
+FACTORISATIONS = 30
+
+
+def measure(scene, updates):
+    """Return seconds of each event and the number of factorisations."""
+    cloud = make_cloud(world(), scene)
+    model = make_model(scene, cloud, find_families(cloud))
+    loading = Loading(model, scene.conditions, scene.particles.thickness)
+    with options({}, default_options(model)):
+        solver = EventSolver(
+            model, loading, model.assembler(), EventDriven(updates), stiffness_scale(model), lambda: False
+        )
+        spent, before = [], time.perf_counter()
+        for _, _ in zip(range(EVENTS), solver.march(), strict=False):
+            now = time.perf_counter()
+            spent.append(now - before)
+            before = now
+        described = solver.description()
+        anew = []
+        for _ in range(FACTORISATIONS):
+            model.version += 1
+            before = time.perf_counter()
+            solver.solver.factor()
+            anew.append(time.perf_counter() - before)
+        solver.destroy()
+    return np.array(spent), solver.factored, described, float(np.median(anew))
+
+
+def main():
+    n, m = (int(word) for word in (*words, *("1000", "10")[len(words) :]))
+    scene = case(n=n, critical="increasing", horizon=m / n)
+    measure(scene, None)
+    rows = []
+    for updates in (1, 16, 32, None, 128, 256):
+        spent, factored, described, anew = measure(scene, updates)
+        rows.append((updates or "default", factored, spent.mean(), float(np.median(spent)), described, anew))
+    if is_root(world()):
+        anew = float(np.median([row[-1] for row in rows]))
+        print(f"{n} particles, {n * m} bonds, first {EVENTS} events; {rows[0][4]}")
+        print(f"assembly, factor and one solve: {1e3 * anew:.2f} ms")
+        print("updates  factored  mean ms  median ms  faster")
+        for updates, factored, mean, median, *_ in rows:
+            print(f"{updates!s:>7} {factored:9d} {1e3 * mean:8.3f} {1e3 * median:10.3f} {anew / mean:7.1f}")
+
+
+main()

@@ -66,3 +66,24 @@ def bond_forces(model, u):
             f[family.neighbours[b]] += force
             f[i] -= force
     return f
+
+
+def lengths_of_broken_bonds(n, m):
+    """Return the lengths, in spacings, of the bonds of a periodic bar of n particles in the order in which they break.
+
+    After each the whole body is solved anew; the bond with the largest stretch breaks next, until one section is cut.
+    Bonds that span the first one are listed; which of two that mirror each other comes first makes no difference.
+    """
+    whole = {(i, k) for i in range(n) for k in range(1, m + 1)}
+    broken = [(n // 2, 1)]
+    while len(broken) < m * (m + 1) // 2:
+        K, f = np.zeros((n, n)), np.zeros(n)
+        for i, k in whole - set(broken):
+            j, ahead = (i + k) % n, float(i + k >= n)
+            K[[i, j, i, j], [i, j, j, i]] += np.array([1.0, 1.0, -1.0, -1.0]) / k
+            f[[i, j]] += np.array([1.0, -1.0]) * ahead / k
+        u = np.append(0.0, np.linalg.solve(K[1:, 1:], f[1:]))
+        stretch = {(i, k): (u[(i + k) % n] + float(i + k >= n) - u[i]) / k for i, k in whole - set(broken)}
+        # Ties of mirrored bonds are broken towards the left by more than round-off and less than differences.
+        broken.append(max(stretch, key=lambda bond: stretch[bond] * (1.0 + 1e-9 * (n - bond[0]))))
+    return [k for _, k in broken]

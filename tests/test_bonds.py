@@ -103,13 +103,16 @@ def test_uniform_strain_of_a_lattice_has_the_energy_of_its_calibration(dim, rng)
     assert np.allclose(P, kappa * 0.01 * dim * np.eye(dim), atol=1e-12)
 
 
-def test_dilation_of_cut_families_has_the_energy_of_the_continuum_with_surface_correction():
+def test_dilation_of_cut_families_has_the_energy_of_whole_ones_with_surface_correction():
     for dim in DIMS:
-        material = pd.BondBased(E=1.0, calibration="family")
-        model = bond_body(dim, material)
-        e, _ = model.elongation(0.01 * model.cloud.x)
-        psi = np.bincount(model.families.centres, 0.5 * model.k * e**2, model.cloud.n_owned) / model.cloud.volume[0]
-        assert np.allclose(psi, 0.5 * model.kappa * (0.01 * dim) ** 2, rtol=1e-12)
+        corrected, plain = (
+            bond_body(dim, pd.BondBased(E=1.0, calibration=name), horizon=1.1) for name in ("family", "lattice")
+        )
+        psi = corrected.energy_density(0.01 * corrected.cloud.x)
+        assert np.allclose(psi, psi[0], rtol=1e-12)
+        uncorrected = plain.energy_density(0.01 * plain.cloud.x)
+        assert uncorrected.max() == pytest.approx(psi[0], rel=1e-12)
+        assert uncorrected.min() < 0.8 * psi[0]
 
 
 def test_a_linear_solid_with_the_ratio_of_bonds_is_bond_based(rng):

@@ -11,10 +11,13 @@ from pdpetsc.arrays import Float
 from pdpetsc.bond_based.base import BondMaterial, BondStiffness, Neighbourhood
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import CaseError
+from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.material.linear_elastic import LinearElastic
 
 # Families whose moment is this close to the largest one are whole.
 WHOLE = 0.01
+# A family has at least this share of the energy of a whole one in each direction, or none that could be corrected.
+LEAST = 1e-2
 SAME_RATIO = 1e-3
 
 
@@ -34,13 +37,15 @@ class BondBased(BondMaterial):
     calibration : {"continuum", "lattice", "family"}
         What ``I`` is. ``continuum``: the integral over a whole ball. ``lattice``: one number for the body, with which
         the particles with the largest families, pulled along x with free sides, have the modulus E exactly; the body
-        must be thick enough to have whole families. ``family``: the sum over each particle's own family. A particle
-        then stores the energy of the continuum in uniform dilation, whole its family or cut, which corrects most of
-        the soft surface.
+        must be thick enough to have whole families. ``family``: as ``lattice``, raised where families are cut,
+        which corrects most of the soft surface: from the energy ``W_a`` of a family stretched along each axis and the
+        largest in the body, ``g_a = W_max / W_a``, a bond gets the factor ``1 / |(n_x / g_x, n_y / g_y, n_z / g_z)|``,
+        the mean of both of its ends.
 
     References
     ----------
-    Silling (2000); Silling, Askari (2005), section 3; Mikes, Jirasek, Zeman, Rokos, Peerlings, Eq. (2)-(6).
+    Silling (2000); Silling, Askari (2005), section 3; Mikes, Jirasek, Zeman, Rokos, Peerlings, Eq. (2)-(6). Surface:
+    Madenci, Oterkus (2014), section 4.2.
     """
 
     calibration: Literal["continuum", "lattice", "family"] = "continuum"
@@ -67,25 +72,30 @@ class BondBased(BondMaterial):
         """Return ``k_ij = 1/2 c_i omega V_i V_j / |xi|`` (collective)."""
         calibrated = {"continuum": _continuum, "lattice": _lattice, "family": _family}[self.calibration]
         c = calibrated(bonds, self.elastic(bonds.cloud.dim))
-        volume, centres = bonds.cloud.volume, bonds.families.centres
-        pair = volume[centres] * volume[bonds.families.neighbours]
-        return BondStiffness(0.5 * c[centres] * bonds.omega * pair / bonds.length)
+        volume = bonds.cloud.volume
+        pair = volume[bonds.families.centres] * volume[bonds.families.neighbours]
+        return BondStiffness(0.5 * c * bonds.omega * pair / bonds.length)
 
 
 def _continuum(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus of the own particles from the integral over a whole ball."""
-    return np.full(bonds.cloud.n_owned, _isotropic(elastic, bonds.cloud.dim) / bonds.continuous_moment(1))
+    """Return the micromodulus of every bond from the integral over a whole ball."""
+    dim = bonds.cloud.dim
+    # Both Lame constants of 1/2 c int omega |xi| n n n n dV are c I / (2 dim (dim + 2)); lambda + 2 mu = E on a line.
+    mu = elastic.E / 3.0 if dim == 1 else elastic.lame(dim)[1]
+    return np.full(len(bonds.length), 2.0 * dim * (dim + 2) * mu / bonds.continuous_moment(1))
 
 
 def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus of the own particles from the sum over their own families."""
-    return np.asarray(_isotropic(elastic, bonds.cloud.dim) / bonds.moment(1))
-
-
-def _isotropic(elastic: LinearElastic, dim: int) -> float:
-    """Return ``a E``: both Lame constants of ``1/2 c int omega |xi| n n n n dV`` are ``c I / (2 dim (dim + 2))``."""
-    mu = elastic.E / 3.0 if dim == 1 else elastic.lame(dim)[1]  # lambda + 2 mu = E on a line
-    return 2.0 * dim * (dim + 2) * mu
+    """Return the micromodulus of whole families, raised where the family of the first end of a bond is cut."""
+    cloud, families = bonds.cloud, bonds.families
+    n = families.bonds(cloud.x) / bonds.length[:, None]
+    weight = bonds.omega * bonds.length * cloud.volume[families.neighbours]
+    # Energy of the particle when stretched along each axis, and how much that lacks of the largest in the body.
+    W = sum_by(families.centres, weight[:, None] * n**4, cloud.n_owned)
+    whole = np.array([largest(cloud.comm, float(column.max(initial=0.0))) for column in W.T])
+    g = whole / np.maximum(W, LEAST * whole)
+    factor = 1.0 / np.sqrt(((n / g[families.centres]) ** 2).sum(axis=1))
+    return np.asarray(_lattice(bonds, elastic) * factor)
 
 
 def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
@@ -101,7 +111,7 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     lam, mu = elastic.lame(cloud.dim)
     one = np.eye(cloud.dim)
     both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-    return np.full(cloud.n_owned, _modulus_along_x(lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit)
+    return np.full(len(bonds.length), _modulus_along_x(lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit)
 
 
 def _modulus_along_x(C: Float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,8 @@ from pdpetsc.errors import SolveError
 
 # A rate below this share of the largest one is none.
 NONE = 1e-11
-# Changes of mode that are tried at once, and one by one, for each bond that may set the pace, and how many may.
-TOGETHER, SINGLY, PACES = 20, 200, 12
+# Modes of all bonds that are tried for each bond that can change its own.
+TRIED = 4
 
 
 class Changed:
@@ -123,7 +124,8 @@ def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
     """Return the direction in which every bond at its limit either loses force or shortens.
 
     Without failing bonds the load grows. Otherwise the last of them loses force at a fixed rate and the load follows;
-    where that has no solution another one sets the pace.
+    bonds in a wrong mode change it, all at once from all of them failing on, then one by one from that one failing
+    alone; where that leads to no solution another one sets the pace.
 
     Parameters
     ----------
@@ -139,36 +141,56 @@ def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
     """
     if not bonds.failing:
         return _along(bonds, [])
-    for pace in reversed(bonds.failing[-PACES:]):
+    for pace in reversed(bonds.failing):
         others = [m for m in [*bonds.failing, *waiting] if m != pace]
-        found = _complementary(bonds, others, {m for m in waiting if m != pace}, pace)
-        if found is not None:
-            return found
+        for out, switch in ((set(waiting) - {pace}, _all), (set(others), _worst), (set(waiting) - {pace}, _worst)):
+            found = _complementary(bonds, others, out, pace, switch)
+            if found is not None:
+                return found
     raise SolveError(
         f"no direction lets the forces of {len(bonds.failing)} failing bonds decrease; perturb the positions, so that "
         f"fewer bonds fail at once"
     )
 
 
-def _complementary(bonds: Changed, others: list[int], out: set[int], pace: int) -> Direction | None:
+def _complementary(
+    bonds: Changed, others: list[int], out: set[int], pace: int,
+    switch: Callable[[Changed, Direction, list[int], set[int]], set[int]],
+) -> Direction | None:  # fmt: skip
     """Switch bonds between failing and unloading until each does what its mode says; None where that goes in circles.
 
-    First all that are wrong at once, then the worst one, then the first one.
+    Parameters
+    ----------
+    others : list of int
+        Bonds at their limit besides the one that sets the pace.
+    out : set of int
+        Those of them that unload at first.
+    switch : callable
+        Which of the bonds in a wrong mode change it next.
     """
     seen: set[frozenset[int]] = set()
-    scale = bonds.k * bonds.limit
-    for attempt in range(TOGETHER + SINGLY):
+    while frozenset(out) not in seen and len(seen) <= TRIED * (len(others) + 1):
+        seen.add(frozenset(out))
         found = _along(bonds, [*(m for m in others if m not in out), pace])
         size = NONE * float(np.abs(bonds.E * found.rate).max(initial=0.0))
         wrong = [m for m in others if (found.elongation[m] > size if m in out else found.force[m] >= 0.0)]
         if not wrong:
             return found
-        if attempt >= TOGETHER or frozenset(out) in seen:
-            badness = [found.elongation[m] / bonds.limit[m] if m in out else found.force[m] / scale[m] for m in wrong]
-            wrong = [wrong[int(np.argmax(badness))] if attempt < TOGETHER + SINGLY // 2 else min(wrong)]
-        seen.add(frozenset(out))
-        out = out ^ set(wrong)
+        out = out ^ switch(bonds, found, wrong, out)
     return None
+
+
+def _all(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> set[int]:
+    return set(wrong)
+
+
+def _worst(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) -> set[int]:
+    """Return the bond that lengthens or gains force most for what it can take."""
+    excess = [
+        found.elongation[m] / bonds.limit[m] if m in out else found.force[m] / (bonds.k[m] * bonds.limit[m])
+        for m in wrong
+    ]
+    return {wrong[int(np.argmax(excess))]}
 
 
 def _along(bonds: Changed, failing: list[int]) -> Direction:

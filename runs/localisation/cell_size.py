@@ -3,9 +3,9 @@
     python runs/localisation/cell_size.py [folder]        # default out/cell_size
 
 Spacing and horizon stay; the cell grows from 6 to 24 spacings. Three kinds of critical stretch, bonds that snap and
-bonds that soften to three times their critical stretch. The fracture energy is what is dissipated per section of the cell; if
-damage is confined to one section it does not grow with the cell, if it spreads over the cell it grows with it. Compared
-with the energy of breaking every bond across a plane between two layers, once.
+bonds that soften to three times their critical stretch. The fracture energy is what is dissipated per section of the
+cell; if damage is confined to one section it does not grow with the cell, if it spreads it does. Compared with the
+energy of breaking every bond across a plane between two layers, once.
 """
 
 import sys
@@ -29,7 +29,7 @@ REALISATIONS = 3
 
 
 def cut_energy(n, critical, ratio):
-    """Return the energy per length of breaking every bond across a plane between two layers, at its critical stretch."""
+    """Return the energy per length of breaking every bond across a plane between two layers."""
     model = study.build(case(n, n * DX, critical=critical, ratio=ratio, perturbation=0.0))
     each = 0.5 * model.k * model.failure.limit**2 * ratio
     # A bond that advances by a layers is cut by a of the n planes; bonds count from both ends.

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, agreed, is_root, total
-from pdpetsc.errors import OutputError
+from pdpetsc.discrete.communicator import Comm, agreed, total
 from pdpetsc.model.failure import BondFailure
+from pdpetsc.output.records import write_rows
 
 
 class BrokenBonds:
@@ -37,7 +36,7 @@ class BrokenBonds:
         self._listed = np.zeros(len(failure.integrity), dtype=bool)
         axes = "xyz"[: failure.middle.shape[1]]
         with agreed(comm):
-            self._append("w", [["step", "t", "i", "j", "length", *axes]])
+            write_rows(comm, self._path, "w", [["step", "t", "i", "j", "length", *axes]])
 
     def write(self, step: int, t: float) -> None:
         """Append the bonds that broke in a step, with the ids of their ends, their length and their middle."""
@@ -52,13 +51,5 @@ class BrokenBonds:
             if parts is not None:
                 _, first = np.unique(np.concatenate(parts)[:, :3], axis=0, return_index=True)
                 found = np.concatenate(parts)[first]
-                self._append("a", [[step, repr(t), int(r[0]), int(r[1]), *map(repr, r[3:].tolist())] for r in found])
-
-    def _append(self, mode: str, rows: list[list[object]]) -> None:
-        if not is_root(self._comm):
-            return
-        try:
-            with self._path.open(mode, newline="") as file:
-                csv.writer(file).writerows(rows)
-        except OSError as error:
-            raise OutputError(f"Cannot write {self._path}: {error.strerror or error}.") from error
+                rows_of = [[step, repr(t), int(r[0]), int(r[1]), *map(repr, r[3:].tolist())] for r in found]
+                write_rows(self._comm, self._path, "a", rows_of)

@@ -30,6 +30,17 @@ def earlier_history(comm: Comm, path: Path, names: Sequence[str], first: int) ->
     return shared
 
 
+def write_rows(comm: Comm, path: Path, mode: str, rows: Sequence[Sequence[Any]]) -> None:
+    """Write or append rows to a table on rank 0 (not collective); raises OutputError there."""
+    if not is_root(comm):
+        return
+    try:
+        with path.open(mode, newline="") as file:
+            csv.writer(file).writerows(rows)
+    except OSError as error:
+        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
+
+
 class HistoryWriter:
     """Appends one row of numbers per step to ``history.csv``.
 
@@ -53,23 +64,14 @@ class HistoryWriter:
         self._comm = comm
         self._path = folder / "history.csv"
         with agreed(comm):
-            self._append("w", names)
+            write_rows(comm, self._path, "w", [names])
         for row in kept:
             self.write(row)
 
     def write(self, row: Sequence[float]) -> None:
         """Append a row: step, step time and the values in the order of the names."""
         with agreed(self._comm):
-            self._append("a", [int(row[0]), *(repr(float(value)) for value in row[1:])])
-
-    def _append(self, mode: str, row: Sequence[Any]) -> None:
-        if not is_root(self._comm):
-            return
-        try:
-            with self._path.open(mode, newline="") as file:
-                csv.writer(file).writerow(row)
-        except OSError as error:
-            raise OutputError(f"Cannot write {self._path}: {error.strerror or error}.") from error
+            write_rows(self._comm, self._path, "a", [[int(row[0]), *(repr(float(value)) for value in row[1:])]])
 
 
 def write_summary(comm: Comm, folder: Path, summary: dict[str, Any]) -> None:

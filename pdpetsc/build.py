@@ -11,6 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.bond_based import BondMaterial, Neighbourhood
 from pdpetsc.case import Case, law_of
+from pdpetsc.damage import Brittle, ConstantCritical
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
@@ -20,6 +21,8 @@ from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
 from pdpetsc.model import BondModel, CorrespondenceModel, Model
 from pdpetsc.scene.particles import Chunk
+from pdpetsc.scene.solver import EventDriven
+from pdpetsc.solve.pairs import rehearse_pairs
 
 
 def make_cloud(comm: Comm, case: Case) -> Cloud:
@@ -55,8 +58,9 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
-                # Critical stretches are those of another body: no damage here, whose loops are numpy's.
-                model = _model(replace(case, damage=None), cloud, find_families(cloud), materials, alternating, None)
+                # The case's critical stretches are those of another body.
+                damage = None if case.damage is None else Brittle(ConstantCritical(1.0))
+                model = _model(replace(case, damage=damage), cloud, find_families(cloud), materials, alternating, None)
                 assembler = model.assembler()
                 u = np.zeros_like(x)
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
@@ -65,6 +69,8 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 model.tangent_times(u, u)
                 model.energy(u)
                 model.commit(u)
+                if damage is not None and isinstance(case.solver, EventDriven):
+                    rehearse_pairs(model)
 
 
 def _model(

@@ -125,7 +125,7 @@ class _Run:
             loading = Loading(model, case.conditions, case.particles.thickness)
             refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
-        with stop_on_signals(comm) as stop, petsc_options(self.options, default_options(model)):
+        with stop_on_signals(comm) as stop, petsc_options(self.options, default_options(model, self.options)):
             solver = self._solver(model, loading, stop)
             self.summary["solver"] = solver.description()
             self.report.say(f"solver: {solver.description()}")
@@ -156,6 +156,8 @@ class _Run:
         order = InCreationOrder(cloud)
         u, t, step = np.zeros((cloud.n_rows, model.dim)), 0.0, 0
         if self.restart is not None:
+            if isinstance(solver, EventSolver):
+                raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
             if model.has_history:
                 raise CaseError(
                     "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."

@@ -1,6 +1,7 @@
 """Periodic cells: exact patch test for every method and any periodic directions, on any rank count."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -120,6 +121,14 @@ def test_relaxation_and_multigrid_find_the_same_cell(tmp_path):
     relaxed = pd.run(wavy(solver=pd.DynamicRelaxation(1e-9)), output=tmp_path, quiet=True)
     assert iterative == pytest.approx(direct, rel=1e-8)
     assert relaxed == pytest.approx(direct, rel=1e-5)
+
+
+def test_multigrid_takes_few_iterations_with_virtual_unknowns(tmp_path):
+    for n in (20, 40):
+        case = wavy(n=n, stabilisation=None, mean=[pd.MeanStress(xx=0.5, xy=0.1)])
+        pd.run(case, output=tmp_path, quiet=True, options={"pc_type": "gamg"})
+        step = json.loads((tmp_path / "summary.json").read_text())["steps"][-1]
+        assert step["linear_iterations"] < 50 * (step["newton_iterations"] + 1)
 
 
 def test_a_restart_keeps_the_mean_strain(tmp_path):

@@ -10,8 +10,8 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.bonds import pair_elongation_kernel
-from pdpetsc.model import BondModel
+from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
+from pdpetsc.model import BondModel, Model
 
 # What names a bond on every rank: ids of both ends and the relative place of the second.
 Key: TypeAlias = tuple[int, int, int]
@@ -92,3 +92,13 @@ def make_pairs(model: BondModel) -> Pairs:
     return Pairs(
         keys, np.stack([first, last], axis=1), ends, n, np.asarray(k, dtype=float), failure.limit[first], reported
     )
+
+
+def rehearse_pairs(model: Model) -> None:
+    """Compile or load the loops that go from event to event (collective on the model's ranks)."""
+    assert isinstance(model, BondModel)
+    pairs = make_pairs(model)
+    e = pairs.elongation(np.zeros_like(model.cloud.x))
+    able = np.ones(len(e), dtype=bool)
+    first_failure(e, e, pairs.limit, able)
+    first_of_tied(e, e, pairs.limit, able, 0.0, 0.0)

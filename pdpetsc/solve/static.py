@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -27,8 +28,8 @@ HALVINGS = 40
 EASY_ITERATIONS = 6
 
 
-def default_options(model: Model) -> dict[str, object]:
-    """Return pdpetsc's solver options for a model; the case and the command line override each of them.
+def default_options(model: Model, chosen: Mapping[str, Any]) -> dict[str, object]:
+    """Return pdpetsc's solver options for a model; ``chosen`` and the command line override each of them.
 
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
     algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
@@ -37,9 +38,9 @@ def default_options(model: Model) -> dict[str, object]:
     one, lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from 32 to 10.
     """
     database = PETSc.Options()
-    chosen = database.getString("pc_type", "")
+    pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
     unknowns = model.cloud.n_global * model.dim
-    direct = chosen in ("lu", "cholesky") or (not chosen and unknowns <= DIRECT_UNKNOWNS[model.dim])
+    direct = pc in ("lu", "cholesky") or (not pc and unknowns <= DIRECT_UNKNOWNS[model.dim])
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
         "snes_linesearch_type": "basic" if model.linear else "cp",
@@ -55,7 +56,7 @@ def default_options(model: Model) -> dict[str, object]:
             "mat_mumps_icntl_14": 50,
         }
     defaults |= {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    if not chosen:
+    if pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
     return defaults
 

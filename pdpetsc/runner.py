@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from pdpetsc.output.records import HistoryWriter, earlier_history, write_summary
 from pdpetsc.scene.solver import DynamicRelaxation, EventDriven
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
-from pdpetsc.solve.base import Solver, StepResult
+from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.events import EventSolver
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
@@ -89,6 +89,9 @@ def run(
         return _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))()
 
 
+Running: TypeAlias = StepSolver | EventSolver
+
+
 class _Run:
     """One run: builds the model, drives the steps, keeps the records."""
 
@@ -134,7 +137,7 @@ class _Run:
             finally:
                 solver.destroy()
 
-    def _solver(self, model: Model, loading: Loading, stop: Callable[[], bool]) -> Solver:
+    def _solver(self, model: Model, loading: Loading, stop: Callable[[], bool]) -> Running:
         chosen = self.case.solver
         if isinstance(chosen, DynamicRelaxation):
             return RelaxationSolver(model, loading, chosen, stop)
@@ -151,7 +154,7 @@ class _Run:
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
         return solver
 
-    def _march(self, model: Model, loading: Loading, solver: Solver, stop: Callable[[], bool]) -> dict[str, float]:
+    def _march(self, model: Model, loading: Loading, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
         case, cloud = self.case, model.cloud
         order = InCreationOrder(cloud)
         u, t, step = np.zeros((cloud.n_rows, model.dim)), 0.0, 0
@@ -180,8 +183,11 @@ class _Run:
         status = "converged"
         try:
             before = time.perf_counter()
-            march = solver.march() if isinstance(solver, EventSolver) else None
-            for converged in march or load_steps(solver, case.steps, u, t, stop, on_failure):
+            if isinstance(solver, EventSolver):
+                march = solver.march()
+            else:
+                march = load_steps(solver, case.steps, u, t, stop, on_failure)
+            for converged in march:
                 self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
                 step += 1
                 self.report.step(step, converged.t, converged.result, solver.unit)

@@ -40,14 +40,14 @@ class StepResult:
 
 
 class Solver(ABC):
-    """Finds equilibrium of a load step.
+    """Finds equilibrium.
 
     Attributes
     ----------
     unit : str
         What its iterations are called.
     advice : str
-        What a user may try when the smallest step failed.
+        What a user may try when it failed.
     """
 
     unit: str
@@ -63,12 +63,20 @@ class Solver(ABC):
         """Return the solver in force in a few words."""
 
     @abstractmethod
-    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Find equilibrium at step time ``t`` from ``u`` (n_owned, dim); collective."""
+    def destroy(self) -> None:
+        """Free what the solver holds outside Python."""
 
+
+class StepSolver(Solver):
+    """Finds equilibrium of one load step after another."""
+
+    @abstractmethod
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium at step time ``t`` from ``u`` (n_rows, dim); collective."""
+
+    @abstractmethod
     def break_bonds(self, u: Float) -> int:
         """Break what has reached its limit at equilibrium ``u``; return how many bonds (collective)."""
-        return 0
 
     @abstractmethod
     def revert(self) -> None:
@@ -77,7 +85,3 @@ class Solver(ABC):
     @abstractmethod
     def accept(self, u: Float) -> None:
         """Take ``u`` as the converged state that the next step starts from (collective)."""
-
-    @abstractmethod
-    def destroy(self) -> None:
-        """Free what the solver holds outside Python."""

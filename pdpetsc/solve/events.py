@@ -102,17 +102,6 @@ class EventSolver(Solver):
         ksp = self.solver.ksp
         return f"event-driven, ksp {ksp.getType()}, pc {ksp.getPC().getType()}, {self._updates} changes per factor"
 
-    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
-        """Refuse: events have no step time of their own to solve at."""
-        raise NotImplementedError("the event-driven solver goes from event to event")
-
-    def accept(self, u: Float) -> None:
-        """Keep what has failed."""
-        self._model.commit(u)
-
-    def revert(self) -> None:
-        """Do nothing: no event is tried twice."""
-
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.solver.destroy()

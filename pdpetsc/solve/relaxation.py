@@ -11,7 +11,7 @@ from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
 from pdpetsc.scene.solver import DynamicRelaxation
-from pdpetsc.solve.base import Solver, StepResult
+from pdpetsc.solve.base import StepResult, StepSolver
 
 # Iterations that estimate the largest frequency, and the share of the critical time step that is used.
 POWER_ITERATIONS = 30
@@ -22,7 +22,7 @@ RENEWED = 2000
 KEPT = 100
 
 
-class RelaxationSolver(Solver):
+class RelaxationSolver(StepSolver):
     """Damped motion ``m a + c m v = f_ext - f_int`` with unit density, in central differences, to rest.
 
     The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle, and never

@@ -13,7 +13,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
-from pdpetsc.solve.base import Solver, StepResult
+from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.petsc import set_domain_error
 
@@ -61,7 +61,7 @@ def default_options(model: Model, chosen: Mapping[str, Any]) -> dict[str, object
     return defaults
 
 
-class StaticSolver(Solver):
+class StaticSolver(StepSolver):
     """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
 
     Parameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pdpetsc.arrays import Float
 from pdpetsc.errors import Interrupted, SolveError
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solve.base import Solver, StepResult
+from pdpetsc.solve.base import StepResult, StepSolver
 
 SAME_TIME = 1e-9
 GROWTH = 1.5
@@ -43,7 +43,7 @@ class Converged:
 
 
 def load_steps(
-    solver: Solver,
+    solver: StepSolver,
     steps: Steps | AdaptiveSteps,
     u: Float,
     t: float,

@@ -29,6 +29,7 @@ from pdpetsc.scene import influence, region
 from pdpetsc.scene.cell import Cell
 from pdpetsc.scene.choice import choose
 from pdpetsc.scene.conditions import BodyForce, Displacement, Force, MeanStrain, MeanStress, Pressure, Traction
+from pdpetsc.scene.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.scene.files import Mesh, TextFile
 from pdpetsc.scene.particles import Arrays, Lattice
 from pdpetsc.scene.schedule import Hold, Ramp, Table
@@ -76,6 +77,7 @@ __all__ = [
     "Corrected",
     "Correspondence",
     "CriticalFunction",
+    "Disc",
     "Displacement",
     "DissipatedEnergy",
     "DynamicRelaxation",
@@ -102,12 +104,16 @@ __all__ = [
     "Newton",
     "OutputError",
     "Picture",
+    "PlaneCrack",
+    "PolygonCrack",
+    "Polyline",
     "Pressure",
     "Quantity",
     "Ramp",
     "Reaction",
     "RelativeError",
     "SaintVenantKirchhoff",
+    "Segment",
     "Silling",
     "Solution",
     "SolveError",

@@ -16,6 +16,7 @@ from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import Quantity
 from pdpetsc.scene.cell import Cell
 from pdpetsc.scene.conditions import Condition
+from pdpetsc.scene.cracks import Crack
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import All, Region
@@ -54,6 +55,8 @@ class Case:
         How much a bond counts.
     stabilisation : Stabilisation, optional
         Zero-energy control; none where absent.
+    cracks : sequence of Crack
+        What cuts bonds from the start; let it run between particles.
     damage : BondDamage, optional
         How the bonds of a bond-based material fail; they do not where absent.
     cell : Cell, optional
@@ -81,6 +84,7 @@ class Case:
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
     stabilisation: Stabilisation | None = None
+    cracks: Sequence[Crack] = ()
     damage: BondDamage | None = None
     cell: Cell | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)

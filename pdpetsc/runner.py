@@ -122,7 +122,7 @@ class _Run:
         with self._timed("kernels"):
             rehearse(comm, case, cloud.dim)
         with self._timed("families"):
-            families = find_families(cloud)
+            families = find_families(cloud, case.cracks)
         with self._timed("model"):
             model = make_model(case, cloud, families)
             loading = Loading(model, case.conditions, case.particles.thickness)

@@ -107,7 +107,7 @@ def build(case):
     from pdpetsc.discrete.families import find_families
 
     cloud = make_cloud(world(), case)
-    return make_model(case, cloud, find_families(cloud))
+    return make_model(case, cloud, find_families(cloud, case.cracks))
 
 
 def _text(value):

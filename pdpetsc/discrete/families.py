@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud
-from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.pattern import families_from_pairs
+from pdpetsc.scene.cracks import Crack
 
 
 @dataclass(frozen=True)
@@ -40,13 +42,15 @@ class Families:
         return np.asarray(x[self.neighbours] - x[self.centres])
 
 
-def find_families(cloud: Cloud) -> Families:
-    """Find every pair of particles within one horizon.
+def find_families(cloud: Cloud, cracks: Sequence[Crack] = ()) -> Families:
+    """Find every pair of particles within one horizon that no crack separates.
 
     Parameters
     ----------
     cloud : Cloud
         Particles of this rank with their ghosts.
+    cracks : sequence of Crack
+        What cuts bonds from the start; in a periodic cell their images do too.
 
     Returns
     -------
@@ -55,7 +59,7 @@ def find_families(cloud: Cloud) -> Families:
     Raises
     ------
     CaseError
-        Two particles coincide.
+        Two particles coincide, or a crack has another dimension or cuts nothing.
 
     Notes
     -----
@@ -64,6 +68,7 @@ def find_families(cloud: Cloud) -> Families:
     radius = cloud.horizon * (1.0 + HORIZON_TOLERANCE)
     pairs = cKDTree(cloud.x).query_pairs(radius, output_type="ndarray")
     pairs = pairs[(pairs < cloud.n_owned).any(axis=1)]
+    pairs = pairs[~_cut(cloud, pairs, cracks)]
     indptr, neighbours = families_from_pairs(pairs, cloud.order, cloud.n_owned)
     families = Families(indptr, neighbours)
     with agreed(cloud.comm):
@@ -75,3 +80,22 @@ def find_families(cloud: Cloud) -> Families:
                 f"Particles {one} and {two} coincide ({len(close)} such pairs on one rank); remove one of each pair."
             )
     return families
+
+
+def _cut(cloud: Cloud, pairs: LocalIndex, cracks: Sequence[Crack]) -> Mask:
+    """Return which pairs a crack separates (n_pairs,) (collective)."""
+    cut = np.zeros(len(pairs), dtype=bool)
+    a, b = cloud.x[pairs[:, 0]], cloud.x[pairs[:, 1]]
+    home = np.zeros_like(cloud.x)
+    if cloud.images is not None:
+        home[cloud.n_owned :] = cloud.offset
+    for number, crack in enumerate(cracks):
+        with agreed(cloud.comm):
+            separated = crack.cuts(a, b)
+            for end in (0, 1) if cloud.images is not None else ():
+                shift = home[pairs[:, end]]
+                separated |= crack.cuts(a - shift, b - shift)
+        if int(total(cloud.comm, np.count_nonzero(separated))) == 0:
+            raise CaseError(f"Crack {number + 1} cuts no bond: {crack}.")
+        cut |= separated
+    return cut

@@ -1,0 +1,163 @@
+"""Pre-cracks: surfaces that cut the bonds which cross them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.errors import CaseError
+
+# A bond that ends this close to a crack, as a share of its length, counts as crossing it.
+TOUCHING = 1e-9
+
+
+class Crack(ABC):
+    """A surface without forces across it from the start."""
+
+    @abstractmethod
+    def cuts(self, a: Float, b: Float) -> Mask:
+        """Return which of the bonds from ``a`` to ``b`` (n, dim) cross the crack (n,) bool.
+
+        Raises
+        ------
+        CaseError
+            The crack has another dimension than the body.
+        """
+
+
+@dataclass(frozen=True)
+class Segment(Crack):
+    """A straight crack in the plane from ``start`` to ``end`` [length]; ends count."""
+
+    start: Sequence[float]
+    end: Sequence[float]
+
+    def cuts(self, a: Float, b: Float) -> Mask:
+        """Return which bonds cross the segment."""
+        p, q = _point(self.start, 2, "Segment"), _point(self.end, 2, "Segment")
+        _same(a, 2, "Segment")
+        along = q - p
+        size = float(np.linalg.norm(along))
+        if size == 0.0:
+            raise CaseError("A crack Segment needs two different ends.")
+        side_a, side_b = _cross(along, a - p) / size, _cross(along, b - p) / size
+        close = TOUCHING * np.linalg.norm(b - a, axis=1)
+        crossing = ((side_a >= -close) & (side_b <= close)) | ((side_b >= -close) & (side_a <= close))
+        share = np.where(side_a != side_b, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
+        where = ((a + share[:, None] * (b - a) - p) @ along) / size
+        return np.asarray(crossing & (where >= -close) & (where <= size + close))
+
+
+@dataclass(frozen=True)
+class Polyline(Crack):
+    """A crack in the plane through several points [length]."""
+
+    points: Sequence[Sequence[float]]
+
+    def cuts(self, a: Float, b: Float) -> Mask:
+        """Return which bonds cross one of its segments."""
+        if len(self.points) < 2:
+            raise CaseError("A crack Polyline needs at least two points.")
+        cut = np.zeros(len(a), dtype=bool)
+        for start, end in zip(self.points[:-1], self.points[1:], strict=True):
+            cut |= Segment(start, end).cuts(a, b)
+        return cut
+
+
+@dataclass(frozen=True)
+class PlaneCrack(Crack):
+    """A crack over a whole plane (a line in 2D, a point in 1D) through ``point`` with ``normal``."""
+
+    point: Sequence[float]
+    normal: Sequence[float]
+
+    def cuts(self, a: Float, b: Float) -> Mask:
+        """Return which bonds cross the plane."""
+        return _crossing(a, b, self.point, self.normal)[0]
+
+
+@dataclass(frozen=True)
+class Disc(Crack):
+    """A penny-shaped crack with ``centre``, ``normal`` and ``radius`` [length]."""
+
+    centre: Sequence[float]
+    normal: Sequence[float]
+    radius: float
+
+    def cuts(self, a: Float, b: Float) -> Mask:
+        """Return which bonds cross the disc."""
+        _same(a, 3, "Disc")
+        crossing, where = _crossing(a, b, self.centre, self.normal)
+        inside = np.linalg.norm(where - np.asarray(self.centre, dtype=float), axis=1) <= self.radius
+        return np.asarray(crossing & inside)
+
+
+@dataclass(frozen=True)
+class PolygonCrack(Crack):
+    """A plane crack inside a closed polygon of at least three points in space [length]."""
+
+    points: Sequence[Sequence[float]]
+
+    def cuts(self, a: Float, b: Float) -> Mask:
+        """Return which bonds cross the polygon."""
+        _same(a, 3, "PolygonCrack")
+        corners = np.array([_point(point, 3, "PolygonCrack") for point in self.points])
+        if len(corners) < 3:
+            raise CaseError("A PolygonCrack needs at least three points.")
+        edges = np.roll(corners, -1, axis=0) - corners
+        normal = np.cross(edges[0], corners[2] - corners[0])
+        size = float(np.linalg.norm(normal))
+        flat = np.abs((corners - corners[0]) @ normal)
+        if size == 0.0 or flat.max() > 1e-6 * size * np.linalg.norm(edges, axis=1).max():
+            raise CaseError("The points of a PolygonCrack must lie in one plane, and not on one line.")
+        crossing, where = _crossing(a, b, corners[0], normal)
+        one = edges[0] / np.linalg.norm(edges[0])
+        basis = np.array([one, np.cross(normal / size, one)])
+        flat_corners, flat_where = (corners - corners[0]) @ basis.T, (where - corners[0]) @ basis.T
+        return np.asarray(crossing & _inside(flat_corners, flat_where))
+
+
+def _crossing(
+    a: Float, b: Float, point: Sequence[float] | Float, normal: Sequence[float] | Float
+) -> tuple[Mask, Float]:
+    """Return which bonds cross a plane, and where."""
+    dim = a.shape[1]
+    p, n = _point(point, dim, "crack"), _point(normal, dim, "crack")
+    size = float(np.linalg.norm(n))
+    if size == 0.0:
+        raise CaseError("A crack needs a normal that is not zero.")
+    side_a, side_b = (a - p) @ n / size, (b - p) @ n / size
+    share = np.where(side_a != side_b, side_a / np.where(side_a != side_b, side_a - side_b, 1.0), 0.5)
+    close = TOUCHING * np.linalg.norm(b - a, axis=1)
+    crossing = ((side_a >= -close) & (side_b <= close)) | ((side_b >= -close) & (side_a <= close))
+    return crossing, a + share[:, None] * (b - a)
+
+
+def _inside(corners: Float, where: Float) -> Mask:
+    """Return which points of a plane (n, 2) lie inside a polygon, by the number of sides to their right."""
+    inside = np.zeros(len(where), dtype=bool)
+    for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        spans = (p[1] > where[:, 1]) != (q[1] > where[:, 1])
+        height = q[1] - p[1] if q[1] != p[1] else 1.0
+        inside ^= spans & (where[:, 0] < p[0] + (where[:, 1] - p[1]) / height * (q[0] - p[0]))
+    return inside
+
+
+def _cross(u: Float, v: Float) -> Float:
+    return np.asarray(u[0] * v[:, 1] - u[1] * v[:, 0])
+
+
+def _point(values: Sequence[float] | Float, dim: int, name: str) -> Float:
+    point = np.asarray(values, dtype=float)
+    if point.shape != (dim,) or not np.isfinite(point).all():
+        raise CaseError(f"A {name} of a {dim}-dimensional body needs points of {dim} numbers, not {values}.")
+    return point
+
+
+def _same(a: Float, dim: int, name: str) -> None:
+    if a.shape[1] != dim:
+        raise CaseError(f"A {name} cuts bodies in {dim}D; this one has {a.shape[1]} coordinates.")

@@ -6,7 +6,16 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 from typing import TYPE_CHECKING, Any
 
 from pdpetsc.bond_based import BondBased, LinearSolid
-from pdpetsc.damage import Brittle, ConstantCritical, CriticalFunction, LinearCritical, LinearSoftening
+from pdpetsc.damage import (
+    BilinearSoftening,
+    Brittle,
+    ConstantCritical,
+    CriticalFunction,
+    ExponentialSoftening,
+    LinearCritical,
+    LinearSoftening,
+    SmoothDegradation,
+)
 from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
 from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
@@ -63,6 +72,7 @@ __all__ = [
     "Arrays",
     "At",
     "AveragedDisplacement",
+    "BilinearSoftening",
     "BodyForce",
     "BondAssociated",
     "BondBased",
@@ -82,6 +92,7 @@ __all__ = [
     "DissipatedEnergy",
     "DynamicRelaxation",
     "EventDriven",
+    "ExponentialSoftening",
     "Force",
     "Graded",
     "Hencky",
@@ -115,6 +126,7 @@ __all__ = [
     "SaintVenantKirchhoff",
     "Segment",
     "Silling",
+    "SmoothDegradation",
     "Solution",
     "SolveError",
     "Springs",

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondMaterial, Neighbourhood
 from pdpetsc.case import Case, law_of
 from pdpetsc.damage import Brittle, ConstantCritical
@@ -81,9 +81,20 @@ def _model(
     omega: Float = case.influence(length / cloud.horizon)
     if case.of_bonds:
         bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
-        return BondModel(bonds, cast(Sequence[BondMaterial], materials), material_of, factor, case.damage)
+        bond_materials = cast(Sequence[BondMaterial], materials)
+        return BondModel(bonds, bond_materials, material_of, factor, case.damage, _protected(case, cloud))
     laws = cast(Sequence[Material], materials)
     return CorrespondenceModel(cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor)
+
+
+def _protected(case: Case, cloud: Cloud) -> Mask | None:
+    """Return the local particles whose bonds do not fail (collective)."""
+    if case.damage is None or case.damage.protected is None:
+        return None
+    marked = np.zeros(cloud.n_local)
+    marked[: cloud.n_owned] = select(cloud, case.damage.protected, "what damage is protected from")
+    cloud.halo.forward(marked)
+    return marked > 0.0
 
 
 def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:

@@ -190,7 +190,7 @@ class _Run:
             for converged in march:
                 self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
                 step += 1
-                self.report.step(step, converged.t, converged.result, solver.unit)
+                self.report.step(step, converged.t, converged.result, solver.unit, converged.broken, converged.sweeps)
                 self.steps.append(_step_summary(step, converged, solver.unit))
                 failed.clear()
                 with self._timed("output"):
@@ -291,7 +291,10 @@ def _same_folder(one: Path, other: Path) -> bool:
 
 def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:
     cut_backs = [_attempt(failure, unit) for failure in converged.failures]
-    return {"step": step, "t": converged.t, **_attempt(converged.result, unit), "cut_backs": cut_backs}
+    damage = (
+        {"broken_bonds": converged.broken, "sweeps": converged.sweeps} if converged.broken or converged.sweeps else {}
+    )
+    return {"step": step, "t": converged.t, **_attempt(converged.result, unit), **damage, "cut_backs": cut_backs}
 
 
 def _attempt(result: StepResult, unit: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import pytest
 from tests.commands import ROOT, results
 
 sys.path[:0] = [str(ROOT / "runs"), str(ROOT / "runs/bonds")]
-BAR = "runs/bonds/bar.py"
+BAR = "runs/bonds/tension_bar.py"
 
 
 @pytest.fixture(scope="module")

@@ -271,7 +271,7 @@ def refused(**changes):
         (refused(material=pd.LinearSolid(E=1.0, nu=0.2)), "LinearSolid has no damage"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 0.0 * length))), "not positive"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 1.0))), "one number per bond"),
-        (refused(solver=pd.Newton(), damage=pd.LinearSoftening(pd.ConstantCritical(1e-3))), "softening bonds need"),
+        (refused(damage=pd.SmoothDegradation(pd.ConstantCritical(1e-3))), "SmoothDegradation is not"),
     ],
 )
 def test_what_it_cannot_do_it_refuses_with_the_reason(case, message, tmp_path):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.special import roots_legendre
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
@@ -121,3 +122,30 @@ class BondMaterial(ABC):
     @abstractmethod
     def stiffness(self, bonds: Neighbourhood) -> BondStiffness:
         """Return its constants on all bonds of the own particles (collective)."""
+
+
+def combine(
+    bonds: Neighbourhood, materials: Sequence[BondMaterial], material_of: LocalIndex, factor: Float
+) -> BondStiffness:
+    """Return the constants of each bond from the material of its first end, times the factor there (collective).
+
+    Parameters
+    ----------
+    material_of : (n_owned,) int32
+        Index into ``materials``.
+    factor : (n_owned,) float64
+        What multiplies the moduli [-].
+    """
+    parts = [material.stiffness(bonds) for material in materials]
+    centres = bonds.families.centres
+    k = np.zeros(len(centres))
+    a, B = np.zeros(len(centres)), np.zeros(bonds.cloud.n_owned)
+    for number, part in enumerate(parts):
+        mine, own = material_of[centres] == number, material_of == number
+        k[mine] = part.k[mine] * factor[centres[mine]]
+        if part.a is not None and part.B is not None:
+            a[mine] = part.a[mine]
+            B[own] = part.B[own] * factor[own]
+    if all(part.a is None for part in parts):
+        return BondStiffness(k)
+    return BondStiffness(k, a, B)

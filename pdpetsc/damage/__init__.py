@@ -1,14 +1,26 @@
 """Damage of bonds: when a bond fails, and how it loses its force."""
 
-from pdpetsc.damage.bond import BondDamage, Brittle, LinearSoftening
+from pdpetsc.damage.bond import (
+    BilinearSoftening,
+    BondDamage,
+    Brittle,
+    ExponentialSoftening,
+    LinearSoftening,
+    PiecewiseLinear,
+    SmoothDegradation,
+)
 from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, LinearCritical
 
 __all__ = [
+    "BilinearSoftening",
     "BondDamage",
     "Brittle",
     "ConstantCritical",
     "CriticalFunction",
     "CriticalStretch",
+    "ExponentialSoftening",
     "LinearCritical",
     "LinearSoftening",
+    "PiecewiseLinear",
+    "SmoothDegradation",
 ]

@@ -30,8 +30,6 @@ class Model(ABC):
 
     Attributes
     ----------
-    linear : bool
-        Whether forces are linear in the unknowns.
     version : int
         Grows whenever the constants of the forces change, as they do when bonds fail.
     note : str
@@ -42,7 +40,6 @@ class Model(ABC):
     Every method is collective but where it says otherwise.
     """
 
-    linear: bool
     version: int = 0
     note: str = ""
 
@@ -74,6 +71,11 @@ class Model(ABC):
         virtual = cloud.images.force(cloud.offset, f[cloud.n_owned :])
         cloud.halo.reverse(f)
         return np.concatenate([f[: cloud.n_owned], virtual])
+
+    @property
+    @abstractmethod
+    def linear(self) -> bool:
+        """Return whether forces are linear in the unknowns now (not collective)."""
 
     @property
     @abstractmethod
@@ -113,9 +115,22 @@ class Model(ABC):
     def revert(self) -> None:
         """Take back what failed since the last ``commit`` (not collective)."""
 
-    def break_bonds(self, u: Float) -> int:
-        """Break what has reached its limit at ``u``; return how many bonds."""
+    def break_bonds(self, u: Float, most: int | None = None) -> int:
+        """Break what has reached its limit at ``u``, about ``most`` bonds at once; return how many."""
         return 0
+
+    @property
+    def softens(self) -> bool:
+        """Return whether bonds lose their force gradually (not collective)."""
+        return False
+
+    @abstractmethod
+    def freeze(self, frozen: bool) -> None:
+        """Let damage stay, or follow the displacement (not collective)."""
+
+    def soften(self, u: Float) -> float:
+        """Take the damage at ``u`` for good; return the largest change of an integrity [-]."""
+        return 0.0
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""

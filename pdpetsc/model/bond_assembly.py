@@ -32,8 +32,7 @@ class BondAssembler(Assembler):
         off[:] = 0.0
         self._ghost[:] = 0.0
         u_local = self.model.with_ghosts(u)
-        tension = self.model.tension(self.model.elongation(u_local)[0])
-        self._add_bonds(u_local, tension, diag, off)
+        self._add_bonds(u_local, self.model.elongation(u_local)[0], diag, off)
         self.pattern.complete(self._ghost, diag, off, self.model.dim)
 
     def _start(self, point_ptr: GlobalIndex, members: LocalIndex) -> None:
@@ -44,13 +43,14 @@ class BondAssembler(Assembler):
         self._by_particle = transpose(ends_ptr, self._ends, model.cloud.n_local)
         self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
 
-    def _add_bonds(self, u_local: Float, tension: Float, diag: Float, off: Float) -> None:
+    def _add_bonds(self, u_local: Float, e: Float, diag: Float, off: Float) -> None:
         model, pattern = self.model, self.pattern
+        tangent, tension = model.tangent(e), model.tension(e)
         kernel = bond_rows_kernel(model.dim, model.finite)
         for rows, own in ((pattern.owned, diag), (pattern.ghost, self._ghost)):
             kernel(
                 rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *self._by_particle,
-                self._ends, model.cloud.x, u_local, model.stiffness, tension, own, off,
+                self._ends, model.cloud.x, u_local, tangent, tension, own, off,
             )  # fmt: skip
 
 
@@ -68,7 +68,6 @@ class DilatationAssembler(BondAssembler):
         model = self.model
         assert model.a is not None and model.B is not None
         u_local = model.with_ghosts(u)
-        tension = model.tension(model.elongation(u_local)[0])
         xi = model.families.bonds(model.cloud.x)
         y = xi + model.finite * (u_local[model.families.neighbours] - u_local[model.families.centres])
         bond = model.a[:, None] * y / np.linalg.norm(y, axis=1)[:, None]
@@ -78,7 +77,7 @@ class DilatationAssembler(BondAssembler):
         A = np.tile(np.einsum("im,kn->imkn", one, one), (model.cloud.n_owned, 1, 1, 1, 1))
         for rows, own in ((self.pattern.owned, diag), (self.pattern.ghost, self._ghost)):
             self._dilatation_rows(rows, g, A, own, off)
-        self._add_bonds(u_local, tension, diag, off)
+        self._add_bonds(u_local, model.elongation(u_local)[0], diag, off)
         self.pattern.complete(self._ghost, diag, off, model.dim)
 
     def _dilatation_rows(self, rows: Rows, g: Float, A: Float, diag: Float, off: Float) -> None:

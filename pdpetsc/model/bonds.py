@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
-from pdpetsc.bond_based import BondMaterial, Neighbourhood
+from pdpetsc.bond_based import BondMaterial, Neighbourhood, combine
 from pdpetsc.damage import BondDamage
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.pattern import sharing_stencil
@@ -43,6 +43,8 @@ class BondModel(Model):
         What multiplies the moduli of each own particle [-].
     damage : BondDamage, optional
         How bonds fail; they do not where absent.
+    protected : (n_local,) bool, optional
+        Particles whose bonds do not fail.
 
     Raises
     ------
@@ -56,25 +58,25 @@ class BondModel(Model):
 
     def __init__(
         self, bonds: Neighbourhood, materials: Sequence[BondMaterial], material_of: LocalIndex,
-        factor: Float | None = None, damage: BondDamage | None = None,
+        factor: Float | None = None, damage: BondDamage | None = None, protected: Mask | None = None,
     ) -> None:  # fmt: skip
         cloud, families = bonds.cloud, bonds.families
         super().__init__(cloud, families)
         if len({material.kinematics for material in materials}) > 1:
             raise CaseError("All materials of a body need the same kinematics, small or finite.")
         self.finite = int(materials[0].kinematics == "finite")
-        self.linear = not self.finite
         self._bonds = bonds
         self._materials = materials
         self._material_of = material_of
         self._elastic = [material.elastic(cloud.dim) for material in materials]
         self._factor = np.ones(cloud.n_owned) if factor is None else factor
-        self._combine(bonds, materials, material_of)
+        constants = combine(bonds, materials, material_of, self._factor)
+        self.k, self.a, self.B = constants.k, constants.a, constants.B
         self.failure: BondFailure | None = None
         if damage is not None:
             if self.a is not None:
                 raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
-            self.failure = BondFailure(bonds, damage)
+            self.failure = BondFailure(cloud, families, damage, protected)
 
     @property
     def n_points(self) -> int:
@@ -89,9 +91,20 @@ class BondModel(Model):
         return made + ([] if self.failure is None else [f"damage {type(self.failure.law).__name__}"])
 
     @property
-    def stiffness(self) -> Float:
-        """Return ``mu k`` of every bond (n_bonds,) [force / length]."""
-        return self.k if self.failure is None else self.failure.integrity * self.k
+    def linear(self) -> bool:
+        """Return whether bonds keep their directions and their integrity while the displacement changes."""
+        return not self.finite and (self.failure is None or not self.failure.softens)
+
+    def secant(self, e: Float) -> Float:
+        """Return ``T k`` of every bond (n_bonds,) [force / length] at elongations e."""
+        return self.k if self.failure is None else self.failure.at(e)[0] * self.k
+
+    def tangent(self, e: Float) -> Float:
+        """Return ``d(T k e)/de`` of every bond (n_bonds,) [force / length] at elongations e."""
+        if self.failure is None:
+            return self.k
+        T, slope = self.failure.at(e)
+        return self.k * (T + slope * e)
 
     def elongation(self, u_local: Float) -> tuple[Float, float]:
         """Return ``e`` (n_bonds,) [length] for displacements with ghosts, and the least current length of a bond."""
@@ -109,11 +122,13 @@ class BondModel(Model):
 
     def tension(self, e: Float) -> Float:
         """Return the tension of every bond of every own particle (n_bonds,) [force] for elongations e."""
-        t = self.stiffness * e
-        if self.a is not None:
-            assert self.B is not None
-            t += self.a * (self.B * self.dilatation(e))[self.families.centres]
-        return t
+        return self._with_pressure(self.secant(e) * e, e)
+
+    def _with_pressure(self, t: Float, e: Float) -> Float:
+        """Return tensions with those of the dilatation at elongations e, or at rates of both."""
+        if self.a is None or self.B is None:
+            return t
+        return np.asarray(t + self.a * (self.B * self.dilatation(e))[self.families.centres])
 
     def dilatation(self, e: Float) -> Float:
         """Return ``theta`` of the own particles (n_owned,) [-]; zeros for a material without it."""
@@ -145,11 +160,13 @@ class BondModel(Model):
     def linearised(self, u: Float) -> Linearised:
         """Return ``du -> K du`` with the directions and tensions at u."""
         u_local = self.with_ghosts(u).copy()
-        tension = self.tension(self.elongation(u_local)[0]) if self.finite else np.empty(0)
+        e, _ = self.elongation(u_local)
+        tension, tangent = self.tension(e), self.tangent(e)
 
         def times(du: Float) -> Float:
             du_local = self.with_ghosts(du)
-            f = self.bond_forces(u_local, self.tension(self.elongation_rate(u_local, du_local)))
+            de = self.elongation_rate(u_local, du_local)
+            f = self.bond_forces(u_local, self._with_pressure(tangent * de, de))
             if self.finite:
                 family = self.families
                 kernel = turning_force_kernel(self.dim)
@@ -166,6 +183,7 @@ class BondModel(Model):
     def commit(self, u: Float) -> None:
         """Keep what has failed."""
         if self.failure is not None:
+            self.failure.soften(self.elongation(self.with_ghosts(u))[0])
             self.failure.commit()
 
     def revert(self) -> None:
@@ -190,13 +208,31 @@ class BondModel(Model):
         lame = [elastic.lame(self.dim) for elastic in self._elastic]
         return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
 
-    def break_bonds(self, u: Float) -> int:
-        """Break the bonds most beyond their critical stretch, all that tie; return how many pairs."""
+    def break_bonds(self, u: Float, most: int | None = None) -> int:
+        """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs."""
         if self.failure is None:
             return 0
-        broken = self.failure.break_most(self.elongation(self.with_ghosts(u))[0])
+        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u))[0], most)
         self.version += int(broken > 0)
         return broken
+
+    @property
+    def softens(self) -> bool:
+        """Return whether bonds lose their force gradually."""
+        return self.failure is not None and self.failure.law.final > self.failure.law.onset
+
+    def freeze(self, frozen: bool) -> None:
+        """Let the integrity of bonds stay, or follow the displacement."""
+        if self.failure is not None:
+            self.failure.frozen = frozen
+            self.version += 1
+
+    def soften(self, u: Float) -> float:
+        """Take the integrity of bonds at ``u`` for good; return the largest change."""
+        if self.failure is None:
+            return 0.0
+        self.version += 1
+        return self.failure.soften(self.elongation(self.with_ghosts(u))[0])
 
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""
@@ -206,7 +242,8 @@ class BondModel(Model):
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
         centres, n = self.families.centres, self.cloud.n_owned
         whole = np.bincount(centres, self.k, n)
-        return np.asarray(1.0 - np.bincount(centres, self.stiffness, n) / np.where(whole > 0.0, whole, 1.0))
+        left = whole if self.failure is None else np.bincount(centres, self.k * self.failure.integrity, n)
+        return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
 
     def assembler(self) -> Assembler:
         """Return what fills the tangent matrix (collective)."""
@@ -248,7 +285,7 @@ class BondModel(Model):
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
         e, _ = self.elongation(self.with_ghosts(u))
         n = self.cloud.n_owned
-        psi = np.bincount(self.families.centres, 0.5 * self.stiffness * e**2, n)
+        psi = np.bincount(self.families.centres, 0.5 * self.secant(e) * e**2, n)
         if self.B is not None:
             psi += 0.5 * self.B * self.dilatation(e) ** 2
         return np.asarray(psi / self.cloud.volume[:n])
@@ -269,18 +306,3 @@ class BondModel(Model):
     def with_centres(self) -> Stencils:
         """Return the families with their centre first (not collective)."""
         return whole_families(self.cloud, self.families, self.k)
-
-    def _combine(self, bonds: Neighbourhood, materials: Sequence[BondMaterial], material_of: LocalIndex) -> None:
-        """Take the constants of each bond from the material of its centre (collective)."""
-        n_bonds, n = len(bonds.omega), bonds.cloud.n_owned
-        parts = [material.stiffness(bonds) for material in materials]
-        self.k: Float = np.zeros(n_bonds)
-        self.a: Float | None = None if all(part.a is None for part in parts) else np.zeros(n_bonds)
-        self.B: Float | None = None if self.a is None else np.zeros(n)
-        centres = bonds.families.centres
-        for number, part in enumerate(parts):
-            mine, own = material_of[centres] == number, material_of == number
-            self.k[mine] = part.k[mine] * self._factor[centres[mine]]
-            if part.a is not None and part.B is not None and self.a is not None and self.B is not None:
-                self.a[mine] = part.a[mine]
-                self.B[own] = part.B[own] * self._factor[own]

@@ -71,12 +71,17 @@ class CorrespondenceModel(Model):
             points = np.flatnonzero(law_of == number)
             at_points = None if factor is None else factor[self.operator.owner[points]]
             self.laws.append(make_law(material, points, cloud.dim, at_points))
-        self.linear = all(material.linear for material in materials)
+        self._linear = all(material.linear for material in materials)
         self.control: Control | None = None
         if stabilisation is not None:
             stiffness = _stiffness(materials, material_of, factor, cloud)
             self.control = stabilisation.build(cloud, families, omega, stiffness)
             self.control_name = type(stabilisation).__name__
+
+    @property
+    def linear(self) -> bool:
+        """Return whether all materials are linear."""
+        return self._linear
 
     @property
     def n_points(self) -> int:
@@ -163,6 +168,9 @@ class CorrespondenceModel(Model):
             F = self.deformation(self.with_ghosts(u))
             for law in self.laws:
                 law.commit(F)
+
+    def freeze(self, frozen: bool) -> None:
+        """Do nothing: there is no damage."""
 
     def revert(self) -> None:
         """Do nothing: nothing changes before ``commit``."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.bond_based import Neighbourhood
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage import BondDamage
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
 # Bonds this close to the most overstretched one break with it: symmetric pairs, and both ends of one bond.
@@ -21,17 +22,25 @@ class BondFailure:
 
     Parameters
     ----------
-    bonds : Neighbourhood
+    cloud, families
         The bonds.
     law : BondDamage
         How they fail.
+    protected : (n_local,) bool, optional
+        Particles whose bonds do not fail.
 
     Attributes
     ----------
     integrity : (n_bonds,) float64
-        Force over elastic force [-]: 1 intact, 0 broken.
+        What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
+    worst : (n_bonds,) float64
+        Largest stretch over the critical one so far [-].
     limit : (n_bonds,) float64
-        Elongation at which each first fails [length].
+        Critical elongation [length], infinite for protected bonds.
+    frozen : bool
+        Whether the integrity stays while the displacement changes.
+    length : (n_bonds,) float64
+        Reference length [length].
     keys : (n_bonds, 3) int64
         Global ids of both ends, the lower first, and the relative place of the second: the same from both ends.
     middle : (n_bonds, dim) float64
@@ -47,8 +56,7 @@ class BondFailure:
     Construction is collective.
     """
 
-    def __init__(self, bonds: Neighbourhood, law: BondDamage) -> None:
-        cloud, families = bonds.cloud, bonds.families
+    def __init__(self, cloud: Cloud, families: Families, law: BondDamage, protected: Mask | None = None) -> None:
         self.law = law
         self._comm = cloud.comm
         order, centres, neighbours = cloud.order, families.centres, families.neighbours
@@ -60,43 +68,96 @@ class BondFailure:
         if cloud.images is not None:
             home = np.concatenate([np.zeros((cloud.n_owned, cloud.dim)), cloud.offset])
             self.middle -= home[one]
-        self.length = bonds.length
+        self.length: Float = np.linalg.norm(families.bonds(cloud.x), axis=1)
         with agreed(cloud.comm):
-            stretch = law.critical(bonds.length, self.middle)
+            stretch = law.critical(self.length, self.middle)
             bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
             if len(bad):
-                length, value = bonds.length[bad[0]], stretch[bad[0]]
+                length, value = self.length[bad[0]], stretch[bad[0]]
                 raise CaseError(f"The critical stretch of a bond of length {length:g} is {value:g}, not positive.")
-        self.limit: Float = stretch * bonds.length
-        self.integrity: Float = np.ones(len(bonds.length))
+        self.limit: Float = stretch * self.length
+        if protected is not None:
+            self.limit[protected[centres] | protected[neighbours]] = np.inf
+        self.integrity: Float = np.ones(len(self.length))
+        self.worst: Float = np.zeros(len(self.length))
+        self.frozen = False
         self.commit()
+
+    @property
+    def intact(self) -> Mask:
+        """Return which bonds are not broken (n_bonds,)."""
+        return np.asarray(self.integrity > 0.0)
+
+    @property
+    def softens(self) -> bool:
+        """Return whether the integrity follows the displacement now."""
+        return self.law.final > self.law.onset and not self.frozen
 
     def commit(self) -> None:
         """Keep the present state (not collective)."""
-        self._kept = self.integrity.copy()
+        self._kept = self.integrity.copy(), self.worst.copy()
 
     def revert(self) -> None:
         """Go back to the state last kept (not collective)."""
-        self.integrity[:] = self._kept
+        self.integrity[:], self.worst[:] = self._kept
 
-    def break_most(self, e: Float) -> int:
-        """Break the bonds most beyond their limit and those within 1e-8 of them; return how many pairs (collective).
+    def at(self, e: Float) -> tuple[Float, Float]:
+        """Return integrity (n_bonds,) [-] and its derivative by the elongation [1 / length] at elongations e."""
+        if not self.softens:
+            return self.integrity, np.zeros_like(e)
+        law = self.law
+        x = e / self.limit
+        T, slope = self.integrity.copy(), np.zeros_like(e)
+        # No bond breaks while equilibrium is sought: past its final stretch it keeps what is left of it there.
+        open_ = np.flatnonzero((x > law.onset) & self.intact)
+        inside = np.minimum(x[open_], law.final)
+        new = law.integrity(inside)
+        lower = new < T[open_]
+        T[open_[lower]] = np.maximum(new[lower], 0.0)
+        moving = open_[lower & (x[open_] < law.final)]
+        slope[moving] = law.slope(x[moving]) / self.limit[moving]
+        return T, slope
+
+    def soften(self, e: Float) -> float:
+        """Take the integrity at elongations e for good; return the largest change of any bond (collective)."""
+        frozen, self.frozen = self.frozen, False
+        T, _ = self.at(e)
+        self.frozen = frozen
+        change = float((self.integrity - T).max(initial=0.0))
+        # A bond that has lost everything breaks at equilibrium, not here.
+        self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
+        self.worst[:] = np.maximum(self.worst, e / self.limit)
+        return largest(self._comm, change)
+
+    def break_bonds(self, e: Float, most: int | None = None) -> int:
+        """Break bonds past their final stretch, the worst first; return how many pairs (collective).
 
         Parameters
         ----------
         e : (n_bonds,) float64
             Elongations [length].
+        most : int, optional
+            So many pairs at once, and those that tie with the last of them. Where absent the worst one of bonds that
+            snap, because its force goes to its neighbours, and all of bonds that soften.
         """
-        if self.law.final_ratio > 1.0:
-            raise CaseError("Newton and relaxation take bonds that snap; softening bonds need the event-driven solver.")
-        over = np.where(self.integrity > 0.0, e / self.limit, 0.0)
-        most = largest(self._comm, float(over.max(initial=0.0)))
-        if most <= 1.0:
+        if most is None and self.law.final == self.law.onset:
+            most = 1
+        over = np.where(self.intact, e / self.limit, 0.0)
+        worst = largest(self._comm, float(over.max(initial=0.0)))
+        if worst < self.law.final or worst == 0.0:
             return 0
-        broken = over >= max(1.0, most * (1.0 - TOGETHER))
+        least = self.law.final
+        if most is not None:
+            parts = self._comm.allgather(np.sort(over[over >= least])[::-1][: 2 * most])
+            candidates = np.sort(np.concatenate(parts))[::-1]
+            least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
+        broken = over >= least
         self.integrity[broken] = 0.0
+        self.worst[broken] = np.maximum(self.worst, over)[broken]
         return int(total(self._comm, np.count_nonzero(broken))) // 2
 
     def dissipated(self, k: Float) -> float:
-        """Return what bonds of stiffness k have dissipated [energy] (collective)."""
-        return float(total(self._comm, self.law.dissipated(self.integrity, k, self.limit).sum()))
+        """Return what linear bonds of stiffness k have dissipated [energy] (collective)."""
+        lost = np.flatnonzero(self.integrity < 1.0)
+        x = np.where(self.integrity[lost] > 0.0, self.worst[lost], np.maximum(self.worst[lost], self.law.final))
+        return float(total(self._comm, self.law.dissipated(self.integrity[lost], x, k[lost], self.limit[lost]).sum()))

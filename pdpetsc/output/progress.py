@@ -45,7 +45,7 @@ class Reporter:
         """Print a line."""
         self._console.print(text)
 
-    def step(self, number: int, t: float, result: StepResult, unit: str) -> None:
+    def step(self, number: int, t: float, result: StepResult, unit: str, broken: int = 0, sweeps: int = 0) -> None:
         """Print how a converged step went; of events every hundredth and the first ones."""
         if unit == "event":
             self._progress.update(self._task, completed=t)
@@ -58,6 +58,7 @@ class Reporter:
         self.say(
             f"step {number:4d}  t = {t:<8.6g} {result.iterations:2d} {unit}{inner} iterations, residual {last:.1e}"
             f"{' (round-off floor)' if 'floor' in result.reason else ''}"
+            f"{f', {broken} bonds broke' if broken else ''}{f', damage held in {sweeps} sweeps' if sweeps else ''}"
         )
 
     def cut_back(self, t: float, dt: float, result: StepResult) -> None:

@@ -17,10 +17,14 @@ class Steps:
         Number of steps.
     smallest : float
         Smallest step [-]; when it fails too the run ends with exit status 1. By default 1/64 of a step.
+    breaks : int, optional
+        Bonds that break at once before equilibrium is sought again, the worst first. By default one, with those that
+        tie with it, where bonds snap, and all that have lost their force where they soften.
     """
 
     count: int = 1
     smallest: float | None = None
+    breaks: int | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.count, int) and self.count >= 1):
@@ -56,11 +60,14 @@ class AdaptiveSteps:
     ----------
     first, smallest, largest : float
         Step sizes as a share of the whole load.
+    breaks : int, optional
+        As in ``Steps``.
     """
 
     first: float = 0.1
     smallest: float = 1e-4
     largest: float = 0.25
+    breaks: int | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.smallest <= self.first <= self.largest <= 1.0:

@@ -70,13 +70,26 @@ class Solver(ABC):
 class StepSolver(Solver):
     """Finds equilibrium of one load step after another."""
 
+    @property
+    @abstractmethod
+    def softens(self) -> bool:
+        """Return whether the body has bonds that lose their force gradually."""
+
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find equilibrium at step time ``t`` from ``u`` (n_rows, dim); collective."""
 
     @abstractmethod
-    def break_bonds(self, u: Float) -> int:
+    def break_bonds(self, u: Float, most: int | None) -> int:
         """Break what has reached its limit at equilibrium ``u``; return how many bonds (collective)."""
+
+    @abstractmethod
+    def freeze(self, frozen: bool) -> None:
+        """Let damage stay, or follow the displacement."""
+
+    @abstractmethod
+    def soften(self, u: Float) -> float:
+        """Take the damage at ``u`` for good; return the largest change of an integrity [-] (collective)."""
 
     @abstractmethod
     def revert(self) -> None:

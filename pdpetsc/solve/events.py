@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.damage import BondDamage
+from pdpetsc.damage import PiecewiseLinear
 from pdpetsc.discrete.communicator import largest, smallest
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied
@@ -75,6 +75,7 @@ class EventSolver(Solver):
         stop: Callable[[], bool],
     ) -> None:  # fmt: skip
         _refuse(model, loading)
+        self._law = _law_of(model) if isinstance(model, BondModel) and model.failure is not None else None
         self._model = model
         self._options = options
         self._stop = stop
@@ -86,7 +87,6 @@ class EventSolver(Solver):
         automatic = int(np.clip(UPDATES * np.sqrt(unknowns), FEWEST, MOST))
         self._updates = options.updates or automatic
         self.factored = 0
-        self._law = None if self._pairs is None else _law_of(model)
         self._touched: list[int] = []
         n = 0 if self._pairs is None else len(self._pairs.k)
         self._e, self._integrity, self._able = np.zeros(n), np.ones(n), np.ones(n, dtype=bool)
@@ -255,9 +255,10 @@ class EventSolver(Solver):
     def _store(self) -> None:
         """Give the body the present integrity of the bonds that have changed."""
         if self._pairs is not None:
-            assert isinstance(self._model, BondModel) and self._model.failure is not None
+            assert isinstance(self._model, BondModel) and self._model.failure is not None and self._law is not None
             touched = np.array(self._touched, dtype=np.int64)
             self._model.failure.integrity[self._pairs.bonds[touched]] = self._integrity[touched, None]
+            self._model.failure.worst[self._pairs.bonds[touched]] = self._law.reached(self._integrity[touched])[:, None]
             self._model.version += 1
             self._touched.clear()
 
@@ -273,12 +274,20 @@ class _Candidate:
     integrity: float
 
 
-def _law_of(model: Model) -> BondDamage | None:
-    return model.failure.law if isinstance(model, BondModel) and model.failure is not None else None
+def _law_of(model: Model) -> PiecewiseLinear:
+    assert isinstance(model, BondModel) and model.failure is not None
+    law = model.failure.law
+    if not isinstance(law, PiecewiseLinear):
+        raise CaseError(
+            f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take Brittle, "
+            f"LinearSoftening, or Newton."
+        )
+    return law
 
 
 def _refuse(model: Model, loading: Loading) -> None:
     """Raise on all ranks if the laws are not piecewise linear or the conditions not proportional (collective)."""
+    model.freeze(True)
     if not model.linear:
         raise CaseError(
             "The event-driven solver needs laws that are piecewise linear: LinearElastic, or bonds with small "

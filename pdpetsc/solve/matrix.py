@@ -65,14 +65,17 @@ class TangentMatrix:
         self._filled = -1
         self.diagonal: Float = np.zeros(n * dim)
 
-    def update(self, u: Float) -> None:
+    def update(self, u: Float, damping: Float | None = None) -> None:
         """Fill the matrix with K(u); that of a linear model only where bonds have failed since."""
+        # (n_rows,) ``damping`` is added to the diagonal of the rows [force / length].
         version = self._assembler.model.version
         if self._filled == version and self._assembler.model.linear:
             return
         with values_of(self._handles[0], self._n_diag) as diag, values_of(self._handles[1], self._n_off) as off:
             self._assembler.assemble(u, diag, off)
             self.diagonal = diag[self._diagonal]
+            if damping is not None:
+                diag[self._diagonal] += np.repeat(damping, self._assembler.model.dim)
             diag[self._zero_diag] = 0.0
             off[self._zero_off] = 0.0
             diag[self._diagonal[self._fixed]] = self._scale

@@ -71,9 +71,22 @@ class RelaxationSolver(StepSolver):
         """Let what has a history remember ``u``."""
         self._model.commit(u)
 
-    def break_bonds(self, u: Float) -> int:
-        """Break the bonds that are most beyond their limit at ``u``; return how many."""
-        return self._model.break_bonds(u)
+    def break_bonds(self, u: Float, most: int | None) -> int:
+        """Break bonds past their final stretch at ``u``, about ``most`` at once; return how many."""
+        return self._model.break_bonds(u, most)
+
+    @property
+    def softens(self) -> bool:
+        """Return whether the body has bonds that lose their force gradually."""
+        return self._model.softens
+
+    def freeze(self, frozen: bool) -> None:
+        """Let damage stay, or follow the displacement."""
+        self._model.freeze(frozen)
+
+    def soften(self, u: Float) -> float:
+        """Take the damage at ``u`` for good; return the largest change."""
+        return self._model.soften(u)
 
     def revert(self) -> None:
         """Restore what broke since the last accepted step."""

@@ -24,6 +24,8 @@ FLOOR = 20.0
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
 HALVINGS = 40
+# Stiffness that holds a particle which has lost bonds, over a typical one.
+DAMPING = 1e-8
 # A step with no more iterations may be followed by a longer one.
 EASY_ITERATIONS = 6
 
@@ -97,6 +99,8 @@ class StaticSolver(StepSolver):
         self._r = self._x.duplicate()
         self._prescribed = np.zeros(loading.fixed.shape)
         self._external = np.zeros(loading.fixed.shape)
+        self._damping: Float | None = None
+        self._anchor = np.zeros(loading.fixed.shape)
         self._norms: list[float] = []
         self._reference = 0.0
         self._floor = 0.0
@@ -141,6 +145,7 @@ class StaticSolver(StepSolver):
         self._external = self.loading.forces(t)
         self._norms, self._reason, linear = [], "", 0
         start = u
+        self._hold_loose_particles(u)
         if self._sum(np.count_nonzero(self._prescribed != old_prescribed)):
             start, linear = self._predict(u, self._prescribed - np.where(self.loading.fixed, u, 0.0))
         self._x.array = start.ravel()
@@ -163,9 +168,22 @@ class StaticSolver(StepSolver):
         """Let what has a history remember ``u``."""
         self.model.commit(u)
 
-    def break_bonds(self, u: Float) -> int:
-        """Break the bonds that are most beyond their limit at ``u``; return how many."""
-        return self.model.break_bonds(u)
+    def break_bonds(self, u: Float, most: int | None) -> int:
+        """Break bonds past their final stretch at ``u``, about ``most`` at once; return how many."""
+        return self.model.break_bonds(u, most)
+
+    @property
+    def softens(self) -> bool:
+        """Return whether the body has bonds that lose their force gradually."""
+        return self.model.softens
+
+    def freeze(self, frozen: bool) -> None:
+        """Let damage stay, or follow the displacement."""
+        self.model.freeze(frozen)
+
+    def soften(self, u: Float) -> float:
+        """Take the damage at ``u`` for good; return the largest change."""
+        return self.model.soften(u)
 
     def revert(self) -> None:
         """Restore what broke since the last accepted step."""
@@ -190,7 +208,7 @@ class StaticSolver(StepSolver):
         force = self.model.internal_force(u)
         if force is None:
             return u, 0
-        self._matrix.update(u)
+        self._matrix.update(u, self._damping)
         b = self._external - force - self.model.tangent_times(u, jump)
         self._r.array = np.where(self._free, b, 0.0).ravel()
         ksp = self.snes.getKSP()
@@ -207,12 +225,14 @@ class StaticSolver(StepSolver):
             r.set(np.inf)
             return
         residual = force - self._external
+        if self._damping is not None:
+            residual += self._damping[:, None] * (values - self._anchor)
         self._reaction = np.where(self._free, 0.0, residual)
         residual = np.where(self._free, residual, self._scale * (values - self._prescribed))
         r.array = residual.ravel()
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._matrix.update(self._at_prescribed(x.array_r))
+        self._matrix.update(self._at_prescribed(x.array_r), self._damping)
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
@@ -252,6 +272,18 @@ class StaticSolver(StepSolver):
             self._reason = "residual at the round-off floor"
             return int(reason.CONVERGED_FNORM_ABS)
         return None
+
+    def _hold_loose_particles(self, u: Float) -> None:
+        """Damp particles that have lost bonds: a piece that has come free stays where it was, whatever it is.
+
+        The force is that of a spring far softer than a bond to the place where the solve starts; it vanishes where
+        nothing moves any more.
+        """
+        lost = self.model.local_damage()
+        self._anchor, self._damping = u, None
+        if self.model.has_history and self._sum(np.count_nonzero(lost)):
+            self._damping = np.zeros(len(self._free))
+            self._damping[: len(lost)] = np.where(lost > 0.0, DAMPING * self._scale, 0.0)
 
     def _sum(self, value: float) -> float:
         return float(total(self.model.cloud.comm, value))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import Interrupted, SolveError
@@ -12,6 +12,9 @@ from pdpetsc.solve.base import StepResult, StepSolver
 
 SAME_TIME = 1e-9
 GROWTH = 1.5
+# Damage has settled where no integrity changes by more in a sweep; it has this many sweeps.
+SETTLED = 1e-6
+SWEEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Converged:
         Failed attempts before it.
     broken : int
         Bonds that broke in it.
+    sweeps : int
+        Equilibria with damage held, where Newton with damage failed; 0 where it did not.
     write_fields : bool
         Whether it is one of those whose fields are written.
     """
@@ -39,6 +44,7 @@ class Converged:
     result: StepResult
     failures: list[StepResult] = field(default_factory=list)
     broken: int = 0
+    sweeps: int = 0
     write_fields: bool = True
 
 
@@ -53,6 +59,8 @@ def load_steps(
     """Yield converged steps from step time ``t`` to 1.
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
+    Where Newton with damage that follows the displacement fails, equilibrium with damage held and damage at that
+    equilibrium alternate until neither changes: damage only grows, so this ends.
     A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
     up to the largest, if it was easy.
 
@@ -73,17 +81,13 @@ def load_steps(
     while t < 1.0 - SAME_TIME:
         ahead = next(s for s in stops if s > t + SAME_TIME)
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
-        attempt, result = solver.solve(u, target)
+        attempt, result, broken, sweeps = _equilibrium(solver, steps, u, target, stop)
         if stop():
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
-        broken = 0
-        while result.converged and (more := solver.break_bonds(attempt)):
-            broken += more
-            attempt, result = solver.solve(attempt, target)
         if result.converged:
             u, t = attempt, target
             solver.accept(u)
-            yield Converged(u, t, result, failures, broken)
+            yield Converged(u, t, result, failures, broken, sweeps)
             failures = []
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
@@ -98,3 +102,36 @@ def load_steps(
                 f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "
                 f"{last:.3e} against {result.reference:.3e} after {result.iterations} iterations; {solver.advice}."
             )
+
+
+def _equilibrium(
+    solver: StepSolver, steps: Steps | AdaptiveSteps, u: Float, target: float, stop: Callable[[], bool]
+) -> tuple[Float, StepResult, int, int]:
+    """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held."""
+    solver.freeze(False)
+    attempt, result = solver.solve(u, target)
+    broken = 0
+    while result.converged and (more := solver.break_bonds(attempt, steps.breaks)):
+        broken += more
+        attempt, result = solver.solve(attempt, target)
+    if result.converged or stop() or not solver.softens:
+        return attempt, result, broken, 0
+    solver.revert()
+    solver.freeze(True)
+    attempt, broken, iterations, linear = u, 0, 0, 0
+    for sweep in range(1, SWEEPS + 1):
+        attempt, result = solver.solve(attempt, target)
+        iterations, linear = iterations + result.iterations, linear + result.linear_iterations
+        if not result.converged:
+            break
+        change = solver.soften(attempt)
+        more = solver.break_bonds(attempt, steps.breaks)
+        broken += more
+        if change < SETTLED and not more:
+            result = replace(
+                result, reason="damage settled", iterations=iterations, linear_iterations=linear, easy=False
+            )
+            return attempt, result, broken, sweep
+    else:
+        result = replace(result, converged=False, reason=f"damage did not settle in {SWEEPS} sweeps")
+    return attempt, result, broken, sweep

@@ -11,7 +11,7 @@ the micromodulus of the continuum: relative errors at a particle with a whole fa
   ``G0 = 1/4 c s^2 int omega |xi| |xi_x| dV``.
 
 The last column has the crack energy with the lattice's own calibration. Then the bar under tension for the three
-calibrations (runs/bonds/bar.py).
+calibrations (runs/bonds/tension_bar.py).
 """
 
 import sys
@@ -23,8 +23,8 @@ import study
 words = study.start("bonds")
 
 import numpy as np  # noqa: E402
-from bar import INFLUENCES  # noqa: E402
-from bar import case as bar  # noqa: E402
+from tension_bar import INFLUENCES  # noqa: E402
+from tension_bar import case as bar  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, world  # noqa: E402

@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondMaterial, Neighbourhood
 from pdpetsc.case import Case, law_of
-from pdpetsc.damage import Brittle, ConstantCritical
+from pdpetsc.damage import ConstantCritical, LinearSoftening
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
@@ -19,7 +19,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
-from pdpetsc.model import BondModel, CorrespondenceModel, Model
+from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model
 from pdpetsc.scene.particles import Chunk
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
@@ -59,7 +59,7 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
                 # The case's critical stretches are those of another body.
-                damage = None if case.damage is None else Brittle(ConstantCritical(1.0))
+                damage = None if case.damage is None else LinearSoftening(ConstantCritical(1.0))
                 model = _model(replace(case, damage=damage), cloud, find_families(cloud), materials, alternating, None)
                 assembler = model.assembler()
                 u = np.zeros_like(x)
@@ -69,7 +69,7 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 model.tangent_times(u, u)
                 model.energy(u)
                 model.commit(u)
-                if damage is not None and isinstance(case.solver, EventDriven):
+                if damage is not None and isinstance(model, BondModel) and isinstance(case.solver, EventDriven):
                     rehearse_pairs(model)
 
 
@@ -84,6 +84,11 @@ def _model(
         bond_materials = cast(Sequence[BondMaterial], materials)
         return BondModel(bonds, bond_materials, material_of, factor, case.damage, _protected(case, cloud))
     laws = cast(Sequence[Material], materials)
+    if case.damage is not None:
+        return DamagedCorrespondenceModel(
+            cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor, case.damage,
+            _protected(case, cloud),
+        )  # fmt: skip
     return CorrespondenceModel(cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor)
 
 

@@ -58,7 +58,7 @@ class Case:
     cracks : sequence of Crack
         What cuts bonds from the start; let it run between particles.
     damage : BondDamage, optional
-        How the bonds of a bond-based material fail; they do not where absent.
+        How bonds fail, of bond-based materials or of deformation gradients; they do not where absent.
     cell : Cell, optional
         Periodic cell that the particles fill; hold one particle against translation.
     steps : Steps or AdaptiveSteps
@@ -130,5 +130,3 @@ class Case:
             for name, given in (("scheme", self.scheme), ("stabilisation", self.stabilisation)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
-        elif self.damage is not None:
-            raise CaseError(f"{type(self.damage).__name__} breaks bonds of bond-based materials; this case has none.")

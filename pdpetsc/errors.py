@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class PdpetscError(Exception):
     """Base of the errors that end a run with one sentence instead of a traceback."""
@@ -13,6 +15,14 @@ class CaseError(PdpetscError, ValueError):
     """The case or the command line is wrong; nothing was run."""
 
     exit_status = 2
+
+
+class FlatFamilies(CaseError):
+    """Families are too small or too flat for a gradient; ``gid`` names this rank's."""
+
+    def __init__(self, message: str, gid: Any) -> None:
+        super().__init__(message)
+        self.gid = gid
 
 
 class SolveError(PdpetscError, RuntimeError):

@@ -20,7 +20,7 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.loading import Loading
-from pdpetsc.model import BondModel, Model
+from pdpetsc.model import BondModel, DamagedCorrespondenceModel, Model
 from pdpetsc.output.broken import BrokenBonds
 from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
@@ -172,7 +172,7 @@ class _Run:
             writer = FieldWriter(cloud, order, self.folder, self._fields(), first) if self._fields() else None
             records = HistoryWriter(self.comm, self.folder, list(self.history), kept)
             self._record(Solution(model, loading, u, t, step), writer, records)
-            failure = model.failure if isinstance(model, BondModel) else None
+            failure = model.failure if isinstance(model, BondModel | DamagedCorrespondenceModel) else None
             broken = None if failure is None else BrokenBonds(self.comm, self.folder, failure)
         failed: list[StepResult] = []
 

@@ -12,7 +12,7 @@ from pdpetsc.bond_based import Neighbourhood
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import BondModel, CorrespondenceModel
+from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 from study import dense_tangent as dense_tangent
@@ -81,6 +81,24 @@ def body(
     omega = np.ones(len(families.neighbours))
     material_of = np.zeros(cloud.n_owned, dtype=np.int32)
     return CorrespondenceModel(cloud, families, omega, scheme, [material], material_of, stabilisation)
+
+
+LAWS = {
+    "brittle": pd.Brittle,
+    "linear": pd.LinearSoftening,
+    "exponential": pd.ExponentialSoftening,
+    "bilinear": pd.BilinearSoftening,
+    "smooth": pd.SmoothDegradation,
+}
+
+
+def damaged_body(dim, law, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], rng=None):
+    """Return a small body of deformation gradients whose bonds fail by a law, on this process."""
+    x = lattice(dim, rng)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015)
+    families = find_families(cloud)
+    omega, material_of = np.ones(len(families.neighbours)), np.zeros(cloud.n_owned, dtype=np.int32)
+    return DamagedCorrespondenceModel(cloud, families, omega, scheme, [material], material_of, control, None, law, None)
 
 
 def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):

@@ -68,14 +68,19 @@ class BondDamage(ABC):
         """
         points, weights = roots_legendre(QUADRATURE)
         one, last = np.array([self.onset]), np.array([self.final])
-        end = np.clip(x, self.onset, self.final)
-        y = self.onset + 0.5 * (points[:, None] + 1.0) * (end - self.onset)
-        lost = (
-            -0.5 * (end - self.onset) * (weights[:, None] * self.slope(y.ravel()).reshape(y.shape) * y**2).sum(axis=0)
-        )
-        lost += np.where(x > self.onset, self.onset**2 * (1.0 - self.integrity(one)[0]), 0.0)
+        lost = np.where(x > self.onset, self.onset**2 * (1.0 - self.integrity(one)[0]), 0.0)
         lost += np.where(x >= self.final, self.final**2 * self.integrity(last)[0], 0.0)
+        for begin, end in zip(self.pieces[:-1], self.pieces[1:], strict=True):
+            half = 0.5 * (np.clip(x, begin, end) - begin)
+            y = begin + (points[:, None] + 1.0) * half
+            slope = self.slope(y.ravel()).reshape(y.shape)
+            lost -= half * (weights[:, None] * slope * y**2).sum(axis=0)
         return np.asarray(0.5 * k * limit**2 * lost)
+
+    @property
+    def pieces(self) -> list[float]:
+        """Return the ends of the parts of the law that are smooth, from onset to final [-]."""
+        return [self.onset, self.final]
 
 
 @dataclass(frozen=True)
@@ -240,6 +245,11 @@ class BilinearSoftening(BondDamage):
         """Return its derivative."""
         first, second = (self.share - 1.0) / (self.kink - 1.0), -self.share / (self.ratio - self.kink)
         return np.asarray((np.where(x < self.kink, first, second) - self.integrity(x)) / x)
+
+    @property
+    def pieces(self) -> list[float]:
+        """Return onset, kink and final [-]."""
+        return [1.0, self.kink, self.ratio]
 
 
 @dataclass(frozen=True)

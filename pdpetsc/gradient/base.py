@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import FlatFamilies
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
@@ -189,13 +189,14 @@ def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
 
 
 def refuse_flat(comm: Comm, gid: GlobalIndex, what: str) -> None:
-    """Raise the same error on all ranks if any rank names a particle with a flat family (collective)."""
+    """Raise FlatFamilies on all ranks if any names a particle with a flat family (collective)."""
     count = int(total(comm, len(gid)))
     if count == 0:
         return
     ids = sorted(int(i) for part in comm.allgather(gid[:NAMED_IDS]) for i in part)[:NAMED_IDS]
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
-    raise CaseError(
+    raise FlatFamilies(
         f"{count} particles have a family too small or too flat for {what} (ids {listed}); widen the horizon or add "
-        f"particles there."
+        f"particles there.",
+        gid,
     )

@@ -19,7 +19,8 @@ from pdpetsc.kernels.compile import compiled
 def assemble_kernel(dim: int) -> Callable[..., Any]:
     """Return the kernel that fills the values of rows ``first_row <= a < first_row + n_rows`` of K.
 
-    ``K_ab = sum_p W_p g_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p g_pa,m A_p,imkn g_pb,n``.
+    ``K_ab = sum_p W_p h_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p h_pa,m A_p,imkn g_pb,n``; ``h`` is ``g`` but
+    where damage scales forces.
 
     The blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``. The local
     particles of a column, none where only other ranks add to it, are ``locals_of[local_ptr[c] : local_ptr[c + 1]]``.
@@ -29,7 +30,7 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
     @compiled
     def assemble(  # type: ignore[no-untyped-def]
         first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
-        point_ptr, members, g, volume, A, diag, off,
+        point_ptr, members, h, g, volume, A, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int32)
         widest = 0
@@ -57,7 +58,7 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
                         for k in range(dim):
                             value = 0.0
                             for m in range(dim):
-                                value += A[p, i, m, k, n] * g[t, m]
+                                value += A[p, i, m, k, n] * h[t, m]
                             left[n * size + i * dim + k] = volume[p] * value
                 for s in range(point_ptr[p], point_ptr[p + 1]):
                     base = slot[members[s]] * size

@@ -137,6 +137,19 @@ def determinant_kernel(dim: int) -> Callable[..., Any]:
     return smallest
 
 
+@compiled
+def bonds_of_entries(owner, point_ptr, members, indptr, neighbours, n_local, bond):  # type: ignore[no-untyped-def]
+    """Write for every entry of the operator the bond from the owner of its point to its member, -1 for the centre."""
+    slot = np.full(n_local, -1, np.int64)
+    for p in range(owner.size):
+        i = owner[p]
+        for b in range(indptr[i], indptr[i + 1]):
+            slot[neighbours[b]] = b
+        bond[point_ptr[p]] = -1
+        for t in range(point_ptr[p] + 1, point_ptr[p + 1]):
+            bond[t] = slot[members[t]]
+
+
 @lru_cache
 def bond_family_sizes_kernel(dim: int) -> Callable[..., Any]:
     """Return ``sizes(indptr, neighbours, x, radius, size)``: how many members of ``i`` lie that near to ``j``."""

@@ -141,6 +141,6 @@ def scalar_rows(block_ptr, block_columns, dim, row_ptr, columns):  # type: ignor
 
 def sum_by(index: Any, values: Any, n: int) -> Any:
     """Return the sums of the rows of ``values`` with the same index, (n, ...)."""
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     sums = np.stack([np.bincount(index, column, n) for column in flat.T], axis=1)
     return sums.reshape(n, *values.shape[1:])

@@ -3,5 +3,6 @@
 from pdpetsc.model.base import Assembler, Linearised, Model
 from pdpetsc.model.bonds import BondModel
 from pdpetsc.model.correspondence import CorrespondenceModel
+from pdpetsc.model.damaged import DamagedCorrespondenceModel
 
-__all__ = ["Assembler", "BondModel", "CorrespondenceModel", "Linearised", "Model"]
+__all__ = ["Assembler", "BondModel", "CorrespondenceModel", "DamagedCorrespondenceModel", "Linearised", "Model"]

@@ -120,6 +120,11 @@ class Model(ABC):
         return 0
 
     @property
+    def symmetric(self) -> bool:
+        """Return whether the tangent is symmetric (not collective)."""
+        return True
+
+    @property
     def softens(self) -> bool:
         """Return whether bonds lose their force gradually (not collective)."""
         return False

@@ -84,7 +84,7 @@ class DilatationAssembler(BondAssembler):
         model, stencils = self.model, self.model.with_centres
         assemble_kernel(model.dim)(
             rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *self.pattern.locals_of_columns, *self._transposed,
-            stencils.point_ptr, stencils.members, g, model.B, A, diag, off,
+            stencils.point_ptr, stencils.members, g, g, model.B, A, diag, off,
         )  # fmt: skip
 
 

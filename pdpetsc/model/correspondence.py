@@ -266,9 +266,18 @@ class CorrespondenceAssembler(Assembler):
         # The stencil of every scheme lies inside its owner's family, which is what a control couples.
         stencils = (operator.point_ptr, operator.members) if control is None else (control.point_ptr, control.members)
         self.pattern = build_pattern(model.cloud, *stencils)
-        self._transposed = transpose(operator.point_ptr, operator.members, model.cloud.n_local)
+        self._transpose()
         self._control = None if control is None else control.matrix(self.pattern)
         self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
+
+    @property
+    def force_weights(self) -> Float:
+        """Return the weights with which points put forces on particles: those of the gradient."""
+        return self.model.operator.g
+
+    def _transpose(self) -> None:
+        operator = self.model.operator
+        self._transposed = transpose(operator.point_ptr, operator.members, self.model.cloud.n_local)
 
     def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
         """Write the rows of the own particles."""
@@ -284,5 +293,5 @@ class CorrespondenceAssembler(Assembler):
         operator = self.model.operator
         assemble_kernel(self.model.dim)(
             rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *self.pattern.locals_of_columns, *self._transposed,
-            operator.point_ptr, operator.members, operator.g, operator.volume, A, diag, off,
+            operator.point_ptr, operator.members, self.force_weights, operator.g, operator.volume, A, diag, off,
         )  # fmt: skip

@@ -107,8 +107,9 @@ def _allocate(model: Model, pattern: Pattern) -> PETSc.Mat:
     mat.setSizes((size, size), bsize=dim)
     mat.setType("aij")
     mat.setPreallocationCSR((row_ptr, scalar))
-    mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+    if model.symmetric:
+        mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
     _attach_rigid_modes(mat, model)
     return mat
 

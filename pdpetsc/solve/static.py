@@ -53,11 +53,11 @@ def default_options(model: Model, chosen: Mapping[str, Any]) -> dict[str, object
     if direct:
         return defaults | {
             "ksp_type": "preonly",
-            "pc_type": "cholesky",
+            "pc_type": "cholesky" if model.symmetric else "lu",
             "pc_factor_mat_solver_type": "mumps",
             "mat_mumps_icntl_14": 50,
         }
-    defaults |= {"ksp_type": "cg", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
     return defaults

@@ -65,5 +65,5 @@ class _Averaged(Control):
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
-        data = self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
+        data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
         return IsotropicMatrix(pattern, *fill(pattern, 1, assemble_kernel(1), (self.point_ptr, self.members), *data))

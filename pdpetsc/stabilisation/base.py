@@ -13,6 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.errors import CaseError
 from pdpetsc.kernels.assembly import add_isotropic_kernel
 from pdpetsc.kernels.pattern import transpose
 
@@ -132,6 +133,16 @@ class Control(ABC):
     @abstractmethod
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the matrix for ``pattern`` (collective)."""
+
+    def damaged(self, integrity: Float) -> Control:
+        """Return the control with the stiffness of every bond times its integrity (n_bonds,).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError("This zero-energy control cannot take bond damage; take Silling, Springs or none.")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
-from pdpetsc.gradient.base import whole_families
+from pdpetsc.gradient.base import FLAT, whole_families
 from pdpetsc.kernels.stabilisation import (
     directed_force_kernel,
     directed_matrix_kernel,
@@ -52,6 +52,14 @@ class NonUniform(Control):
         kernel = non_uniform_matrix_kernel(self._cloud.dim)
         data = self._with_centre, self._K_inverse, self._cloud.x
         return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (self.point_ptr, self.members), *data))
+
+    def damaged(self, integrity: Float) -> Control:
+        """Return the control with ``s_ij`` times the integrity; a family left flat gives no gradient across it."""
+        stiffness = self._stiffness * integrity
+        K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
+        held = self._K_inverse.any(axis=(1, 2))
+        K_inverse = np.where(held[:, None, None], np.linalg.pinv(K, rcond=FLAT, hermitian=True), 0.0)
+        return NonUniform(self._cloud, self._families, stiffness, K_inverse)
 
 
 class Directed(Control):

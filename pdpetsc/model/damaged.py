@@ -1,0 +1,333 @@
+"""Correspondence with bonds that fail: forces of bonds scaled by their integrity, broken ones out of the gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.damage import BondDamage
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.pattern import build_pattern
+from pdpetsc.errors import CaseError, FlatFamilies
+from pdpetsc.gradient.base import GradientOperator, Scheme, whole_families
+from pdpetsc.kernels.bonds import elongation_kernel, elongation_rate_kernel, outer_rows_kernel
+from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
+from pdpetsc.kernels.pattern import sum_by, transpose
+from pdpetsc.material.base import Material
+from pdpetsc.model.base import Assembler, Linearised
+from pdpetsc.model.correspondence import CorrespondenceAssembler, CorrespondenceModel
+from pdpetsc.model.failure import BondFailure
+from pdpetsc.stabilisation.base import Stabilisation
+
+
+class DamagedCorrespondenceModel(CorrespondenceModel):
+    """Correspondence whose force states are multiplied with the integrity of the bonds, ``T = T_s omega P K^-1 xi``.
+
+    ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
+    with the stretch of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken
+    bond leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
+    more; its neighbours' gradients and the control hold it. The control has the stiffness of its bonds times their
+    integrity at the last equilibrium.
+
+    Parameters
+    ----------
+    cloud, families, omega, scheme, materials, material_of, stabilisation, factor
+        As for ``CorrespondenceModel``.
+    damage : BondDamage
+        How bonds fail.
+    protected : (n_local,) bool, optional
+        Particles whose bonds do not fail.
+
+    References
+    ----------
+    Hashim et al., Eq. (45)-(54).
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    def __init__(
+        self, cloud: Cloud, families: Families, omega: Float, scheme: Scheme, materials: Sequence[Material],
+        material_of: LocalIndex, stabilisation: Stabilisation | None, factor: Float | None, damage: BondDamage,
+        protected: Mask | None,
+    ) -> None:  # fmt: skip
+        super().__init__(cloud, families, omega, scheme, materials, material_of, stabilisation, factor)
+        if any(law.has_history for law in self.laws):
+            raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
+        self._omega = omega
+        self._scheme = scheme
+        self._materials = materials
+        self._material_of = material_of
+        self._factor = factor
+        self.failure = BondFailure(cloud, families, damage, protected)
+        self._whole_control = self.control
+        self.n_detached = 0
+        self._take_operator(self.operator)
+        self._take_integrity()
+
+    @property
+    def parts(self) -> list[str]:
+        """Return what the body is made of."""
+        return [*super().parts, f"damage {type(self.failure.law).__name__}"]
+
+    @property
+    def linear(self) -> bool:
+        """Return whether materials are linear and damage stays."""
+        return super().linear and not self.failure.softens
+
+    @property
+    def symmetric(self) -> bool:
+        """Return False: forces are scaled, gradients are not."""
+        return False
+
+    @property
+    def softens(self) -> bool:
+        """Return whether bonds lose their force gradually."""
+        return self.failure.law.final > self.failure.law.onset
+
+    @property
+    def has_history(self) -> bool:
+        """Return True."""
+        return True
+
+    def elongation(self, u_local: Float) -> Float:
+        """Return ``|xi + eta| - |xi|`` (n_bonds,) [length] for displacements with ghosts (not collective)."""
+        e = np.empty(len(self.families.neighbours))
+        elongation_kernel(self.dim, 1)(self.families.indptr, self.families.neighbours, self.cloud.x, u_local, e)
+        return e
+
+    def scaled_weights(self, of_bond: Float) -> Float:
+        """Return ``h_pk = T_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
+        h: Float = self.operator.g * np.append(of_bond, 0.0)[self.bond_of_entry][:, None]
+        first = self.operator.point_ptr[:-1]
+        h[first] = -np.add.reduceat(h, first, axis=0)
+        return np.asarray(h)
+
+    def internal_force(self, u: Float) -> Float | None:
+        """Return the internal forces (n_rows, dim) [force]; None on all ranks where any rank has ``det F <= 0``."""
+        u_local = self.with_ghosts(u)
+        F = self.deformation(u_local)
+        if int(total(self.cloud.comm, int(not self.admissible(F)))):
+            return None
+        f = np.zeros_like(u_local)
+        T, _ = self.failure.at(self.elongation(u_local))
+        self._put_forces(self.stress(F), self.scaled_weights(T), f)
+        if self.control is not None:
+            self.control.force(u_local, f)
+        return self.gather(f)
+
+    def linearised(self, u: Float) -> Linearised:
+        """Return ``du -> K du`` with the exact derivative of the integrity, where it is not frozen."""
+        u_local = self.with_ghosts(u).copy()
+        F = self.deformation(u_local)
+        A, P = self.moduli(F), self.stress(F)
+        T, slope = self.failure.at(self.elongation(u_local))
+        h = self.scaled_weights(T)
+
+        def times(du: Float) -> Float:
+            du_local = self.with_ghosts(du)
+            f = np.zeros_like(du_local)
+            self._put_forces(np.einsum("pimkn,pkn->pim", A, self.operator.gradient(du_local)), h, f)
+            if slope.any():
+                rate = np.empty_like(slope)
+                family = self.families
+                kernel = elongation_rate_kernel(self.dim, 1)
+                kernel(family.indptr, family.neighbours, self.cloud.x, u_local, du_local, rate)
+                self._put_forces(P, self.scaled_weights(slope * rate), f)
+            if self.control is not None:
+                self.control.force(du_local, f)
+            return self.gather(f)
+
+        return times
+
+    def softening(self, u: Float) -> tuple[GlobalIndex, Float, Float]:
+        """Return numbers, forces and directions of the bonds whose integrity falls at ``u``: ``v (x) m`` of each.
+
+        ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end, ``m = dT/de n``.
+        """
+        u_local = self.with_ghosts(u)
+        _, slope = self.failure.at(self.elongation(u_local))
+        bonds = np.flatnonzero(slope)
+        falling = np.zeros(len(slope), dtype=bool)
+        falling[bonds] = True
+        operator = self.operator
+        entries = np.flatnonzero((self.bond_of_entry >= 0) & np.append(falling, False)[self.bond_of_entry])
+        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
+        P = self.stress(self.deformation(u_local))
+        force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
+        v = sum_by(self.bond_of_entry[entries], force, len(slope))[bonds]
+        centres, neighbours = self.families.centres[bonds], self.families.neighbours[bonds]
+        y = self.cloud.x[neighbours] + u_local[neighbours] - self.cloud.x[centres] - u_local[centres]
+        m = slope[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]
+        return bonds, np.asarray(v), np.asarray(m)
+
+    def commit(self, u: Float) -> None:
+        """Take the damage at ``u`` for good and keep it."""
+        self.soften(u)
+        self.failure.commit()
+
+    def revert(self) -> None:
+        """Restore bonds and integrity as they were at the last ``commit``."""
+        broken = ~self.failure.intact
+        self.failure.revert()
+        changed = int(total(self.cloud.comm, int(np.any(broken != ~self.failure.intact))))
+        self._changed(changed > 0)
+
+    def freeze(self, frozen: bool) -> None:
+        """Let the integrity of bonds stay, or follow the displacement."""
+        self.failure.frozen = frozen
+        self.version += 1
+
+    def soften(self, u: Float) -> float:
+        """Take the integrity of bonds at ``u`` for good; return the largest change."""
+        change = self.failure.soften(self.elongation(self.with_ghosts(u)))
+        if change > 0.0:
+            self._changed(rebuild=False)
+        return change
+
+    def break_bonds(self, u: Float, most: int | None = None) -> int:
+        """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs."""
+        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u)), most)
+        if broken:
+            self._changed(rebuild=True)
+        return broken
+
+    def dissipated_energy(self) -> float:
+        """Refuse: the forces of this model have no potential, so what a bond dissipates depends on all others."""
+        raise CaseError("DissipatedEnergy is that of bond-based materials.")
+
+    def energy(self, u: Float) -> tuple[float, float]:
+        """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point, and that of the control."""
+        u_local = self.with_ghosts(u)
+        T, _ = self.failure.at(self.elongation(u_local))
+        psi = self.point_energy(self.deformation(u_local)) * self._at_points(T)
+        control = 0.0 if self.control is None else self.control.force(u_local, np.zeros_like(u_local))
+        both = total(self.cloud.comm, [float(self.operator.volume @ psi), control])
+        return float(both[0]), float(both[1])
+
+    def local_damage(self) -> Float:
+        """Return ``1 - sum_j T V_j / sum_j V_j`` of the own particles (n_owned,) [-] (not collective)."""
+        centres, n = self.families.centres, self.cloud.n_owned
+        volume = self.cloud.volume[self.families.neighbours]
+        left = np.bincount(centres, self.failure.integrity * volume, n)
+        whole = np.bincount(centres, volume, n)
+        return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
+
+    def first_piola_stress(self, u: Float) -> Float:
+        """Return the mean of ``T_p P_p`` over the points of each own particle (n_owned, dim, dim) [stress]."""
+        return self._scaled(self.stress(self.deformation(self.with_ghosts(u))))
+
+    def cauchy_stress(self, u: Float) -> Float:
+        """Return the mean of ``T_p sigma_p`` over the points of each own particle (n_owned, dim, dim) [stress]."""
+        return self._scaled(self.cauchy(self.deformation(self.with_ghosts(u))))
+
+    def assembler(self) -> Assembler:
+        """Return what fills the tangent matrix (collective)."""
+        return DamagedAssembler(self)
+
+    def _scaled(self, stress: Float) -> Float:
+        return self._mean(stress * self._at_points(self.failure.integrity)[:, None, None])
+
+    def _at_points(self, T: Float) -> Float:
+        """Return the mean integrity of the bonds of every point (n_points,)."""
+        sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
+        return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
+
+    def _put_forces(self, P: Float, h: Float, f: Float) -> None:
+        operator = self.operator
+        divergence_kernel(self.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
+
+    def _changed(self, rebuild: bool) -> None:
+        """Follow a change of the integrity, and of the broken bonds where ``rebuild`` (collective)."""
+        if rebuild:
+            self._take_operator(self._rebuilt())
+        self._take_integrity()
+        self.version += 1
+
+    def _take_operator(self, operator: GradientOperator) -> None:
+        self.operator = operator
+        self.bond_of_entry = np.empty(len(operator.members), dtype=np.int64)
+        bonds_of_entries(
+            operator.owner, operator.point_ptr, operator.members, self.families.indptr, self.families.neighbours,
+            self.cloud.n_local, self.bond_of_entry,
+        )  # fmt: skip
+        law_of = self._material_of[operator.owner]
+        for number, law in enumerate(self.laws):
+            law.points = np.flatnonzero(law_of == number)
+            law.factor = None if self._factor is None else self._factor[operator.owner[law.points]]
+
+    def _take_integrity(self) -> None:
+        if self._whole_control is not None:
+            self.control = self._whole_control.damaged(self.failure.integrity)
+
+    def _rebuilt(self) -> GradientOperator:
+        """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""
+        centres, n = self.families.centres, self.cloud.n_owned
+        detached = np.zeros(n, dtype=bool)
+        while True:
+            omega = np.where(self.failure.intact | detached[centres], self._omega, 0.0)
+            try:
+                operator = self._scheme.build(self.cloud, self.families, omega)
+                break
+            except FlatFamilies as flat:
+                more = np.isin(self.cloud.gid[:n], flat.gid) & ~detached
+                if int(total(self.cloud.comm, np.count_nonzero(more))) == 0:
+                    raise
+                detached |= more
+        self.n_detached = int(total(self.cloud.comm, np.count_nonzero(detached)))
+        return replace(operator, volume=np.where(detached[operator.owner], 0.0, operator.volume))
+
+
+class DamagedAssembler(CorrespondenceAssembler):
+    """Assembly on the pattern of whole families, which no broken bond changes."""
+
+    model: DamagedCorrespondenceModel
+
+    def __init__(self, model: DamagedCorrespondenceModel) -> None:
+        self.model = model
+        stencils = whole_families(model.cloud, model.families, np.ones(len(model.families.neighbours)))
+        self.pattern = build_pattern(model.cloud, stencils.point_ptr, stencils.members)
+        self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
+        self._control = None
+        self._controlled = model.control
+
+    def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
+        """Write the rows of the own particles."""
+        model, pattern, dim = self.model, self.pattern, self.model.dim
+        self._transpose()
+        u_local = model.with_ghosts(u)
+        A = model.moduli(model.deformation(u_local))
+        self._h = model.scaled_weights(model.failure.at(model.elongation(u_local))[0])
+        self._rows(pattern.owned, A, diag, off)
+        self._rows(pattern.ghost, A, self._ghost, off)
+        self._add_softening(u, diag, off)
+        pattern.complete(self._ghost, diag, off, dim)
+        if model.control is not None:
+            if self._control is None or self._controlled is not model.control:
+                self._control, self._controlled = model.control.matrix(pattern), model.control
+            self._control.add(dim, diag, off)
+
+    @property
+    def force_weights(self) -> Float:
+        """Return the scaled weights."""
+        return self._h
+
+    def _add_softening(self, u: Float, diag: Float, off: Float) -> None:
+        model, pattern = self.model, self.pattern
+        if not model.failure.softens:
+            return
+        bonds, v, m = model.softening(u)
+        ends = np.stack([model.families.centres[bonds], model.families.neighbours[bonds]], axis=1).ravel()
+        by_particle = transpose(2 * np.arange(len(bonds) + 1, dtype=np.int64), ends, model.cloud.n_local)
+        kernel = outer_rows_kernel(model.dim)
+        for rows, own in ((pattern.owned, diag), (pattern.ghost, self._ghost)):
+            kernel(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *by_particle,
+                ends, v, m, own, off,
+            )  # fmt: skip

@@ -1,0 +1,173 @@
+"""Bond damage: the laws, the exact tangent, irreversibility, what happens to families that break."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import pdpetsc as pd
+from tests.scenes import (
+    BONDS,
+    DIMS,
+    LAWS,
+    SCHEMES,
+    bond_body,
+    damaged_body,
+    dense_tangent,
+    differences,
+    displacement,
+)
+
+CRITICAL = pd.ConstantCritical(0.02)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+def test_laws_fall_from_one_and_have_the_right_slope_and_energy(law):
+    law = law(CRITICAL)
+    x = np.linspace(law.onset, law.final, 101)[1:-1]
+    if law.final > law.onset:
+        T = law.integrity(x)
+        assert np.all(np.diff(T) < 0.0)
+        assert np.allclose(law.integrity(np.array([law.onset])), 1.0)
+        assert np.allclose(law.integrity(np.array([law.final])), 0.0, atol=1e-15)
+        slope = (law.integrity(x + 1e-6) - law.integrity(x - 1e-6)) / 2e-6
+        kinks = np.abs(x - getattr(law, "kink", -1.0)) < 1e-3
+        assert np.allclose(law.slope(x)[~kinks], slope[~kinks], rtol=1e-6)
+    # Area under the force less what is stored.
+    reached = np.linspace(law.onset, law.final, 5)[1:-1] if law.final > law.onset else np.array([])
+    for end in reached:
+        T = float(law.integrity(np.array([end]))[0])
+        area = quad(lambda y: float(law.integrity(np.array([y]))[0]) * y, law.onset, end, points=law.pieces)[0]
+        exact = 0.5 * law.onset**2 + area - 0.5 * T * end**2
+        one = np.ones(1)
+        assert law.dissipated(T * one, end * one, one, one)[0] == pytest.approx(exact, rel=1e-9)
+    one = np.ones(1)
+    whole = law.dissipated(0.0 * one, law.final * one, one, one)[0]
+    assert whole >= 0.5 * law.onset**2
+
+
+def test_the_published_degradation_jumps_and_can_be_made_continuous():
+    published = pd.SmoothDegradation(CRITICAL, start=0.75, beta=3.0, continuous=False)
+    ends = np.array([0.75, 1.0])
+    assert published.integrity(ends) == pytest.approx([0.5 * (1 + np.tanh(3.0)), 0.5 * (1 - np.tanh(3.0))])
+    s = 0.02 * np.linspace(0.76, 0.99, 9)
+    s_min, s_cr = 0.015, 0.02
+    exact = 0.5 * (1.0 - np.tanh(3.0 * (s_min + s_cr - 2.0 * s) / (s_min - s_cr)))
+    assert np.allclose(published.integrity(s / s_cr), exact, rtol=1e-13)
+
+
+def softened(model, rng):
+    """Return a displacement at which many bonds soften and none is beyond its end."""
+    middle = 0.018 if isinstance(model.failure.law, pd.SmoothDegradation) else 0.025
+    return displacement(model, rng, 0.001) + middle * (model.cloud.x - model.cloud.x.mean(axis=0))
+
+
+def symmetric_part_of_failure(model, u):
+    e = model.elongation(model.with_ghosts(u))
+    return model.failure.at(e[0] if isinstance(e, tuple) else e)
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential", "smooth"])
+@pytest.mark.parametrize(("dim", "scheme"), list(itertools.product(DIMS, SCHEMES)))
+def test_the_tangent_with_softening_bonds_is_exact(dim, scheme, law, rng):
+    for control in (None, pd.Silling(0.5)):
+        model = damaged_body(dim, LAWS[law](CRITICAL), SCHEMES[scheme], control, rng=rng)
+        u = softened(model, rng)
+        _, slope = symmetric_part_of_failure(model, u)
+        assert np.count_nonzero(slope) > 4
+        K = dense_tangent(model, u)
+        columns = rng.choice(u.size, 8, replace=False)
+        assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
+        du = rng.standard_normal(u.shape)
+        assert np.allclose(K @ du.ravel(), model.tangent_times(u, du).ravel(), atol=1e-10 * np.abs(K).max())
+        model.freeze(True)
+        K = dense_tangent(model, u)
+        assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
+        f = model.internal_force(u)
+        assert np.abs(f.sum(axis=0)).max() < 1e-12 * np.abs(f).sum()
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential", "smooth"])
+def test_the_tangent_of_softening_bonds_is_exact_and_symmetric(law, rng):
+    for dim, (name, material) in itertools.product(DIMS, BONDS.items()):
+        if "linear_solid" in name:
+            continue
+        model = bond_body(dim, material, rng=rng, damage=LAWS[law](CRITICAL))
+        u = softened(model, rng)
+        assert np.count_nonzero(symmetric_part_of_failure(model, u)[1]) > 4
+        K = dense_tangent(model, u)
+        columns = rng.choice(u.size, min(8, u.size), replace=False)
+        assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max(), name
+        assert np.abs(K - K.T).max() < 1e-12 * np.abs(K).max()
+
+
+def test_damage_does_not_heal_and_reverts_to_what_was_kept(rng):
+    model = damaged_body(2, pd.SmoothDegradation(CRITICAL), rng=rng)
+    u = softened(model, rng)
+    model.commit(u)
+    lost = model.failure.integrity.copy()
+    assert lost.min() < 0.9
+    T, slope = model.failure.at(model.elongation(model.with_ghosts(0.5 * u)))
+    assert np.array_equal(T, lost)
+    assert not slope.any()
+    model.soften(1.2 * u)
+    assert model.failure.integrity.min() < lost.min()
+    model.revert()
+    assert np.array_equal(model.failure.integrity, lost)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(scheme, rng):
+    model = damaged_body(2, pd.Brittle(CRITICAL), SCHEMES[scheme], pd.Silling(0.5))
+    x = model.cloud.x
+    centres, neighbours = model.families.centres, model.families.neighbours
+    # Pull the upper half off: a crack through the body at once.
+    u = np.where(x[:, 1:] > 2.5, [[0.0, 1.0]], 0.0)
+    crossing = (x[centres, 1] > 2.5) != (x[neighbours, 1] > 2.5)
+    assert model.break_bonds(u, 10**6) == np.count_nonzero(crossing) // 2
+    assert np.array_equal(~model.failure.intact, crossing)
+    # Both halves move freely, and a uniform strain of one half is exact in it.
+    f = model.internal_force(u)
+    assert np.abs(f).max() < 1e-12
+    strained = u + np.where(x[:, 1:] > 2.5, 0.1 * x * [1.0, 0.0], 0.0)
+    F = model.deformation_gradient(strained)
+    upper = x[:, 1] > 2.5
+    assert np.allclose(F[upper], np.diag([1.1, 1.0]), atol=1e-10)
+    assert np.allclose(F[~upper], np.eye(2), atol=1e-10)
+    K = dense_tangent(model, strained)
+    columns = rng.choice(u.size, 8, replace=False)
+    assert np.abs(K[:, columns] - differences(model, strained, columns)).max() < 1e-6 * np.abs(K).max()
+    # A corner that keeps one bond alone has no gradient any more; the control still holds it.
+    corner = 0
+    own = np.flatnonzero((centres == corner) | (neighbours == corner))
+    model.failure.integrity[own] = 0.0
+    kept = np.flatnonzero(((centres == corner) & (neighbours == 1)) | ((centres == 1) & (neighbours == corner)))
+    model.failure.integrity[kept] = 1.0
+    model._changed(rebuild=True)
+    assert model.n_detached >= 1
+    assert np.isfinite(model.internal_force(strained)).all()
+
+
+def test_dissipation_of_gradients_is_refused_and_history_too():
+    model = damaged_body(1, pd.Brittle(CRITICAL))
+    with pytest.raises(pd.CaseError, match="bond-based"):
+        model.dissipated_energy()
+    with pytest.raises(pd.CaseError, match="history"):
+        damaged_body(2, pd.Brittle(CRITICAL), material=pd.J2(E=1.0, nu=0.3, yield_stress=0.1, hardening=0.1))
+    with pytest.raises(pd.CaseError, match="cannot take bond damage"):
+        damaged_body(2, pd.Brittle(CRITICAL), control=pd.Wan())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: pd.ExponentialSoftening(CRITICAL, 0.5),
+        lambda: pd.ExponentialSoftening(CRITICAL, 2.0, -1.0),
+        lambda: pd.BilinearSoftening(CRITICAL, 7.0),
+        lambda: pd.SmoothDegradation(CRITICAL, 1.0),
+    ],
+)
+def test_wrong_laws_are_refused(wrong):
+    with pytest.raises(pd.CaseError):
+        wrong()

@@ -22,6 +22,7 @@ from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, Sain
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import (
     At,
+    BrokenBonds,
     CellStrain,
     CellStress,
     ControlEnergy,
@@ -77,6 +78,7 @@ __all__ = [
     "BondAssociated",
     "BondBased",
     "Brittle",
+    "BrokenBonds",
     "Case",
     "CaseError",
     "Cell",

@@ -121,6 +121,15 @@ class DissipatedEnergy(Quantity):
 
 
 @dataclass(frozen=True)
+class BrokenBonds(Quantity):
+    """How many pairs of particles have lost their bond."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the number."""
+        return float(solution.model.broken_bonds())
+
+
+@dataclass(frozen=True)
 class Largest(Quantity):
     """Largest value of a field component over a region."""
 

@@ -20,7 +20,7 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.loading import Loading
-from pdpetsc.model import BondModel, DamagedCorrespondenceModel, Model
+from pdpetsc.model import Model
 from pdpetsc.output.broken import BrokenBonds
 from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
@@ -161,19 +161,21 @@ class _Run:
         if self.restart is not None:
             if isinstance(solver, EventSolver):
                 raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
-            if model.has_history:
+            if not model.restartable:
                 raise CaseError(
                     "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."
                 )
-            u, t, step = read_checkpoint(cloud, order, Path(self.restart))
+            u, t, step = read_checkpoint(model, order, Path(self.restart))
         with self._timed("output"):
             kept = self._earlier(step)
             first = step if self.restart is not None and _same_folder(Path(self.restart).parent, self.folder) else 0
             writer = FieldWriter(cloud, order, self.folder, self._fields(), first) if self._fields() else None
             records = HistoryWriter(self.comm, self.folder, list(self.history), kept)
             self._record(Solution(model, loading, u, t, step), writer, records)
-            failure = model.failure if isinstance(model, BondModel | DamagedCorrespondenceModel) else None
-            broken = None if failure is None else BrokenBonds(self.comm, self.folder, failure)
+            broken = None
+            if model.failure is not None:
+                earlier = None if self.restart is None else Path(self.restart).parent / "broken_bonds.csv"
+                broken = BrokenBonds(self.comm, self.folder, model.failure, earlier, step)
         failed: list[StepResult] = []
 
         def on_failure(at: float, dt: float, result: StepResult) -> None:
@@ -198,8 +200,8 @@ class _Run:
                     self._record(Solution(model, loading, converged.u, converged.t, step), written, records)
                     if broken is not None:
                         broken.write(step, converged.t)
-                    if not model.has_history:
-                        write_checkpoint(cloud, order, self.folder / "checkpoint.h5", converged.u, converged.t, step)
+                    if model.restartable and not isinstance(solver, EventSolver):
+                        write_checkpoint(model, order, self.folder / "checkpoint.h5", converged.u, converged.t, step)
                 before = time.perf_counter()
         except PdpetscError as error:
             status = str(error)

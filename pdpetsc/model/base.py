@@ -12,6 +12,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.model.failure import BondFailure
 
 # Applies the tangent at one displacement to others: (n_rows, dim) -> (n_rows, dim).
 Linearised: TypeAlias = Callable[[Float], Float]
@@ -32,6 +33,8 @@ class Model(ABC):
     ----------
     version : int
         Grows whenever the constants of the forces change, as they do when bonds fail.
+    failure : BondFailure or None
+        State of the bonds where they can fail.
     note : str
         What a user should know about how the body was built; the same on all ranks.
 
@@ -42,6 +45,7 @@ class Model(ABC):
 
     version: int = 0
     note: str = ""
+    failure: BondFailure | None = None
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
         self.cloud = cloud
@@ -141,6 +145,16 @@ class Model(ABC):
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
         return np.zeros(self.cloud.n_owned)
 
+    def take_failure(self) -> None:
+        """Follow the state of the bonds, set from outside, and keep it."""
+        if self.failure is not None:
+            self.failure.commit()
+            self.version += 1
+
+    def broken_bonds(self) -> int:
+        """Return how many pairs of particles have lost their bond."""
+        return 0 if self.failure is None else self.failure.count_broken()
+
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""
         return 0.0
@@ -149,6 +163,11 @@ class Model(ABC):
     @abstractmethod
     def has_history(self) -> bool:
         """Return whether forces depend on converged steps; the same on all ranks (not collective)."""
+
+    @property
+    def restartable(self) -> bool:
+        """Return whether unknowns and the state of bonds are all that a continued run needs (not collective)."""
+        return not self.has_history
 
     @property
     @abstractmethod

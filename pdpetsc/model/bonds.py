@@ -72,7 +72,6 @@ class BondModel(Model):
         self._factor = np.ones(cloud.n_owned) if factor is None else factor
         constants = combine(bonds, materials, material_of, self._factor)
         self.k, self.a, self.B = constants.k, constants.a, constants.B
-        self.failure: BondFailure | None = None
         if damage is not None:
             if self.a is not None:
                 raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
@@ -196,6 +195,11 @@ class BondModel(Model):
     def has_history(self) -> bool:
         """Return whether bonds can fail."""
         return self.failure is not None
+
+    @property
+    def restartable(self) -> bool:
+        """Return True."""
+        return True
 
     @property
     def kappa(self) -> float:

@@ -12,15 +12,15 @@ from pdpetsc.damage import BondDamage
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.pattern import build_pattern
 from pdpetsc.errors import CaseError, FlatFamilies
-from pdpetsc.gradient.base import GradientOperator, Scheme, whole_families
-from pdpetsc.kernels.bonds import elongation_kernel, elongation_rate_kernel, outer_rows_kernel
+from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.kernels.bonds import elongation_kernel, elongation_rate_kernel
 from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
-from pdpetsc.kernels.pattern import sum_by, transpose
+from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.model.base import Assembler, Linearised
-from pdpetsc.model.correspondence import CorrespondenceAssembler, CorrespondenceModel
+from pdpetsc.model.correspondence import CorrespondenceModel
+from pdpetsc.model.damaged_assembly import DamagedAssembler
 from pdpetsc.model.failure import BondFailure
 from pdpetsc.stabilisation.base import Stabilisation
 
@@ -51,6 +51,8 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     -----
     Construction is collective.
     """
+
+    failure: BondFailure
 
     def __init__(
         self, cloud: Cloud, families: Families, omega: Float, scheme: Scheme, materials: Sequence[Material],
@@ -198,6 +200,16 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
             self._changed(rebuild=True)
         return broken
 
+    def take_failure(self) -> None:
+        """Follow the state of the bonds, set from outside, and keep it."""
+        self.failure.commit()
+        self._changed(rebuild=True)
+
+    @property
+    def restartable(self) -> bool:
+        """Return True."""
+        return True
+
     def dissipated_energy(self) -> float:
         """Refuse: the forces of this model have no potential, so what a bond dissipates depends on all others."""
         raise CaseError("DissipatedEnergy is that of bond-based materials.")
@@ -282,52 +294,3 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
                 detached |= more
         self.n_detached = int(total(self.cloud.comm, np.count_nonzero(detached)))
         return replace(operator, volume=np.where(detached[operator.owner], 0.0, operator.volume))
-
-
-class DamagedAssembler(CorrespondenceAssembler):
-    """Assembly on the pattern of whole families, which no broken bond changes."""
-
-    model: DamagedCorrespondenceModel
-
-    def __init__(self, model: DamagedCorrespondenceModel) -> None:
-        self.model = model
-        stencils = whole_families(model.cloud, model.families, np.ones(len(model.families.neighbours)))
-        self.pattern = build_pattern(model.cloud, stencils.point_ptr, stencils.members)
-        self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
-        self._control = None
-        self._controlled = model.control
-
-    def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:
-        """Write the rows of the own particles."""
-        model, pattern, dim = self.model, self.pattern, self.model.dim
-        self._transpose()
-        u_local = model.with_ghosts(u)
-        A = model.moduli(model.deformation(u_local))
-        self._h = model.scaled_weights(model.failure.at(model.elongation(u_local))[0])
-        self._rows(pattern.owned, A, diag, off)
-        self._rows(pattern.ghost, A, self._ghost, off)
-        self._add_softening(u, diag, off)
-        pattern.complete(self._ghost, diag, off, dim)
-        if model.control is not None:
-            if self._control is None or self._controlled is not model.control:
-                self._control, self._controlled = model.control.matrix(pattern), model.control
-            self._control.add(dim, diag, off)
-
-    @property
-    def force_weights(self) -> Float:
-        """Return the scaled weights."""
-        return self._h
-
-    def _add_softening(self, u: Float, diag: Float, off: Float) -> None:
-        model, pattern = self.model, self.pattern
-        if not model.failure.softens:
-            return
-        bonds, v, m = model.softening(u)
-        ends = np.stack([model.families.centres[bonds], model.families.neighbours[bonds]], axis=1).ravel()
-        by_particle = transpose(2 * np.arange(len(bonds) + 1, dtype=np.int64), ends, model.cloud.n_local)
-        kernel = outer_rows_kernel(model.dim)
-        for rows, own in ((pattern.owned, diag), (pattern.ghost, self._ghost)):
-            kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *by_particle,
-                ends, v, m, own, off,
-            )  # fmt: skip

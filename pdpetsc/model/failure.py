@@ -78,6 +78,7 @@ class BondFailure:
         self.limit: Float = stretch * self.length
         if protected is not None:
             self.limit[protected[centres] | protected[neighbours]] = np.inf
+        self._first = np.asarray(cloud.gid[centres] == self.keys[:, 0])
         self.integrity: Float = np.ones(len(self.length))
         self.worst: Float = np.zeros(len(self.length))
         self.frozen = False
@@ -155,6 +156,27 @@ class BondFailure:
         self.integrity[broken] = 0.0
         self.worst[broken] = np.maximum(self.worst, over)[broken]
         return int(total(self._comm, np.count_nonzero(broken))) // 2
+
+    def damaged(self) -> tuple[GlobalIndex, Float]:
+        """Return keys (n, 3) and states (n, 2), integrity and worst, of damaged bonds, each from its first end only."""
+        mine = np.flatnonzero((self.integrity < 1.0) & self._first)
+        return self.keys[mine], np.stack([self.integrity[mine], self.worst[mine]], axis=1)
+
+    def restore(self, keys: GlobalIndex, states: Float) -> None:
+        """Set the states of those of the given bonds that are held here (not collective)."""
+        if len(keys) == 0 or len(self.keys) == 0:
+            return
+        _, index = np.unique(np.concatenate([keys, self.keys]), axis=0, return_inverse=True)
+        index = index.reshape(-1)
+        row = np.full(int(index.max()) + 1, -1, dtype=np.int64)
+        row[index[: len(keys)]] = np.arange(len(keys))
+        found = row[index[len(keys) :]]
+        here = found >= 0
+        self.integrity[here], self.worst[here] = states[found[here]].T
+
+    def count_broken(self) -> int:
+        """Return how many pairs have lost their bond (collective)."""
+        return int(total(self._comm, np.count_nonzero(~self.intact))) // 2
 
     def dissipated(self, k: Float) -> float:
         """Return what linear bonds of stiffness k have dissipated [energy] (collective)."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, agreed, total
+from pdpetsc.discrete.communicator import Comm, agreed, is_root, total
 from pdpetsc.model.failure import BondFailure
 from pdpetsc.output.records import write_rows
 
@@ -22,21 +23,26 @@ class BrokenBonds:
     folder : Path
         Where the file goes.
     failure : BondFailure
-        The state of the bonds.
+        The state of the bonds; those that are broken already count as listed.
+    before, step : Path, int
+        What an earlier run wrote, of which the rows up to ``step`` are taken over.
 
     Notes
     -----
     Construction and ``write`` are collective; rank 0 writes.
     """
 
-    def __init__(self, comm: Comm, folder: Path, failure: BondFailure) -> None:
+    def __init__(
+        self, comm: Comm, folder: Path, failure: BondFailure, before: Path | None = None, step: int = 0
+    ) -> None:
         self._comm = comm
         self._path = folder / "broken_bonds.csv"
         self._failure = failure
-        self._listed = np.zeros(len(failure.integrity), dtype=bool)
-        axes = "xyz"[: failure.middle.shape[1]]
+        self._listed = ~failure.intact
+        header = ["step", "t", "i", "j", "length", *"xyz"[: failure.middle.shape[1]]]
         with agreed(comm):
-            write_rows(comm, self._path, "w", [["step", "t", "i", "j", "length", *axes]])
+            kept = _earlier(before, header, step) if before is not None and is_root(comm) else []
+            write_rows(comm, self._path, "w", [header, *kept])
 
     def write(self, step: int, t: float) -> None:
         """Append the bonds that broke in a step, with the ids of their ends, their length and their middle."""
@@ -53,3 +59,13 @@ class BrokenBonds:
                 found = np.concatenate(parts)[first]
                 rows_of = [[step, repr(t), int(r[0]), int(r[1]), *map(repr, r[3:].tolist())] for r in found]
                 write_rows(self._comm, self._path, "a", rows_of)
+
+
+def _earlier(path: Path, header: list[str], step: int) -> list[list[str]]:
+    """Return the rows up to ``step`` of a table with this header, none where there is no such table."""
+    try:
+        with path.open(newline="") as file:
+            first, *rows = csv.reader(file)
+    except (OSError, ValueError):
+        return []
+    return [row for row in rows if first == header and int(row[0]) <= step]

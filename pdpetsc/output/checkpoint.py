@@ -7,27 +7,35 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
+from pdpetsc.model import Model
 from pdpetsc.output.files import InCreationOrder, replacing, reserve
 
-FORMAT = 2
+FORMAT = 3
+# Damaged bonds that a rank looks at together.
+BLOCK = 100_000
 
 
-def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float, t: float, step: int) -> None:
+def write_checkpoint(model: Model, order: InCreationOrder, path: Path, u: Float, t: float, step: int) -> None:
     """Write the converged state aside, then rename it over ``path`` (collective).
+
+    It holds the unknowns and the bonds that are damaged.
 
     Raises
     ------
     OutputError
         The disk is full; an earlier checkpoint stays as it was.
     """
+    cloud = model.cloud
     identity = _identity(cloud)
+    bonds = _gathered_bonds(model)
+    size = sum(keys.nbytes + states.nbytes for keys, states in bonds)
     with agreed(cloud.comm):
         if is_root(cloud.comm):
-            reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8)
+            reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8 + size)
     failure: OutputError | None = None
     virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
@@ -35,6 +43,10 @@ def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float,
         try:
             with replacing(path) as aside, h5py.File(aside, "w") as file:
                 file.attrs.update(format=FORMAT, t=t, step=step, identity=identity, virtual=virtual)
+                file.attrs["damage"] = _law(model)
+                if bonds:
+                    file["bonds/keys"] = np.concatenate([keys for keys, _ in bonds])
+                    file["bonds/states"] = np.concatenate([states for _, states in bonds])
                 dataset = file.create_dataset("u", (cloud.n_global, cloud.dim), np.float64)
                 for rows, part in parts:
                     dataset[rows] = part
@@ -47,14 +59,15 @@ def write_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path, u: Float,
             raise failure
 
 
-def read_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path) -> tuple[Float, float, int]:
-    """Return the unknowns of this rank, step time and step of a checkpoint (collective).
+def read_checkpoint(model: Model, order: InCreationOrder, path: Path) -> tuple[Float, float, int]:
+    """Return the unknowns of this rank, step time and step of a checkpoint; restore the bonds (collective).
 
     Raises
     ------
     CaseError
         The file is missing, damaged, of another version or of another body.
     """
+    cloud = model.cloud
     identity = _identity(cloud)
     rank = cloud.comm.rank
     with agreed(cloud.comm):
@@ -65,6 +78,14 @@ def read_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path) -> tuple[F
                 found = np.asarray(file.attrs["identity"])
                 if found.shape != identity.shape or not np.allclose(found, identity, rtol=1e-9, atol=0.0):
                     raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
+                if file.attrs["damage"] != _law(model):
+                    raise CaseError(f"{path} is of a case with damage {file.attrs['damage']}, this has {_law(model)}.")
+                if model.failure is not None and "bonds" in file:
+                    for begin in range(0, len(file["bonds/keys"]), BLOCK):
+                        rows = slice(begin, begin + BLOCK)
+                        model.failure.restore(
+                            np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
+                        )
                 part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
                 t, step = float(file.attrs["t"]), int(file.attrs["step"])
                 virtual = np.asarray(file.attrs["virtual"]).reshape(-1, cloud.dim)
@@ -72,6 +93,7 @@ def read_checkpoint(cloud: Cloud, order: InCreationOrder, path: Path) -> tuple[F
             if isinstance(error, CaseError):
                 raise
             raise CaseError(f"Cannot read the checkpoint {path}: {error}.") from None
+    model.take_failure()
     u = order.from_parts(part)
     return np.concatenate([u, virtual]) if cloud.n_virtual else u, t, step
 
@@ -84,3 +106,14 @@ def _identity(cloud: Cloud) -> Float:
     sums = total(cloud.comm, [volume.sum(), (x**2).sum(), numbered])
     periods = np.zeros(cloud.dim) if cloud.images is None else cloud.images.cell.lengths
     return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums])
+
+
+def _gathered_bonds(model: Model) -> list[tuple[GlobalIndex, Float]]:
+    """Return keys and states of the damaged bonds of every rank on rank 0, nothing elsewhere (collective)."""
+    if model.failure is None:
+        return []
+    return model.cloud.comm.gather(model.failure.damaged()) or []
+
+
+def _law(model: Model) -> str:
+    return "none" if model.failure is None else type(model.failure.law).__name__

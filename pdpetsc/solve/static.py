@@ -150,6 +150,11 @@ class StaticSolver(StepSolver):
             start, linear = self._predict(u, self._prescribed - np.where(self.loading.fixed, u, 0.0))
         self._x.array = start.ravel()
         self.snes.solve(None, self._x)
+        if self._damping is not None and self.snes.getConvergedReason() > 0:
+            # Once more from where it came to rest: the damping has no force there.
+            linear += self.snes.getLinearSolveIterations()
+            self._anchor = self._at_prescribed(self._x.array).copy()
+            self.snes.solve(None, self._x)
         reason = self.snes.getConvergedReason()
         result = StepResult(
             converged=reason > 0,

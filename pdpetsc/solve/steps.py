@@ -12,6 +12,9 @@ from pdpetsc.solve.base import StepResult, StepSolver
 
 SAME_TIME = 1e-9
 GROWTH = 1.5
+# Newton's answer counts where it changes no integrity by more: a longer jump has passed unstable states, and which of
+# the states beyond it finds is left to round-off.
+GENTLE = 0.3
 # Damage has settled where no integrity changes by more in a sweep; it has this many sweeps.
 SETTLED = 1e-6
 SWEEPS = 1000
@@ -59,8 +62,8 @@ def load_steps(
     """Yield converged steps from step time ``t`` to 1.
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
-    Where Newton with damage that follows the displacement fails, equilibrium with damage held and damage at that
-    equilibrium alternate until neither changes: damage only grows, so this ends.
+    Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
+    that equilibrium alternate until neither changes: damage only grows, so this ends.
     A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
     up to the largest, if it was easy.
 
@@ -108,13 +111,15 @@ def _equilibrium(
     solver: StepSolver, steps: Steps | AdaptiveSteps, u: Float, target: float, stop: Callable[[], bool]
 ) -> tuple[Float, StepResult, int, int]:
     """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held."""
+    broken = 0
     solver.freeze(False)
     attempt, result = solver.solve(u, target)
-    broken = 0
-    while result.converged and (more := solver.break_bonds(attempt, steps.breaks)):
-        broken += more
-        attempt, result = solver.solve(attempt, target)
-    if result.converged or stop() or not solver.softens:
+    if not solver.softens:
+        while result.converged and (more := solver.break_bonds(attempt, steps.breaks)):
+            broken += more
+            attempt, result = solver.solve(attempt, target)
+        return attempt, result, broken, 0
+    if stop() or (result.converged and solver.soften(attempt) <= GENTLE and not solver.break_bonds(attempt, 1)):
         return attempt, result, broken, 0
     solver.revert()
     solver.freeze(True)

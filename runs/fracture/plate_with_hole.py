@@ -1,0 +1,79 @@
+"""Plate with a hole pulled apart: damage starts at the hole, crosses both ligaments and separates it. Units mm, N.
+
+150 x 50 mm, hole of radius 10, E = 210 GPa, nu = 0.33, plane strain; bonds fade between the stretches ``s_min`` and
+``s_cr``. Each end is moved by ``pull``. Results: ``first_damage_load``, ``peak_load``, ``max_damage``,
+``broken_bonds``, ``symmetry_error`` (first moments of the damage about the axes of the plate over its sum, in widths),
+``last_load``.
+Reference: Hashim et al., section 4.5; the end displacement in the text is a misprint.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import pdpetsc as pd
+
+LENGTH, WIDTH, RADIUS = 150.0, 50.0, 10.0
+
+
+@dataclass(frozen=True)
+class Asymmetry(pd.Quantity):
+    """First moments of the damage about the axes over its sum and the width."""
+
+    def evaluate(self, solution):
+        damage = pd.local_damage(solution)
+        x = solution.x - [0.5 * LENGTH, 0.5 * WIDTH]
+        moments = solution.sum(np.array([damage @ x[:, 0], damage @ x[:, 1], damage.sum()]))
+        return float(np.abs(moments[:2]).max() / (max(moments[2], 1e-12) * WIDTH))
+
+
+def case(
+    nx=30, horizon=3.015, s_cr=0.002, s_min=0.0015, pull=0.3, G=0.5, scheme="correspondence", law="smooth", steps=30,
+    published=False,
+):  # fmt: skip
+    dx = LENGTH / nx
+    layer = horizon * dx
+    critical = pd.ConstantCritical(s_cr)
+    # Two horizons from the ends no bond fails: the grips raise the stress at their corners.
+    held = pd.region.Slab("x", high=2.0 * layer) | pd.region.Slab("x", low=LENGTH - 2.0 * layer)
+    hole = pd.region.Sphere((0.5 * LENGTH, 0.5 * WIDTH), RADIUS)
+    laws = {
+        "none": None,
+        "smooth": pd.SmoothDegradation(critical, s_min / s_cr, continuous=not published, protected=held),
+        "brittle": pd.Brittle(critical, protected=held),
+        "linear": pd.LinearSoftening(critical, 1.5, protected=held),
+    }
+    left, right = pd.region.Named("fictitious -x"), pd.region.Named("fictitious +x")
+    damage = pd.choose("law", law, laws)
+
+    def results(h):
+        broken = [force for force, lost in zip(h["force"], h["damage"], strict=True) if lost > 0.0]
+        return {
+            "first_damage_load": broken[0] if broken else float("nan"),
+            "peak_load": max(h["force"]),
+            "max_damage": h["damage"][-1],
+            "broken_bonds": h["broken"][-1],
+            "symmetry_error": h["asymmetry"][-1],
+            "last_load": h["force"][-1],
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (LENGTH, WIDTH), dx, cut=hole, fictitious={"-x": layer, "+x": layer}),
+        horizon=layer,
+        material=pd.Hencky(E=210e3, nu=0.33),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        stabilisation=pd.Silling(G) if G else None,
+        damage=damage,
+        conditions=[pd.Displacement(left, x=-pull, y=0.0), pd.Displacement(right, x=pull, y=0.0)],
+        steps=pd.Steps(steps),
+        history={
+            "force": pd.Reaction("x", right),
+            "displacement": pd.Mean(pd.displacement, "x", right),
+            "damage": pd.Largest(pd.local_damage),
+            "broken": pd.BrokenBonds(),
+            "asymmetry": Asymmetry(),
+        },
+        results=results,
+        fields=[pd.displacement, pd.stress, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 20.0),
+    )

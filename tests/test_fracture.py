@@ -1,0 +1,175 @@
+"""Fracture in load steps: separation in every variant, symmetry, ranks, restart, pieces that come free."""
+
+import csv
+import dataclasses
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests.commands import ROOT, field, results
+from tests.test_events import history, one_bond
+
+sys.path.append(str(ROOT / "runs/fracture"))
+import plate_with_hole
+
+PLATE = "runs/fracture/plate_with_hole.py"
+
+
+def broken(folder):
+    with (folder / "broken_bonds.csv").open() as file:
+        return [tuple(row) for row in csv.reader(file)][1:]
+
+
+@pytest.mark.parametrize("ratio", [2.5, 4.0])
+def test_newton_follows_the_law_of_one_bond(ratio, tmp_path):
+    """Two equal springs in series, one of which softens: force k l (r - x) / (r - 1) at every displacement."""
+    case = dataclasses.replace(one_bond(ratio), solver=pd.Newton(), steps=pd.Steps(40))
+    pd.run(case, output=tmp_path, quiet=True)
+    h = history(tmp_path)
+    k, limit, u = 100.0, 0.01, h["displacement"]
+    x = (u / limit - ratio / (ratio - 1.0)) / (1.0 - 1.0 / (ratio - 1.0))
+    exact = np.where(u <= 2.0 * limit, 0.5 * k * u, np.maximum(k * limit * (ratio - x) / (ratio - 1.0), 0.0))
+    assert np.allclose(h["force"], exact, atol=1e-7)
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (h["force"][1:] + h["force"][:-1]) * np.diff(u))])
+    assert np.allclose(work, h["energy"] + h["dissipated"], atol=1e-6 * work[-1] + 0.005 * work.max())
+
+
+def test_the_staggered_solve_jumps_what_newton_cannot_follow(tmp_path):
+    case = dataclasses.replace(one_bond(1.5), solver=pd.Newton(), steps=pd.Steps(7))
+    pd.run(case, output=tmp_path, quiet=True)
+    h = history(tmp_path)
+    assert h["force"].max() == pytest.approx(100.0 * 0.1 / 7 / 2, rel=1e-6)
+    assert np.all(np.abs(h["force"][2:]) < 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "law"),
+    [*(("correspondence", law) for law in ("smooth", "brittle", "linear")), ("sub_horizons", "linear")],
+)
+def test_a_plate_with_a_hole_separates_symmetrically(law, scheme, tmp_path):
+    G = 0.5 if scheme == "correspondence" else 0.0
+    found = results(PLATE, f"law={law}", f"scheme={scheme}", f"G={G}", "steps=20", output=tmp_path)["results"]
+    assert found["broken_bonds"] > 60
+    assert abs(found["last_load"]) < 1e-4 * found["peak_load"]
+    assert found["symmetry_error"] < 1e-6
+    assert 0.0 < found["first_damage_load"] <= found["peak_load"]
+    first = [row for row in broken(tmp_path) if row[0] == broken(tmp_path)[0][0]]
+    places = np.array([[float(row[5]), float(row[6])] for row in first]) - [75.0, 25.0]
+    # Damage starts on the ligament beside the hole.
+    assert np.all(np.abs(places[:, 0]) < 15.0)
+    assert np.abs(places[:, 1]).min() < 20.0
+
+
+def test_any_number_of_ranks_breaks_the_same_bonds(tmp_path):
+    rows = {}
+    for ranks in (1, 2, 3, 4):
+        results(PLATE, "steps=15", output=tmp_path / str(ranks), ranks=ranks)
+        rows[ranks] = [(row[0], row[2], row[3]) for row in broken(tmp_path / str(ranks))]
+    assert len(rows[1]) > 60
+    assert rows[1] == rows[2] == rows[3] == rows[4]
+
+
+class Stop(pd.Quantity):
+    """Ends the run once the step time is beyond a number."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def evaluate(self, solution):
+        if solution.t > self.after:
+            raise pd.Interrupted("enough")
+        return 0.0
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_restart_goes_on_with_the_same_bonds_and_fields(ranks, tmp_path):
+    arguments = ("scheme=sub_horizons", "G=0", "steps=30")
+    whole = results(PLATE, *arguments, output=tmp_path / "whole")["results"]
+    case = plate_with_hole.case(scheme="sub_horizons", G=0.0, steps=30)
+    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(0.24)})
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped, output=tmp_path / "part", quiet=True)
+    checkpoint = tmp_path / "part" / "checkpoint.h5"
+    assert json.loads((tmp_path / "part" / "summary.json").read_text())["status"] == "enough"
+    again = results(PLATE, *arguments, "--restart", checkpoint, output=tmp_path / "rest", ranks=ranks)["results"]
+    assert 0 < len(broken(tmp_path / "part")) < len(broken(tmp_path / "whole"))
+    assert [row[:4:2] for row in broken(tmp_path / "rest")] == [row[:4:2] for row in broken(tmp_path / "whole")]
+    for name in ("displacement", "local_damage"):
+        one, other = field(tmp_path / "whole", name), field(tmp_path / "rest", name)
+        assert np.abs(one - other).max() <= 1e-10 * np.abs(one).max()
+    assert again["broken_bonds"] == whole["broken_bonds"]
+
+
+def test_a_checkpoint_of_another_damage_is_refused(tmp_path):
+    case = plate_with_hole.case(law="none", steps=1)
+    pd.run(case, output=tmp_path, quiet=True)
+    with pytest.raises(pd.CaseError, match="damage none, this has Brittle"):
+        pd.run(plate_with_hole.case(law="brittle"), output=tmp_path, restart=tmp_path / "checkpoint.h5", quiet=True)
+
+
+def strip(**changes):
+    """Return a strip with a square piece that cracks cut free but for bonds across one side."""
+    declared = {
+        "particles": pd.Lattice((0.0, 0.0), (12.0, 6.0), 1.0),
+        "horizon": 2.015,
+        "material": pd.Hencky(E=100.0, nu=0.3),
+        "scheme": pd.Correspondence(),
+        "stabilisation": pd.Silling(0.5),
+        "damage": pd.Brittle(pd.ConstantCritical(0.02)),
+        "conditions": [
+            pd.Displacement(pd.region.Slab("x", high=2.0), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=10.0), x=0.6, y=0.0),
+        ],
+        "steps": pd.Steps(20),
+        "history": {"force": pd.Reaction("x", pd.region.Slab("x", low=10.0)), "broken": pd.BrokenBonds()},
+        "results": lambda h: {"force": h["force"][-1], "broken": h["broken"][-1], "peak": max(h["force"])},
+    }
+    return pd.Case(**(declared | changes))
+
+
+def test_compression_breaks_nothing(tmp_path):
+    pressed = [strip().conditions[0], pd.Displacement(pd.region.Slab("x", low=10.0), x=-0.3, y=0.0)]
+    found = pd.run(strip(conditions=pressed), output=tmp_path, quiet=True)
+    assert found["force"] < 0.0
+    # Only bonds across the pressure lengthen, by Poisson's ratio.
+    assert found["broken"] == 0.0 or all(abs(float(row[6]) - round(float(row[6]))) < 1.0 for row in broken(tmp_path))
+
+
+def test_a_piece_comes_free_and_stays_where_it_is(tmp_path):
+    """Two parallel planes of weak bonds: the middle of the strip loses both sides."""
+    weak = pd.CriticalFunction(
+        lambda length, middle: np.where(np.minimum(abs(middle[:, 0] - 4.5), abs(middle[:, 0] - 7.5)) < 1.2, 0.01, 1.0)
+    )
+    found = pd.run(strip(damage=pd.Brittle(weak)), output=tmp_path, quiet=True)
+    assert abs(found["force"]) < 1e-5 * found["peak"]
+    u = field(tmp_path, "displacement")
+    assert np.abs(u).max() <= 0.6 * (1.0 + 1e-6)
+
+
+def test_two_cracks_meet(tmp_path):
+    cracks = [pd.Segment((5.0, -1.0), (5.0, 2.1)), pd.Segment((7.0, 3.9), (7.0, 7.0))]
+    far = [strip().conditions[0], dataclasses.replace(strip().conditions[1], x=2.0)]
+    found = pd.run(strip(cracks=cracks, conditions=far), output=tmp_path, quiet=True)
+    assert abs(found["force"]) < 1e-5 * found["peak"]
+    assert found["broken"] > 0
+
+
+def test_unloading_follows_the_secant_and_reloading_comes_back(tmp_path):
+    schedule = pd.Table([0.0, 0.4, 0.6, 0.8], [0.0, 1.0, 0.0, 0.5])
+    right = dataclasses.replace(strip().conditions[1], x=0.167, schedule=schedule)
+    soft = pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0)
+    case = strip(damage=soft, conditions=[strip().conditions[0], right])
+    pd.run(case, output=tmp_path, quiet=True)
+    h = history(tmp_path)
+    loading, top, unloading, bottom, reloading = 4, 8, 10, 12, 16
+    assert h["force"][bottom] == pytest.approx(0.0, abs=1e-6 * h["force"][top])
+    assert h["force"][reloading] == pytest.approx(h["force"][unloading], rel=1e-6)
+    assert h["force"][unloading] < (1.0 - 1e-4) * h["force"][loading]
+
+
+def test_protected_bonds_do_not_fail(tmp_path):
+    everywhere = pd.Brittle(pd.ConstantCritical(0.02), protected=pd.region.All())
+    assert pd.run(strip(damage=everywhere), output=tmp_path, quiet=True)["broken"] == 0.0

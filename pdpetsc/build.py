@@ -9,7 +9,8 @@ from typing import cast
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
-from pdpetsc.bond_based import BondMaterial, Neighbourhood
+from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
+from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, law_of
 from pdpetsc.damage import ConstantCritical, LinearSoftening
 from pdpetsc.discrete.cloud import Cloud, distribute
@@ -85,9 +86,12 @@ def _model(
         return BondModel(bonds, bond_materials, material_of, factor, case.damage, _protected(case, cloud))
     laws = cast(Sequence[Material], materials)
     if case.damage is not None:
+        bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+        alike = [BondBased(law.E, plane=law.plane, calibration="lattice") for law in laws]
+        k = combine(bonds, alike, material_of, np.ones(cloud.n_owned) if factor is None else factor).k
         return DamagedCorrespondenceModel(
-            cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor, case.damage,
-            _protected(case, cloud),
+            cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor,
+            resolve(case.damage, bonds, k), _protected(case, cloud),
         )  # fmt: skip
     return CorrespondenceModel(cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor)
 

@@ -159,6 +159,37 @@ def test_dissipation_of_gradients_is_refused_and_history_too():
         damaged_body(2, pd.Brittle(CRITICAL), control=pd.Wan())
 
 
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+@pytest.mark.parametrize("dim", DIMS)
+def test_a_fracture_energy_is_what_breaking_the_bonds_across_a_plane_takes(dim, law):
+    Gc = 0.7
+    model = bond_body(dim, pd.BondBased(E=10.0, calibration="lattice"), cell=True, damage=law(pd.FractureEnergy(Gc)))
+    cloud, families = model.cloud, model.families
+    sides = np.ptp(cloud.x[: cloud.n_owned], axis=0) + 1.0
+    one = np.ones(len(model.k))
+    each = model.failure.law.dissipated(0.0 * one, model.failure.law.final * one, model.k, model.failure.limit)
+    found = []
+    for axis in range(dim):
+        # A plane between two layers and its images; bonds across it count from both of their ends.
+        planes = 0.5 + sides[axis] * np.arange(-2, 3)
+        ends = cloud.x[families.centres, axis], cloud.x[families.neighbours, axis]
+        crossing = (np.minimum(*ends)[:, None] < planes) & (np.maximum(*ends)[:, None] > planes)
+        found.append((each @ crossing).sum() / np.prod(np.delete(sides, axis)))
+    assert np.mean(found) == pytest.approx(Gc, rel=1e-12)
+
+
+def test_a_fracture_energy_serves_gradients_too(tmp_path):
+    import dataclasses
+
+    from tests.test_fracture import strip
+
+    law = pd.Brittle(pd.FractureEnergy(0.01))
+    found = pd.run(dataclasses.replace(strip(), damage=law), output=tmp_path, quiet=True)
+    assert found["broken"] > 0
+    with pytest.raises(pd.CaseError, match="must be positive"):
+        pd.FractureEnergy(0.0)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

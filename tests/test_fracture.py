@@ -178,3 +178,12 @@ def test_unloading_follows_the_secant_and_reloading_comes_back(tmp_path):
 def test_protected_bonds_do_not_fail(tmp_path):
     everywhere = pd.Brittle(pd.ConstantCritical(0.02), protected=pd.region.All())
     assert pd.run(strip(damage=everywhere), output=tmp_path, quiet=True)["broken"] == 0.0
+
+
+@pytest.mark.parametrize("a", [3.0, 5.0])
+def test_a_centre_crack_grows_at_the_load_of_griffith(a, tmp_path):
+    found = results("runs/fracture/centre_crack.py", f"a={a}", output=tmp_path)["results"]
+    assert found["ratio"] == pytest.approx(1.0, abs=0.05)
+    # It runs along the ligaments in its own plane.
+    places = np.array([[float(row[5]), float(row[6])] for row in broken(tmp_path)])
+    assert np.abs(places[:, 1] - 20.0).max() < 5.0

@@ -9,7 +9,7 @@ from pdpetsc.damage.bond import (
     PiecewiseLinear,
     SmoothDegradation,
 )
-from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, LinearCritical
+from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
 
 __all__ = [
     "BilinearSoftening",
@@ -19,6 +19,7 @@ __all__ = [
     "CriticalFunction",
     "CriticalStretch",
     "ExponentialSoftening",
+    "FractureEnergy",
     "LinearCritical",
     "LinearSoftening",
     "PiecewiseLinear",

@@ -88,3 +88,27 @@ class CriticalFunction(CriticalStretch):
                 f"The critical stretch must be one number per bond, {length.shape}, the function gave {values.shape}."
             )
         return values
+
+
+@dataclass(frozen=True)
+class FractureEnergy(CriticalStretch):
+    """The critical stretch with which breaking every bond across a unit area takes the energy ``Gc``.
+
+    The energy is the discrete sum over the bonds of the body, for its influence function, horizon and law of damage;
+    for deformation gradients, whose bonds have no energy of their own, that of the bond-based material with the same E.
+
+    Parameters
+    ----------
+    Gc : float
+        Fracture energy [energy / area], positive.
+    """
+
+    Gc: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.Gc) and self.Gc > 0.0):
+            raise CaseError(f"A fracture energy must be positive, not {self.Gc}.")
+
+    def __call__(self, length: Float, middle: Float) -> Float:
+        """Refuse: it is resolved into a number once the stiffness of the bonds is known."""
+        raise CaseError("A fracture energy gives a critical stretch in a case only, where the bonds are known.")

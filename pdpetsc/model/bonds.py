@@ -9,6 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondMaterial, Neighbourhood, combine
+from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.damage import BondDamage
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.pattern import sharing_stencil
@@ -75,7 +76,7 @@ class BondModel(Model):
         if damage is not None:
             if self.a is not None:
                 raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
-            self.failure = BondFailure(cloud, families, damage, protected)
+            self.failure = BondFailure(cloud, families, resolve(damage, bonds, self.k), protected)
 
     @property
     def n_points(self) -> int:

@@ -32,12 +32,13 @@ from pdpetsc.scene.solver import DynamicRelaxation, EventDriven
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
 from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.solve.defaults import default_options, stiffness_scale
 from pdpetsc.solve.events import EventSolver
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import petsc_version
 from pdpetsc.solve.relaxation import RelaxationSolver
-from pdpetsc.solve.static import StaticSolver, default_options, stiffness_scale
+from pdpetsc.solve.static import StaticSolver
 from pdpetsc.solve.steps import Converged, load_steps
 
 

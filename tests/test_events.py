@@ -74,7 +74,7 @@ def test_one_bond_in_series_with_another_follows_its_law(ratio, tmp_path):
 
 
 @pytest.mark.parametrize("critical", ["constant", "decreasing", "increasing"])
-@pytest.mark.parametrize("n", [10, 20, 50, 100])
+@pytest.mark.parametrize("n", [10, 20, pytest.param(50, marks=pytest.mark.long), 100])
 def test_energy_balances_at_every_event(n, critical, tmp_path):
     found = results(CELL, f"n={n}", f"critical={critical}", output=tmp_path)["results"]
     h = history(tmp_path)
@@ -88,7 +88,7 @@ def test_energy_balances_at_every_event(n, critical, tmp_path):
     assert abs(h["force"][-1]) < 1e-9 * found["max_force"]
 
 
-@pytest.mark.parametrize("n", [10, 20, 50, 100, 200])
+@pytest.mark.parametrize("n", [10, 20, 50, 100, pytest.param(200, marks=pytest.mark.long)])
 def test_constant_critical_stretch_breaks_a_triangle(n, tmp_path):
     """Fig. 4 and 5: the same maximum force and final displacement for all n, one section cut, every bond across it."""
     found = results(CELL, f"n={n}", output=tmp_path)["results"]

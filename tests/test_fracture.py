@@ -47,7 +47,11 @@ def test_the_staggered_solve_jumps_what_newton_cannot_follow(tmp_path):
 
 @pytest.mark.parametrize(
     ("scheme", "law"),
-    [*(("correspondence", law) for law in ("smooth", "brittle", "linear")), ("sub_horizons", "linear")],
+    [
+        ("correspondence", "smooth"),
+        *(pytest.param("correspondence", law, marks=pytest.mark.long) for law in ("brittle", "linear")),
+        ("sub_horizons", "linear"),
+    ],
 )
 def test_a_plate_with_a_hole_separates_symmetrically(law, scheme, tmp_path):
     G = 0.5 if scheme == "correspondence" else 0.0
@@ -180,7 +184,7 @@ def test_protected_bonds_do_not_fail(tmp_path):
     assert pd.run(strip(damage=everywhere), output=tmp_path, quiet=True)["broken"] == 0.0
 
 
-@pytest.mark.parametrize("a", [3.0, 5.0])
+@pytest.mark.parametrize("a", [pytest.param(3.0, marks=pytest.mark.long), 5.0])
 def test_a_centre_crack_grows_at_the_load_of_griffith(a, tmp_path):
     found = results("runs/fracture/centre_crack.py", f"a={a}", output=tmp_path)["results"]
     assert found["ratio"] == pytest.approx(1.0, abs=0.05)

@@ -18,7 +18,7 @@ AXES = {1: ["x"], 2: ["x", "xy"], 3: ["x", "xz", "xyz"]}
 @pytest.mark.parametrize(("dim", "axes"), [(dim, axes) for dim in AXES for axes in AXES[dim]])
 @pytest.mark.parametrize("control", ["stress", "strain"])
 def test_mean_stress_and_strain_give_the_exact_uniform_gradient(dim, axes, scheme, control, tmp_path):
-    for horizon in (1.015, 2.015) if dim == 3 else (1.015, 2.015, 3.015):
+    for horizon in (2.015,) if dim == 3 else (1.015, 3.015):
         arguments = (f"dim={dim}", f"axes={axes}", f"scheme={scheme}", f"control={control}", f"horizon={horizon}")
         found = results(CELL, *arguments, "G=0.5", output=tmp_path)["results"]
         assert found["max_F_error"] < 1e-10

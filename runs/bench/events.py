@@ -26,9 +26,9 @@ from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.loading import Loading  # noqa: E402
 from pdpetsc.scene.solver import EventDriven  # noqa: E402
+from pdpetsc.solve.defaults import default_options, stiffness_scale  # noqa: E402
 from pdpetsc.solve.events import EventSolver  # noqa: E402
 from pdpetsc.solve.petsc import options  # noqa: E402
-from pdpetsc.solve.static import default_options, stiffness_scale  # noqa: E402
 
 EVENTS = 600
 FACTORISATIONS = 30

@@ -197,6 +197,8 @@ def test_a_fracture_energy_serves_gradients_too(tmp_path):
         lambda: pd.ExponentialSoftening(CRITICAL, 2.0, -1.0),
         lambda: pd.BilinearSoftening(CRITICAL, 7.0),
         lambda: pd.SmoothDegradation(CRITICAL, 1.0),
+        lambda: pd.Brittle(0.1),
+        lambda: pd.LinearSoftening(0.1),
     ],
 )
 def test_wrong_laws_are_refused(wrong):

@@ -37,6 +37,12 @@ class BondDamage(ABC):
     critical: CriticalStretch
     protected: Region | None = field(default=None, kw_only=True)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.critical, CriticalStretch):
+            raise CaseError(
+                f"{type(self).__name__} needs a critical stretch such as ConstantCritical(0.01), not {self.critical!r}."
+            )
+
     @property
     @abstractmethod
     def onset(self) -> float:
@@ -155,6 +161,7 @@ class LinearSoftening(PiecewiseLinear):
     ratio: float = 2.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_ratio(self.ratio)
 
     @property
@@ -179,6 +186,7 @@ class ExponentialSoftening(BondDamage):
     rate: float = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_ratio(self.ratio)
         if not (math.isfinite(self.rate) and self.rate > 0.0):
             raise CaseError(f"Exponential softening needs a positive rate, not {self.rate}.")
@@ -220,6 +228,7 @@ class BilinearSoftening(BondDamage):
     ratio: float = 6.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_ratio(self.ratio)
         if not (1.0 < self.kink < self.ratio and 0.0 < self.share < 1.0):
             raise CaseError(
@@ -275,6 +284,7 @@ class SmoothDegradation(BondDamage):
     continuous: bool = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (0.0 < self.start < 1.0 and math.isfinite(self.beta) and self.beta > 0.0):
             raise CaseError(f"Smooth degradation needs 0 < start < 1 and beta > 0, not {self.start} and {self.beta}.")
 

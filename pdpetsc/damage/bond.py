@@ -44,9 +44,9 @@ class BondDamage(ABC):
             )
 
     @property
-    @abstractmethod
     def onset(self) -> float:
-        """Return x where the integrity begins to fall [-]."""
+        """Return x where the integrity begins to fall [-]: at the critical stretch."""
+        return 1.0
 
     @property
     @abstractmethod
@@ -97,11 +97,6 @@ class PiecewiseLinear(BondDamage):
     @abstractmethod
     def final_ratio(self) -> float:
         """Return the stretch without force over the critical one [-]: 1 for a bond that snaps."""
-
-    @property
-    def onset(self) -> float:
-        """Return 1."""
-        return 1.0
 
     @property
     def final(self) -> float:
@@ -192,11 +187,6 @@ class ExponentialSoftening(BondDamage):
             raise CaseError(f"Exponential softening needs a positive rate, not {self.rate}.")
 
     @property
-    def onset(self) -> float:
-        """Return 1."""
-        return 1.0
-
-    @property
     def final(self) -> float:
         """Return the ratio."""
         return self.ratio
@@ -235,11 +225,6 @@ class BilinearSoftening(BondDamage):
                 f"Bilinear softening needs 1 < kink < ratio and 0 < share < 1, "
                 f"not {self.kink}, {self.ratio} and {self.share}."
             )
-
-    @property
-    def onset(self) -> float:
-        """Return 1."""
-        return 1.0
 
     @property
     def final(self) -> float:

@@ -131,11 +131,13 @@ class Model(ABC):
     @property
     def softens(self) -> bool:
         """Return whether bonds lose their force gradually (not collective)."""
-        return False
+        return self.failure is not None and self.failure.law.final > self.failure.law.onset
 
-    @abstractmethod
     def freeze(self, frozen: bool) -> None:
         """Let damage stay, or follow the displacement (not collective)."""
+        if self.failure is not None:
+            self.failure.frozen = frozen
+            self.version += 1
 
     def soften(self, u: Float) -> float:
         """Take the damage at ``u`` for good; return the largest change of an integrity [-]."""

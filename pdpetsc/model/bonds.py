@@ -221,17 +221,6 @@ class BondModel(Model):
         self.version += int(broken > 0)
         return broken
 
-    @property
-    def softens(self) -> bool:
-        """Return whether bonds lose their force gradually."""
-        return self.failure is not None and self.failure.law.final > self.failure.law.onset
-
-    def freeze(self, frozen: bool) -> None:
-        """Let the integrity of bonds stay, or follow the displacement."""
-        if self.failure is not None:
-            self.failure.frozen = frozen
-            self.version += 1
-
     def soften(self, u: Float) -> float:
         """Take the integrity of bonds at ``u`` for good; return the largest change."""
         if self.failure is None:

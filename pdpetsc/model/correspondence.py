@@ -169,9 +169,6 @@ class CorrespondenceModel(Model):
             for law in self.laws:
                 law.commit(F)
 
-    def freeze(self, frozen: bool) -> None:
-        """Do nothing: there is no damage."""
-
     def revert(self) -> None:
         """Do nothing: nothing changes before ``commit``."""
 

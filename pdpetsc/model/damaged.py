@@ -64,7 +64,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
             raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
         self._omega = omega
         self._scheme = scheme
-        self._materials = materials
         self._material_of = material_of
         self._factor = factor
         self.failure = BondFailure(cloud, families, damage, protected)
@@ -87,11 +86,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     def symmetric(self) -> bool:
         """Return False: forces are scaled, gradients are not."""
         return False
-
-    @property
-    def softens(self) -> bool:
-        """Return whether bonds lose their force gradually."""
-        return self.failure.law.final > self.failure.law.onset
 
     @property
     def has_history(self) -> bool:
@@ -180,11 +174,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         self.failure.revert()
         changed = int(total(self.cloud.comm, int(np.any(broken != ~self.failure.intact))))
         self._changed(changed > 0)
-
-    def freeze(self, frozen: bool) -> None:
-        """Let the integrity of bonds stay, or follow the displacement."""
-        self.failure.frozen = frozen
-        self.version += 1
 
     def soften(self, u: Float) -> float:
         """Take the integrity of bonds at ``u`` for good; return the largest change."""

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 from pdpetsc.arrays import Float
+from pdpetsc.model import Model
 
 
 @dataclass(frozen=True)
@@ -68,33 +69,16 @@ class Solver(ABC):
 
 
 class StepSolver(Solver):
-    """Finds equilibrium of one load step after another."""
+    """Finds equilibrium of one load step after another.
 
-    @property
-    @abstractmethod
-    def softens(self) -> bool:
-        """Return whether the body has bonds that lose their force gradually."""
+    Attributes
+    ----------
+    model : Model
+        The body, whose damage and history the load stepping changes between equilibria.
+    """
+
+    model: Model
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Find equilibrium at step time ``t`` from ``u`` (n_rows, dim); collective."""
-
-    @abstractmethod
-    def break_bonds(self, u: Float, most: int | None) -> int:
-        """Break what has reached its limit at equilibrium ``u``; return how many bonds (collective)."""
-
-    @abstractmethod
-    def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement."""
-
-    @abstractmethod
-    def soften(self, u: Float) -> float:
-        """Take the damage at ``u`` for good; return the largest change of an integrity [-] (collective)."""
-
-    @abstractmethod
-    def revert(self) -> None:
-        """Take back what broke since the last ``accept``."""
-
-    @abstractmethod
-    def accept(self, u: Float) -> None:
-        """Take ``u`` as the converged state that the next step starts from (collective)."""

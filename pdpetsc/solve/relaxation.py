@@ -48,7 +48,7 @@ class RelaxationSolver(StepSolver):
     advice = "look for zero-energy modes, add or raise the stabilisation, take more steps or more iterations"
 
     def __init__(self, model: Model, loading: Loading, options: DynamicRelaxation, stop: Callable[[], bool]) -> None:
-        self._model = model
+        self.model = model
         self._loading = loading
         self._options = options
         self._stop = stop
@@ -66,31 +66,6 @@ class RelaxationSolver(StepSolver):
     def description(self) -> str:
         """Return the solver in a few words."""
         return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
-
-    def accept(self, u: Float) -> None:
-        """Let what has a history remember ``u``."""
-        self._model.commit(u)
-
-    def break_bonds(self, u: Float, most: int | None) -> int:
-        """Break bonds past their final stretch at ``u``, about ``most`` at once; return how many."""
-        return self._model.break_bonds(u, most)
-
-    @property
-    def softens(self) -> bool:
-        """Return whether the body has bonds that lose their force gradually."""
-        return self._model.softens
-
-    def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement."""
-        self._model.freeze(frozen)
-
-    def soften(self, u: Float) -> float:
-        """Take the damage at ``u`` for good; return the largest change."""
-        return self._model.soften(u)
-
-    def revert(self) -> None:
-        """Restore what broke since the last accepted step."""
-        self._model.revert()
 
     def destroy(self) -> None:
         """Free nothing."""
@@ -124,7 +99,7 @@ class RelaxationSolver(StepSolver):
             softness = np.where(velocity != 0.0, -(residual - old) / np.where(change != 0.0, change, 1.0), 0.0)
             travelled = moved - start
             sums = total(
-                self._model.cloud.comm,
+                self.model.cloud.comm,
                 [
                     (softness * travelled**2).sum(),
                     (self._mass * travelled**2).sum(),
@@ -152,23 +127,23 @@ class RelaxationSolver(StepSolver):
 
     def _residual(self, u: Float, external: Float) -> tuple[Float | None, float]:
         """Return ``f_ext - f_int`` on the free degrees of freedom and the norm of forces and reactions."""
-        force = self._model.internal_force(u)
+        force = self.model.internal_force(u)
         if force is None:
             return None, 0.0
         reaction = np.where(self._free, 0.0, force - external)
-        size = max(total(self._model.cloud.comm, [(external**2).sum(), (reaction**2).sum()]))
+        size = max(total(self.model.cloud.comm, [(external**2).sum(), (reaction**2).sum()]))
         return np.where(self._free, external - force, 0.0), float(np.sqrt(size))
 
     def _norm(self, values: Float) -> float:
-        return float(np.sqrt(total(self._model.cloud.comm, (values**2).sum())))
+        return float(np.sqrt(total(self.model.cloud.comm, (values**2).sum())))
 
     def _time_step(self, u: Float) -> float:
         """Return the time step that is stable at ``u``."""
-        cloud = self._model.cloud
+        cloud = self.model.cloud
         gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
         gid = gid[:, None].astype(float)
         v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
-        tangent = self._model.linearised(u)
+        tangent = self.model.linearised(u)
         square = 0.0
         for _ in range(POWER_ITERATIONS):
             v = v / max(self._norm(v), np.finfo(float).tiny)

@@ -134,31 +134,6 @@ class StaticSolver(StepSolver):
             self._prescribed = old_prescribed
         return self._at_prescribed(self._x.array).copy(), result
 
-    def accept(self, u: Float) -> None:
-        """Let what has a history remember ``u``."""
-        self.model.commit(u)
-
-    def break_bonds(self, u: Float, most: int | None) -> int:
-        """Break bonds past their final stretch at ``u``, about ``most`` at once; return how many."""
-        return self.model.break_bonds(u, most)
-
-    @property
-    def softens(self) -> bool:
-        """Return whether the body has bonds that lose their force gradually."""
-        return self.model.softens
-
-    def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement."""
-        self.model.freeze(frozen)
-
-    def soften(self, u: Float) -> float:
-        """Take the damage at ``u`` for good; return the largest change."""
-        return self.model.soften(u)
-
-    def revert(self) -> None:
-        """Restore what broke since the last accepted step."""
-        self.model.revert()
-
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
         self.snes.destroy()

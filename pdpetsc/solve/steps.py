@@ -89,13 +89,13 @@ def load_steps(
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
         if result.converged:
             u, t = attempt, target
-            solver.accept(u)
+            solver.model.commit(u)
             yield Converged(u, t, result, failures, broken, sweeps)
             failures = []
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
             continue
-        solver.revert()
+        solver.model.revert()
         failures.append(result)
         dt = 0.5 * (target - t)
         on_failure(t, dt, result)
@@ -111,26 +111,26 @@ def _equilibrium(
     solver: StepSolver, steps: Steps | AdaptiveSteps, u: Float, target: float, stop: Callable[[], bool]
 ) -> tuple[Float, StepResult, int, int]:
     """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held."""
-    broken = 0
-    solver.freeze(False)
+    model, broken = solver.model, 0
+    model.freeze(False)
     attempt, result = solver.solve(u, target)
-    if not solver.softens:
-        while result.converged and (more := solver.break_bonds(attempt, steps.breaks)):
+    if not model.softens:
+        while result.converged and (more := model.break_bonds(attempt, steps.breaks)):
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
-    if stop() or (result.converged and solver.soften(attempt) <= GENTLE and not solver.break_bonds(attempt, 1)):
+    if stop() or (result.converged and model.soften(attempt) <= GENTLE and not model.break_bonds(attempt, 1)):
         return attempt, result, broken, 0
-    solver.revert()
-    solver.freeze(True)
+    model.revert()
+    model.freeze(True)
     attempt, broken, iterations, linear = u, 0, 0, 0
     for sweep in range(1, SWEEPS + 1):
         attempt, result = solver.solve(attempt, target)
         iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         if not result.converged:
             break
-        change = solver.soften(attempt)
-        more = solver.break_bonds(attempt, steps.breaks)
+        change = model.soften(attempt)
+        more = model.break_bonds(attempt, steps.breaks)
         broken += more
         if change < SETTLED and not more:
             result = replace(

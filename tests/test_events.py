@@ -271,6 +271,7 @@ def refused(**changes):
         (refused(material=pd.LinearSolid(E=1.0, nu=0.2)), "LinearSolid has no damage"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 0.0 * length))), "not positive"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 1.0))), "one number per bond"),
+        (refused(material=pd.LinearElastic(E=1.0)), "those of deformation gradients fail in load steps"),
         (refused(damage=pd.SmoothDegradation(pd.ConstantCritical(1e-3))), "SmoothDegradation is not"),
     ],
 )

@@ -125,10 +125,14 @@ class CorrespondenceModel(Model):
         if int(total(self.cloud.comm, int(not self.admissible(F)))):
             return None
         f = np.zeros_like(u_local)
-        self.operator.divergence(self.stress(F), f)
+        self.put_forces(self.stress(F), u_local, f)
         if self.control is not None:
             self.control.force(u_local, f)
         return self.gather(f)
+
+    def put_forces(self, P: Float, u_local: Float, f: Float) -> None:
+        """Add the forces of stresses ``P`` (n_points, dim, dim) at displacements ``u`` to ``f`` (not collective)."""
+        self.operator.divergence(P, f)
 
     def all_admissible(self, u: Float) -> bool:
         """Return whether ``det F > 0`` on every rank."""

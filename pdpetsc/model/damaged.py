@@ -105,18 +105,10 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         h[first] = -np.add.reduceat(h, first, axis=0)
         return np.asarray(h)
 
-    def internal_force(self, u: Float) -> Float | None:
-        """Return the internal forces (n_rows, dim) [force]; None on all ranks where any rank has ``det F <= 0``."""
-        u_local = self.with_ghosts(u)
-        F = self.deformation(u_local)
-        if int(total(self.cloud.comm, int(not self.admissible(F)))):
-            return None
-        f = np.zeros_like(u_local)
+    def put_forces(self, P: Float, u_local: Float, f: Float) -> None:
+        """Add the forces of stresses ``P`` with the integrity of the bonds at ``u`` to ``f`` (not collective)."""
         T, _ = self.failure.at(self.elongation(u_local))
-        self._put_forces(self.stress(F), self.scaled_weights(T), f)
-        if self.control is not None:
-            self.control.force(u_local, f)
-        return self.gather(f)
+        self._put_forces(P, self.scaled_weights(T), f)
 
     def linearised(self, u: Float) -> Linearised:
         """Return ``du -> K du`` with the exact derivative of the integrity, where it is not frozen."""

@@ -74,6 +74,8 @@ class EventSolver(Solver):
         self, model: Model, loading: Loading, assembler: Assembler, options: EventDriven, scale: float,
         stop: Callable[[], bool],
     ) -> None:  # fmt: skip
+        # Events change the integrity; between them it stays.
+        model.freeze(True)
         _refuse(model, loading)
         self._law = _law_of(model) if isinstance(model, BondModel) and model.failure is not None else None
         self._model = model
@@ -287,7 +289,11 @@ def _law_of(model: Model) -> PiecewiseLinear:
 
 def _refuse(model: Model, loading: Loading) -> None:
     """Raise on all ranks if the laws are not piecewise linear or the conditions not proportional (collective)."""
-    model.freeze(True)
+    if model.failure is not None and not isinstance(model, BondModel):
+        raise CaseError(
+            "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients fail in "
+            "load steps, with Newton."
+        )
     if not model.linear:
         raise CaseError(
             "The event-driven solver needs laws that are piecewise linear: LinearElastic, or bonds with small "

@@ -27,7 +27,9 @@ from pdpetsc.quantities import (
     CellStrain,
     CellStress,
     ControlEnergy,
+    CrackTip,
     DissipatedEnergy,
+    ExternalWork,
     Largest,
     LargestError,
     Mean,
@@ -44,7 +46,7 @@ from pdpetsc.scene.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segme
 from pdpetsc.scene.files import Mesh, TextFile
 from pdpetsc.scene.particles import Arrays, Lattice
 from pdpetsc.scene.schedule import Hold, Ramp, Table
-from pdpetsc.scene.solver import SOLVERS, DynamicRelaxation, EventDriven, Newton
+from pdpetsc.scene.solver import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import (
     Solution,
@@ -78,6 +80,7 @@ __all__ = [
     "BodyForce",
     "BondAssociated",
     "BondBased",
+    "BondStretch",
     "Brittle",
     "BrokenBonds",
     "Case",
@@ -89,6 +92,7 @@ __all__ = [
     "ControlEnergy",
     "Corrected",
     "Correspondence",
+    "CrackTip",
     "CriticalFunction",
     "Disc",
     "Displacement",
@@ -96,6 +100,7 @@ __all__ = [
     "DynamicRelaxation",
     "EventDriven",
     "ExponentialSoftening",
+    "ExternalWork",
     "Force",
     "FractureEnergy",
     "Graded",
@@ -117,7 +122,9 @@ __all__ = [
     "Mesh",
     "NeoHookean",
     "Newton",
+    "Opening",
     "OutputError",
+    "PathFollowing",
     "Picture",
     "PlaneCrack",
     "PolygonCrack",

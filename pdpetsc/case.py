@@ -63,7 +63,7 @@ class Case:
         Periodic cell that the particles fill; hold one particle against translation.
     steps : Steps or AdaptiveSteps
         How the load is applied.
-    solver : Newton, DynamicRelaxation or EventDriven
+    solver : Newton, DynamicRelaxation, EventDriven or PathFollowing
         How equilibrium is found.
     history : mapping of str to Quantity
         Numbers written per step.
@@ -71,6 +71,8 @@ class Case:
         Gets the history as lists per name and returns the named scalar results of the run.
     fields : sequence of Field
         What is written per step; empty for no file of fields.
+    checkpoints : int
+        A checkpoint every so many steps, and where the run ends, also by a signal or a failure; 0 for none.
     picture : Picture, optional
         What is drawn at the end.
     options : mapping of str to value
@@ -92,6 +94,7 @@ class Case:
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
     fields: Sequence[Field] = (displacement, stress)
+    checkpoints: int = 1
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
@@ -118,6 +121,8 @@ class Case:
         spacing = getattr(self.particles, "spacing", 0.0)
         if self.horizon < spacing * (1.0 - 1e-9):
             raise CaseError(f"The horizon {self.horizon:g} is below the spacing {spacing:g}; families would be empty.")
+        if self.checkpoints < 0:
+            raise CaseError(f"Case takes checkpoints >= 0, not {self.checkpoints}.")
         self._check_formulation()
         clash = {"step", "t"} & set(self.history)
         if clash:

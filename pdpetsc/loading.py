@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, smallest, total
+from pdpetsc.discrete.communicator import agreed, largest, smallest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.model import Model
 from pdpetsc.scene.conditions import (
@@ -26,6 +26,9 @@ from pdpetsc.scene.region import Region, View
 
 # A consistent traction that adds up to less than this share of traction times face is not that of one face.
 WHOLE_FACE = 0.5
+# Step times at which conditions are compared with their proportional values, and how closely.
+PROBES = (0.0, 0.3, 0.7)
+PROPORTIONAL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,20 @@ class Loading:
             f[:n] += self._consistent_forces(traction, normal, t) * reached[:, None]
         self._add_means(f, MeanStress, t)
         return f
+
+    def refuse_what_is_not_proportional(self, who: str) -> None:
+        """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective)."""
+        whole = [self.prescribed(1.0), self.forces(1.0)]
+        comm = self._model.cloud.comm
+        for t in PROBES:
+            part = [self.prescribed(t), self.forces(t)]
+            off = max(np.abs(p - t * w).max(initial=0.0) for p, w in zip(part, whole, strict=True))
+            size = max(np.abs(w).max(initial=0.0) for w in whole)
+            if largest(comm, off) > PROPORTIONAL * max(largest(comm, size), 1e-300):
+                raise CaseError(
+                    f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
+                    f"the load goes up and down as equilibrium demands, which has no meaning for others."
+                )
 
     def mean_stress(self, forces: Float) -> Float:
         """Return the components of mean stress (n_components,) from the forces on the virtual unknowns (collective)."""

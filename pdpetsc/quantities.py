@@ -11,7 +11,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import All, Nearest, Region
-from pdpetsc.solution import Field, Solution, reaction
+from pdpetsc.solution import Field, Solution, local_damage, reaction
 
 EVERYWHERE = All()
 
@@ -112,12 +112,56 @@ class ControlEnergy(Quantity):
 
 
 @dataclass(frozen=True)
+class ExternalWork(Quantity):
+    """What loads and supports have done [energy], by the trapezoidal rule over the steps."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the work."""
+        return solution.work
+
+
+@dataclass(frozen=True)
 class DissipatedEnergy(Quantity):
-    """What failing bonds have dissipated [energy]."""
+    """What the body has dissipated [energy].
+
+    Of bonds with forces of their own it is what their laws have dissipated, whatever the steps: external work less the
+    energy stored is larger by what jumps of a load step have set free, and by the error of the work between steps. In
+    other bodies it is that difference.
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
-        return solution.model.dissipated_energy()
+        known = solution.model.dissipated_energy()
+        return solution.work - sum(solution.energies) if known is None else known
+
+
+@dataclass(frozen=True)
+class CrackTip(Quantity):
+    """Furthest place along a direction where bonds have broken, of particles that have lost more than a share of them.
+
+    Parameters
+    ----------
+    direction : tuple of float
+        In which the crack grows.
+    damage : float
+        Local damage above which a particle is cracked [-]; a straight crack beside it cuts about a third.
+    region : Region
+        Where the crack is.
+    """
+
+    direction: tuple[float, ...]
+    damage: float = 0.3
+    region: Region = EVERYWHERE
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the coordinate along the direction [length]; that of the end behind where nothing has cracked."""
+        axis = np.asarray(self.direction, dtype=float)
+        if axis.shape != (solution.x.shape[1],) or not np.linalg.norm(axis) > 0.0:
+            raise CaseError(f"The direction of a CrackTip has {solution.x.shape[1]} numbers, not {self.direction}.")
+        along = solution.x @ (axis / np.linalg.norm(axis))
+        cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
+        behind = -solution.largest(float((-along).max(initial=-np.inf)))
+        return max(solution.largest(float(along[cracked].max(initial=-np.inf))), behind)
 
 
 @dataclass(frozen=True)

@@ -18,22 +18,22 @@ from pdpetsc.case import Case
 from pdpetsc.discrete.communicator import is_root, total, world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
-from pdpetsc.errors import CaseError, PdpetscError
+from pdpetsc.errors import CaseError, OutputError, PdpetscError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
-from pdpetsc.output.broken import BrokenBonds
-from pdpetsc.output.checkpoint import read_checkpoint, write_checkpoint
-from pdpetsc.output.fields import FieldWriter
+from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder, prepare_folder
+from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
-from pdpetsc.output.records import HistoryWriter, earlier_history, write_summary
-from pdpetsc.scene.solver import DynamicRelaxation, EventDriven
+from pdpetsc.output.records import write_summary
+from pdpetsc.scene.solver import DynamicRelaxation, EventDriven, PathFollowing
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.defaults import default_options, stiffness_scale
 from pdpetsc.solve.events import EventSolver
+from pdpetsc.solve.following import PathSolver
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import petsc_version
@@ -113,7 +113,7 @@ class _Run:
         self.comm = world()
         self.timings: dict[str, float] = {}
         self.steps: list[dict[str, Any]] = []
-        self.history: dict[str, list[float]] = {name: [] for name in ("step", "t", *case.history)}
+        self.history: dict[str, list[float]] = {}
         self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
 
     def __call__(self) -> dict[str, float]:
@@ -129,7 +129,8 @@ class _Run:
             loading = Loading(model, case.conditions, case.particles.thickness)
             refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
-        with stop_on_signals(comm) as stop, petsc_options(self.options, default_options(model, self.options)):
+        defaults = default_options(model, self.options, case.solver)
+        with stop_on_signals(comm) as stop, petsc_options(self.options, defaults):
             solver = self._solver(model, loading, stop)
             self.summary["solver"] = solver.description()
             self.report.say(f"solver: {solver.description()}")
@@ -147,9 +148,11 @@ class _Run:
             predicted = predicted_bytes(assembler.pattern, model.dim)
             self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
         with self._timed("allocation"):
-            solver: StaticSolver | EventSolver
+            solver: StaticSolver | EventSolver | PathSolver
             if isinstance(chosen, EventDriven):
                 solver = EventSolver(model, loading, assembler, chosen, stiffness_scale(model), stop)
+            elif isinstance(chosen, PathFollowing):
+                solver = PathSolver(model, loading, assembler, chosen, stop)
             else:
                 solver = StaticSolver(model, loading, assembler, stop)
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
@@ -158,7 +161,7 @@ class _Run:
     def _march(self, model: Model, loading: Loading, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
         case, cloud = self.case, model.cloud
         order = InCreationOrder(cloud)
-        u, t, step = np.zeros((cloud.n_rows, model.dim)), 0.0, 0
+        start = Solution(model, loading, np.zeros((cloud.n_rows, model.dim)), 0.0, 0)
         if self.restart is not None:
             if isinstance(solver, EventSolver):
                 raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
@@ -166,17 +169,15 @@ class _Run:
                 raise CaseError(
                     "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."
                 )
-            u, t, step = read_checkpoint(model, order, Path(self.restart))
+            start = read_checkpoint(model, loading, order, Path(self.restart))
+        step = start.step
         with self._timed("output"):
-            kept = self._earlier(step)
-            first = step if self.restart is not None and _same_folder(Path(self.restart).parent, self.folder) else 0
-            writer = FieldWriter(cloud, order, self.folder, self._fields(), first) if self._fields() else None
-            records = HistoryWriter(self.comm, self.folder, list(self.history), kept)
-            self._record(Solution(model, loading, u, t, step), writer, records)
-            broken = None
-            if model.failure is not None:
-                earlier = None if self.restart is None else Path(self.restart).parent / "broken_bonds.csv"
-                broken = BrokenBonds(self.comm, self.folder, model.failure, earlier, step)
+            checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
+            restart = None if self.restart is None else Path(self.restart)
+            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, restart)
+            self.history = keeper.history
+            if not keeper.took_over:
+                self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
         failed: list[StepResult] = []
 
         def on_failure(at: float, dt: float, result: StepResult) -> None:
@@ -188,8 +189,10 @@ class _Run:
             before = time.perf_counter()
             if isinstance(solver, EventSolver):
                 march = solver.march()
+            elif isinstance(solver, PathSolver):
+                march = solver.march(start.unknowns, start.t, start.pace, on_failure)
             else:
-                march = load_steps(solver, case.steps, u, t, stop, on_failure)
+                march = load_steps(solver, case.steps, start.unknowns, start.t, stop, on_failure, start.pace)
             for converged in march:
                 self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
                 step += 1
@@ -197,32 +200,19 @@ class _Run:
                 self.steps.append(_step_summary(step, converged, solver.unit))
                 failed.clear()
                 with self._timed("output"):
-                    written = writer if converged.write_fields else None
-                    self._record(Solution(model, loading, converged.u, converged.t, step), written, records)
-                    if broken is not None:
-                        broken.write(step, converged.t)
-                    if model.restartable and not isinstance(solver, EventSolver):
-                        write_checkpoint(model, order, self.folder / "checkpoint.h5", converged.u, converged.t, step)
+                    state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
+                    keeper.write(state, converged.write_fields)
                 before = time.perf_counter()
         except PdpetscError as error:
             status = str(error)
+            if not isinstance(error, OutputError):
+                keeper.save()
             raise
+        else:
+            keeper.save()
         finally:
             self._finish(status, failed, solver.unit)
         return self._end()
-
-    def _earlier(self, step: int) -> list[list[float]]:
-        """Return the history before a restart at ``step``, from beside the checkpoint, and take it over."""
-        if self.restart is None:
-            return []
-        beside = Path(self.restart).parent / "history.csv"
-        rows = earlier_history(self.comm, beside, list(self.history), step)
-        if rows is None:
-            self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
-        for row in rows or []:
-            for name, value in zip(self.history, row, strict=True):
-                self.history[name].append(value)
-        return rows or []
 
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""
@@ -230,15 +220,6 @@ class _Run:
         if self.case.picture is not None:
             wanted += [f for f in (displacement, self.case.picture.field) if f not in wanted]
         return wanted
-
-    def _record(self, solution: Solution, writer: FieldWriter | None, records: HistoryWriter) -> None:
-        if writer is not None:
-            writer.write(solution)
-        row = [float(solution.step), solution.t]
-        row += [quantity.evaluate(solution) for quantity in self.case.history.values()]
-        for name, value in zip(self.history, row, strict=True):
-            self.history[name].append(value)
-        records.write(row)
 
     def _finish(self, status: str, failed: list[StepResult], unit: str) -> None:
         memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
@@ -286,10 +267,6 @@ class _Run:
         before = time.perf_counter()
         yield
         self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
-
-
-def _same_folder(one: Path, other: Path) -> bool:
-    return one.resolve() == other.resolve()
 
 
 def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:

@@ -28,18 +28,27 @@ class Solution:
         Step time [-].
     step : int
         Number of the step, 0 for the undeformed state.
+    work : float
+        What loads and supports have done since the undeformed state [energy].
+    pace : tuple of float
+        What the stepping needs to go on from here as if it had not stopped.
 
     Notes
     -----
     Every property that is computed, ``sum`` and ``select`` are collective.
     """
 
-    def __init__(self, model: Model, loading: Loading, unknowns: Float, t: float, step: int) -> None:
+    def __init__(
+        self, model: Model, loading: Loading, unknowns: Float, t: float, step: int, work: float = 0.0,
+        pace: tuple[float, ...] = (),
+    ) -> None:  # fmt: skip
         self.model = model
         self.loading = loading
         self.unknowns = unknowns
         self.t = t
         self.step = step
+        self.work = work
+        self.pace = pace
 
     @property
     def x(self) -> Float:
@@ -68,6 +77,20 @@ class Solution:
     def reaction(self) -> Float:
         """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
         return np.where(self.loading.fixed, self.internal_force - self.loading.forces(self.t), 0.0)
+
+    def follow(self, before: Solution) -> None:
+        """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
+
+        Without inertia it is that of the internal forces too; where forces are not linear between the steps it has the
+        error of the trapezoidal rule.
+        """
+        forces = self._acting + before._acting
+        self.work = before.work + float(self.sum(0.5 * float((forces * (self.unknowns - before.unknowns)).sum())))
+
+    @cached_property
+    def _acting(self) -> Float:
+        """Return the forces of loads and supports (n_rows, dim) [force]."""
+        return np.where(self.loading.fixed, self.internal_force, self.loading.forces(self.t))
 
     @cached_property
     def energies(self) -> tuple[float, float]:

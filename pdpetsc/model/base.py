@@ -12,6 +12,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.kernels.bonds import bond_force_kernel, elongation_kernel
 from pdpetsc.model.failure import BondFailure
 
 # Applies the tangent at one displacement to others: (n_rows, dim) -> (n_rows, dim).
@@ -35,6 +36,8 @@ class Model(ABC):
         Grows whenever the constants of the forces change, as they do when bonds fail.
     failure : BondFailure or None
         State of the bonds where they can fail.
+    finite : int
+        Whether elongations of bonds are those of their current length, 1, or along their first direction, 0.
     note : str
         What a user should know about how the body was built; the same on all ranks.
 
@@ -44,6 +47,7 @@ class Model(ABC):
     """
 
     version: int = 0
+    finite: int = 1
     note: str = ""
     failure: BondFailure | None = None
 
@@ -139,9 +143,45 @@ class Model(ABC):
             self.failure.frozen = frozen
             self.version += 1
 
+    def elongated(self, u_local: Float) -> tuple[Float, float]:
+        """Return ``e`` (n_bonds,) [length] for displacements with ghosts, and the least current length of a bond."""
+        family, e = self.families, np.empty(len(self.families.neighbours))
+        kernel = elongation_kernel(self.dim, self.finite)
+        least = kernel(family.indptr, family.neighbours, self.cloud.x, u_local, e)
+        return e, float(least)
+
+    def elongation(self, u_local: Float) -> Float:
+        """Return the elongation of every bond (n_bonds,) [length] for displacements with ghosts (not collective)."""
+        return self.elongated(u_local)[0]
+
+    def fading(self, u: Float) -> float:
+        """Return the largest integrity that a bond would lose at ``u`` [-]."""
+        if self.failure is None:
+            return 0.0
+        return self.failure.fading(self.elongation(self.with_ghosts(u)))
+
     def soften(self, u: Float) -> float:
         """Take the damage at ``u`` for good; return the largest change of an integrity [-]."""
         return 0.0
+
+    def most_stretched(self, u: Float, band: float) -> tuple[Float, float]:
+        """Return how the largest stretch over the critical one grows with the unknowns, and that stretch.
+
+        Returns
+        -------
+        gradient : (n_rows, dim) float64
+            Of the mean over the bonds that have not failed and are within ``band`` of the largest, relatively
+            [1 / length]; zero where none is stretched.
+        largest : float
+            [-]
+        """
+        f = np.zeros((self.cloud.n_local, self.dim))
+        if self.failure is None:
+            return self.gather(f), 0.0
+        family, u_local = self.families, self.with_ghosts(u)
+        weights, found = self.failure.most_stretched(self.elongation(u_local), band)
+        bond_force_kernel(self.dim, self.finite)(family.indptr, family.neighbours, self.cloud.x, u_local, weights, f)
+        return self.gather(f), found
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
@@ -157,9 +197,9 @@ class Model(ABC):
         """Return how many pairs of particles have lost their bond."""
         return 0 if self.failure is None else self.failure.count_broken()
 
-    def dissipated_energy(self) -> float:
-        """Return what bonds have dissipated in failing [energy]."""
-        return 0.0
+    def dissipated_energy(self) -> float | None:
+        """Return what bonds have dissipated in failing [energy]; None where their laws alone do not tell."""
+        return None if self.has_history else 0.0
 
     @property
     @abstractmethod

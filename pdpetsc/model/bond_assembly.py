@@ -32,7 +32,7 @@ class BondAssembler(Assembler):
         off[:] = 0.0
         self._ghost[:] = 0.0
         u_local = self.model.with_ghosts(u)
-        self._add_bonds(u_local, self.model.elongation(u_local)[0], diag, off)
+        self._add_bonds(u_local, self.model.elongation(u_local), diag, off)
         self.pattern.complete(self._ghost, diag, off, self.model.dim)
 
     def _start(self, point_ptr: GlobalIndex, members: LocalIndex) -> None:
@@ -77,7 +77,7 @@ class DilatationAssembler(BondAssembler):
         A = np.tile(np.einsum("im,kn->imkn", one, one), (model.cloud.n_owned, 1, 1, 1, 1))
         for rows, own in ((self.pattern.owned, diag), (self.pattern.ghost, self._ghost)):
             self._dilatation_rows(rows, g, A, own, off)
-        self._add_bonds(u_local, model.elongation(u_local)[0], diag, off)
+        self._add_bonds(u_local, model.elongation(u_local), diag, off)
         self.pattern.complete(self._ghost, diag, off, model.dim)
 
     def _dilatation_rows(self, rows: Rows, g: Float, A: Float, diag: Float, off: Float) -> None:

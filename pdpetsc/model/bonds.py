@@ -17,7 +17,6 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import Stencils, whole_families
 from pdpetsc.kernels.bonds import (
     bond_force_kernel,
-    elongation_kernel,
     elongation_rate_kernel,
     turning_force_kernel,
 )
@@ -106,13 +105,6 @@ class BondModel(Model):
         T, slope = self.failure.at(e)
         return self.k * (T + slope * e)
 
-    def elongation(self, u_local: Float) -> tuple[Float, float]:
-        """Return ``e`` (n_bonds,) [length] for displacements with ghosts, and the least current length of a bond."""
-        e = np.empty(len(self.families.neighbours))
-        kernel = elongation_kernel(self.dim, self.finite)
-        least = kernel(self.families.indptr, self.families.neighbours, self.cloud.x, u_local, e)
-        return e, float(least)
-
     def elongation_rate(self, u_local: Float, du_local: Float) -> Float:
         """Return ``de`` (n_bonds,) [length] in the direction ``du`` at ``u``, both with ghosts."""
         de = np.empty(len(self.families.neighbours))
@@ -146,7 +138,7 @@ class BondModel(Model):
     def internal_force(self, u: Float) -> Float | None:
         """Return the internal forces (n_rows, dim) [force]; None on all ranks where two particles of a bond meet."""
         u_local = self.with_ghosts(u)
-        e, least = self.elongation(u_local)
+        e, least = self.elongated(u_local)
         if self.finite and int(total(self.cloud.comm, int(least <= 0.0))):
             return None
         return self.gather(self.bond_forces(u_local, self.tension(e)))
@@ -155,12 +147,12 @@ class BondModel(Model):
         """Return whether no bond has lost its length on any rank."""
         if not self.finite:
             return True
-        return int(total(self.cloud.comm, int(self.elongation(self.with_ghosts(u))[1] <= 0.0))) == 0
+        return int(total(self.cloud.comm, int(self.elongated(self.with_ghosts(u))[1] <= 0.0))) == 0
 
     def linearised(self, u: Float) -> Linearised:
         """Return ``du -> K du`` with the directions and tensions at u."""
         u_local = self.with_ghosts(u).copy()
-        e, _ = self.elongation(u_local)
+        e = self.elongation(u_local)
         tension, tangent = self.tension(e), self.tangent(e)
 
         def times(du: Float) -> Float:
@@ -183,7 +175,7 @@ class BondModel(Model):
     def commit(self, u: Float) -> None:
         """Keep what has failed."""
         if self.failure is not None:
-            self.failure.soften(self.elongation(self.with_ghosts(u))[0])
+            self.failure.soften(self.elongation(self.with_ghosts(u)))
             self.failure.commit()
 
     def revert(self) -> None:
@@ -217,7 +209,7 @@ class BondModel(Model):
         """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs."""
         if self.failure is None:
             return 0
-        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u))[0], most)
+        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u)), most)
         self.version += int(broken > 0)
         return broken
 
@@ -226,7 +218,7 @@ class BondModel(Model):
         if self.failure is None:
             return 0.0
         self.version += 1
-        return self.failure.soften(self.elongation(self.with_ghosts(u))[0])
+        return self.failure.soften(self.elongation(self.with_ghosts(u)))
 
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""
@@ -258,7 +250,7 @@ class BondModel(Model):
         """Return ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]: dW/dF in uniform deformation."""
         u_local = self.with_ghosts(u)
         centres, neighbours = self.families.centres, self.families.neighbours
-        t = self.tension(self.elongation(u_local)[0])
+        t = self.tension(self.elongation(u_local))
         xi = self.families.bonds(self.cloud.x)
         y = xi + self.finite * (u_local[neighbours] - u_local[centres])
         n = y / np.linalg.norm(y, axis=1)[:, None]
@@ -277,7 +269,7 @@ class BondModel(Model):
 
     def energy_density(self, u: Float) -> Float:
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
-        e, _ = self.elongation(self.with_ghosts(u))
+        e = self.elongation(self.with_ghosts(u))
         n = self.cloud.n_owned
         psi = np.bincount(self.families.centres, 0.5 * self.secant(e) * e**2, n)
         if self.B is not None:

@@ -14,7 +14,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Scheme
-from pdpetsc.kernels.bonds import elongation_kernel, elongation_rate_kernel
+from pdpetsc.kernels.bonds import elongation_rate_kernel
 from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
 from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.material.base import Material
@@ -91,12 +91,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     def has_history(self) -> bool:
         """Return True."""
         return True
-
-    def elongation(self, u_local: Float) -> Float:
-        """Return ``|xi + eta| - |xi|`` (n_bonds,) [length] for displacements with ghosts (not collective)."""
-        e = np.empty(len(self.families.neighbours))
-        elongation_kernel(self.dim, 1)(self.families.indptr, self.families.neighbours, self.cloud.x, u_local, e)
-        return e
 
     def scaled_weights(self, of_bond: Float) -> Float:
         """Return ``h_pk = T_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
@@ -190,10 +184,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     def restartable(self) -> bool:
         """Return True."""
         return True
-
-    def dissipated_energy(self) -> float:
-        """Refuse: the forces of this model have no potential, so what a bond dissipates depends on all others."""
-        raise CaseError("DissipatedEnergy is that of bond-based materials.")
 
     def energy(self, u: Float) -> tuple[float, float]:
         """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point, and that of the control."""

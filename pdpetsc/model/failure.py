@@ -119,16 +119,36 @@ class BondFailure:
         slope[moving] = law.slope(x[moving]) / self.limit[moving]
         return T, slope
 
+    def most_stretched(self, e: Float, band: float) -> tuple[Float, float]:
+        """Return weights ``1 / limit / count`` of the bonds within ``band`` of the largest stretch, and that stretch.
+
+        It is over the critical one [-], of bonds that have not failed (collective).
+        """
+        x = np.where(self.intact, e / self.limit, 0.0)
+        found = largest(self._comm, float(x.max(initial=0.0)))
+        near = (x >= (1.0 - band) * found) & (found > 0.0)
+        count = float(total(self._comm, np.count_nonzero(near)))
+        return np.where(near, 1.0 / (self.limit * max(count, 1.0)), 0.0), found
+
+    def fading(self, e: Float) -> float:
+        """Return the largest integrity that a bond would lose at elongations e [-] (collective)."""
+        return largest(self._comm, float((self.integrity - self._at_last(e)).max(initial=0.0)))
+
     def soften(self, e: Float) -> float:
         """Take the integrity at elongations e for good; return the largest change of any bond (collective)."""
-        frozen, self.frozen = self.frozen, False
-        T, _ = self.at(e)
-        self.frozen = frozen
+        T = self._at_last(e)
         change = float((self.integrity - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
         self.worst[:] = np.maximum(self.worst, e / self.limit)
         return largest(self._comm, change)
+
+    def _at_last(self, e: Float) -> Float:
+        """Return the integrity at elongations e, whether it is held or not (not collective)."""
+        frozen, self.frozen = self.frozen, False
+        T, _ = self.at(e)
+        self.frozen = frozen
+        return T
 
     def break_bonds(self, e: Float, most: int | None = None) -> int:
         """Break bonds past their final stretch, the worst first; return how many pairs (collective).
@@ -143,7 +163,11 @@ class BondFailure:
         """
         if most is None and self.law.final == self.law.onset:
             most = 1
-        over = np.where(self.intact, e / self.limit, 0.0)
+        over = e / self.limit
+        if self.law.final > self.law.onset:
+            # A bond that has been past its final stretch has lost its force, even if it is shorter now.
+            over = np.maximum(over, self.worst)
+        over = np.where(self.intact, over, 0.0)
         worst = largest(self._comm, float(over.max(initial=0.0)))
         if worst < self.law.final or worst == 0.0:
             return 0

@@ -11,15 +11,17 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
+from pdpetsc.loading import Loading
 from pdpetsc.model import Model
 from pdpetsc.output.files import InCreationOrder, replacing, reserve
+from pdpetsc.solution import Solution
 
-FORMAT = 3
+FORMAT = 4
 # Damaged bonds that a rank looks at together.
 BLOCK = 100_000
 
 
-def write_checkpoint(model: Model, order: InCreationOrder, path: Path, u: Float, t: float, step: int) -> None:
+def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> None:
     """Write the converged state aside, then rename it over ``path`` (collective).
 
     It holds the unknowns and the bonds that are damaged.
@@ -29,6 +31,7 @@ def write_checkpoint(model: Model, order: InCreationOrder, path: Path, u: Float,
     OutputError
         The disk is full; an earlier checkpoint stays as it was.
     """
+    model, u = solution.model, solution.unknowns
     cloud = model.cloud
     identity = _identity(cloud)
     bonds = _gathered_bonds(model)
@@ -42,7 +45,9 @@ def write_checkpoint(model: Model, order: InCreationOrder, path: Path, u: Float,
     if is_root(cloud.comm):
         try:
             with replacing(path) as aside, h5py.File(aside, "w") as file:
-                file.attrs.update(format=FORMAT, t=t, step=step, identity=identity, virtual=virtual)
+                file.attrs.update(format=FORMAT, t=solution.t, step=solution.step, work=solution.work)
+                file.attrs["pace"] = np.asarray(solution.pace, dtype=float)
+                file.attrs.update(identity=identity, virtual=virtual)
                 file.attrs["damage"] = _law(model)
                 if bonds:
                     file["bonds/keys"] = np.concatenate([keys for keys, _ in bonds])
@@ -59,8 +64,8 @@ def write_checkpoint(model: Model, order: InCreationOrder, path: Path, u: Float,
             raise failure
 
 
-def read_checkpoint(model: Model, order: InCreationOrder, path: Path) -> tuple[Float, float, int]:
-    """Return the unknowns of this rank, step time and step of a checkpoint; restore the bonds (collective).
+def read_checkpoint(model: Model, loading: Loading, order: InCreationOrder, path: Path) -> Solution:
+    """Return the state of a checkpoint; restore the bonds of the body (collective).
 
     Raises
     ------
@@ -87,7 +92,8 @@ def read_checkpoint(model: Model, order: InCreationOrder, path: Path) -> tuple[F
                             np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
                         )
                 part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
-                t, step = float(file.attrs["t"]), int(file.attrs["step"])
+                t, step, work = float(file.attrs["t"]), int(file.attrs["step"]), float(file.attrs["work"])
+                pace = tuple(float(value) for value in file.attrs["pace"])
                 virtual = np.asarray(file.attrs["virtual"]).reshape(-1, cloud.dim)
         except (OSError, KeyError, ValueError) as error:
             if isinstance(error, CaseError):
@@ -95,7 +101,7 @@ def read_checkpoint(model: Model, order: InCreationOrder, path: Path) -> tuple[F
             raise CaseError(f"Cannot read the checkpoint {path}: {error}.") from None
     model.take_failure()
     u = order.from_parts(part)
-    return np.concatenate([u, virtual]) if cloud.n_virtual else u, t, step
+    return Solution(model, loading, np.concatenate([u, virtual]) if cloud.n_virtual else u, t, step, work, pace)
 
 
 def _identity(cloud: Cloud) -> Float:

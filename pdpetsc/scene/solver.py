@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from pdpetsc.errors import CaseError
+from pdpetsc.scene.region import Region
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,101 @@ class EventDriven:
             raise CaseError("The event-driven solver needs most >= 1 and fields_every >= 0.")
 
 
-AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven
+@dataclass(frozen=True)
+class BondStretch:
+    """The most stretched bonds that have not failed grow longer, whatever the load does.
+
+    Parameters
+    ----------
+    step : float
+        Largest growth in a step, over the critical stretch [-].
+    """
+
+    step: float = 0.1
+
+    def __post_init__(self) -> None:
+        _refuse_step(self.step)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The mean displacement of one region against that of another grows, such as that of the lips of a notch.
+
+    Parameters
+    ----------
+    component : str
+        ``"x"``, ``"y"`` or ``"z"``.
+    region : Region
+        What moves in its direction.
+    against : Region, optional
+        What it moves against; the laboratory where absent.
+    step, end : float
+        Largest growth in a step and where to end [length].
+    """
+
+    component: str
+    region: Region
+    against: Region | None = field(default=None, kw_only=True)
+    step: float = field(kw_only=True)
+    end: float = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        _refuse_step(self.step)
+        if self.component not in ("x", "y", "z"):
+            raise CaseError(f'An Opening has the component "x", "y" or "z", not {self.component!r}.')
+        if not (math.isfinite(self.end) and self.end > 0.0):
+            raise CaseError(f"An Opening ends at a positive value, not {self.end}; turn the regions round.")
+
+
+@dataclass(frozen=True)
+class PathFollowing:
+    """Newton's method along the path of equilibria, which may turn back: the load is an unknown.
+
+    All conditions are multiplied with one factor, which rises and falls as equilibrium demands while what ``control``
+    names grows. Step times in history and log are that factor; the steps of the case do not matter.
+
+    Parameters
+    ----------
+    control : BondStretch or Opening
+        What grows from step to step.
+    first : float
+        Load factor of the first step, from which the path is taken up.
+    smallest : float
+        Smallest step over the largest one; when it fails too the run ends with exit status 1.
+    until : float
+        The run ends when the forces have fallen to this share of their largest.
+    most : int
+        Largest number of steps.
+    breaks : int, optional
+        As in ``Steps``.
+    """
+
+    control: BondStretch | Opening = field(default_factory=BondStretch)
+    first: float = 1e-3
+    smallest: float = 1e-4
+    until: float = 0.01
+    most: int = 10_000
+    breaks: int | None = None
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.first <= 1.0 and 0.0 < self.smallest <= 1.0 and 0.0 <= self.until < 1.0 and self.most >= 1):
+            raise CaseError(
+                f"PathFollowing needs first and smallest in (0, 1], until in [0, 1) and most >= 1, not {self.first}, "
+                f"{self.smallest}, {self.until} and {self.most}."
+            )
+
+
+def _refuse_step(step: float) -> None:
+    if not (math.isfinite(step) and step > 0.0):
+        raise CaseError(f"The control of a path needs a positive step, not {step}.")
+
+
+AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing
 
 # The ways to equilibrium by the word that the command line uses.
-SOLVERS: dict[str, AnySolver] = {"newton": Newton(), "relaxation": DynamicRelaxation(), "events": EventDriven()}
+SOLVERS: dict[str, AnySolver] = {
+    "newton": Newton(),
+    "relaxation": DynamicRelaxation(),
+    "events": EventDriven(),
+    "path": PathFollowing(),
+}

@@ -9,12 +9,13 @@ from petsc4py import PETSc
 
 from pdpetsc.discrete.communicator import total
 from pdpetsc.model import Model
+from pdpetsc.scene.solver import AnySolver, PathFollowing
 
 # Largest number of unknowns for which the direct solver is the default, by dimension.
 DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
 
 
-def default_options(model: Model, chosen: Mapping[str, Any]) -> dict[str, object]:
+def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver) -> dict[str, object]:
     """Return pdpetsc's solver options for a model; ``chosen`` and the command line override each of them.
 
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
@@ -22,6 +23,8 @@ def default_options(model: Model, chosen: Mapping[str, Any]) -> dict[str, object
     the step, which is right for the gradient of an energy; in slender bending ``bt`` fails because a good first step
     raises the residual norm a thousandfold. Its secant steps cost residuals only: up to ten of them, against PETSc's
     one, lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from 32 to 10.
+    Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
+    Along a path the residual with its constraint is the gradient of nothing, and full steps are taken.
     """
     database = PETSc.Options()
     pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
@@ -29,18 +32,19 @@ def default_options(model: Model, chosen: Mapping[str, Any]) -> dict[str, object
     direct = pc in ("lu", "cholesky") or (not pc and unknowns <= DIRECT_UNKNOWNS[model.dim])
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
-        "snes_linesearch_type": "basic" if model.linear else "cp",
+        "snes_linesearch_type": "basic" if model.linear or isinstance(solver, PathFollowing) else "cp",
         "snes_linesearch_max_it": 10,
         "snes_rtol": 1e-10,
         "snes_max_it": 30,
     }
     if direct:
-        return defaults | {
+        defaults |= {
             "ksp_type": "preonly",
             "pc_type": "cholesky" if model.symmetric else "lu",
             "pc_factor_mat_solver_type": "mumps",
             "mat_mumps_icntl_14": 50,
         }
+        return defaults if model.failure is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}

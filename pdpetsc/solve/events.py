@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage import PiecewiseLinear
-from pdpetsc.discrete.communicator import largest, smallest
+from pdpetsc.discrete.communicator import smallest
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied
 from pdpetsc.loading import Loading
@@ -32,9 +32,6 @@ UPDATES = 2.0
 FEWEST, MOST = 32, 400
 # So many events at one load, and nothing has moved: the path goes in circles.
 STANDSTILL = 1000
-# Step times at which conditions are compared with their proportional values, and how closely.
-PROBES = (0.0, 0.3, 0.7)
-PROPORTIONAL = 1e-12
 
 
 class EventSolver(Solver):
@@ -299,13 +296,4 @@ def _refuse(model: Model, loading: Loading) -> None:
             "The event-driven solver needs laws that are piecewise linear: LinearElastic, or bonds with small "
             "kinematics; this body has a law that is not linear between failures, so take Newton."
         )
-    whole = [loading.prescribed(1.0), loading.forces(1.0)]
-    for t in PROBES:
-        part = [loading.prescribed(t), loading.forces(t)]
-        off = max(np.abs(p - t * w).max(initial=0.0) for p, w in zip(part, whole, strict=True))
-        size = max(np.abs(w).max(initial=0.0) for w in whole)
-        if largest(model.cloud.comm, off) > PROPORTIONAL * max(largest(model.cloud.comm, size), 1e-300):
-            raise CaseError(
-                "The event-driven solver needs conditions proportional to the step time, such as numbers with the "
-                "schedule Ramp: the load goes up and down as equilibrium demands, which has no meaning for others."
-            )
+    loading.refuse_what_is_not_proportional("The event-driven solver")

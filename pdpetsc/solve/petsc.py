@@ -57,6 +57,46 @@ def set_domain_error(snes: PETSc.SNES) -> None:
     _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
 
 
+@contextlib.contextmanager
+def full_steps(snes: PETSc.SNES) -> Iterator[None]:
+    """Let Newton take full steps in the body, whatever line search the options name."""
+    search = _line_search(snes)
+    _check(_library().SNESLineSearchSetType(search, b"basic"))
+    try:
+        yield
+    finally:
+        # A new type has its own numbers of iterations; all are back with the options.
+        _check(_library().SNESLineSearchSetFromOptions(search))
+
+
+def line_search(snes: PETSc.SNES) -> str:
+    """Return the type of line search."""
+    name = ctypes.c_char_p()
+    _check(_library().SNESLineSearchGetType(_line_search(snes), ctypes.byref(name)))
+    return (name.value or b"").decode()
+
+
+def _line_search(snes: PETSc.SNES) -> ctypes.c_void_p:
+    search = ctypes.c_void_p()
+    _check(_library().SNESGetLineSearch(ctypes.c_void_p(snes.handle), ctypes.byref(search)))
+    return search
+
+
+def set_up_failed(ksp: PETSc.KSP) -> bool:
+    """Set up a linear solver; return whether its preconditioner could not be, as of a singular matrix (collective)."""
+    ksp.setUp()
+    failed = ctypes.c_int(0)
+    _check(_library().PCGetFailedReason(ctypes.c_void_p(ksp.getPC().handle), ctypes.byref(failed)))
+    return failed.value != 0
+
+
+def start_anew(ksp: PETSc.KSP) -> None:
+    """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective)."""
+    mat, preconditioner = ksp.getOperators()
+    ksp.getPC().reset()
+    ksp.setOperators(mat, preconditioner)
+
+
 def petsc_version() -> str:
     """Return PETSc's version."""
     return ".".join(str(part) for part in PETSc.Sys.getVersion())

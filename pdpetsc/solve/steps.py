@@ -38,6 +38,8 @@ class Converged:
         Bonds that broke in it.
     sweeps : int
         Equilibria with damage held, where Newton with damage failed; 0 where it did not.
+    pace : tuple of float
+        What the stepping needs to go on from here as if it had not stopped.
     write_fields : bool
         Whether it is one of those whose fields are written.
     """
@@ -48,6 +50,7 @@ class Converged:
     failures: list[StepResult] = field(default_factory=list)
     broken: int = 0
     sweeps: int = 0
+    pace: tuple[float, ...] = ()
     write_fields: bool = True
 
 
@@ -58,8 +61,9 @@ def load_steps(
     t: float,
     stop: Callable[[], bool],
     on_failure: Callable[[float, float, StepResult], None],
+    pace: tuple[float, ...] = (),
 ) -> Iterator[Converged]:
-    """Yield converged steps from step time ``t`` to 1.
+    """Yield converged steps from step time ``t`` to 1, at the ``pace`` of the step before where there was one.
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
@@ -78,22 +82,23 @@ def load_steps(
     -----
     Collective.
     """
-    dt = steps.first
+    dt = min(pace[0], steps.largest) if pace else steps.first
     stops = steps.stops()
     failures: list[StepResult] = []
     while t < 1.0 - SAME_TIME:
         ahead = next(s for s in stops if s > t + SAME_TIME)
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
-        attempt, result, broken, sweeps = _equilibrium(solver, steps, u, target, stop)
+        attempt, result, broken, sweeps = equilibrium(solver, steps.breaks, u, target, stop)
         if stop():
+            solver.model.revert()
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
         if result.converged:
             u, t = attempt, target
             solver.model.commit(u)
-            yield Converged(u, t, result, failures, broken, sweeps)
-            failures = []
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
+            yield Converged(u, t, result, failures, broken, sweeps, (dt,))
+            failures = []
             continue
         solver.model.revert()
         failures.append(result)
@@ -107,15 +112,18 @@ def load_steps(
             )
 
 
-def _equilibrium(
-    solver: StepSolver, steps: Steps | AdaptiveSteps, u: Float, target: float, stop: Callable[[], bool]
+def equilibrium(
+    solver: StepSolver, breaks: int | None, u: Float, target: float, stop: Callable[[], bool]
 ) -> tuple[Float, StepResult, int, int]:
-    """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held."""
+    """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held.
+
+    ``breaks`` is how many bonds break at once (``Steps``).
+    """
     model, broken = solver.model, 0
     model.freeze(False)
     attempt, result = solver.solve(u, target)
     if not model.softens:
-        while result.converged and (more := model.break_bonds(attempt, steps.breaks)):
+        while result.converged and (more := model.break_bonds(attempt, breaks)):
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
@@ -130,7 +138,7 @@ def _equilibrium(
         if not result.converged:
             break
         change = model.soften(attempt)
-        more = model.break_bonds(attempt, steps.breaks)
+        more = model.break_bonds(attempt, breaks)
         broken += more
         if change < SETTLED and not more:
             result = replace(

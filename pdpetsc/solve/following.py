@@ -1,0 +1,318 @@
+"""Path following: equilibrium at an unknown load factor, with what a control names prescribed instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError, Interrupted, SolveError
+from pdpetsc.loading import Loading
+from pdpetsc.model import Assembler, Model
+from pdpetsc.scene.solver import Opening, PathFollowing
+from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.solve.bordered import Bordered
+from pdpetsc.solve.constraint import Constraint, opening_weights
+from pdpetsc.solve.equilibrium import Equilibrium, first_line, words
+from pdpetsc.solve.petsc import set_domain_error
+from pdpetsc.solve.static import EASY_ITERATIONS, linear_solver
+from pdpetsc.solve.steps import GENTLE, GROWTH, SETTLED, Converged, equilibrium
+
+# Bonds whose stretch over the critical one is within this of the largest share the control, relatively.
+BAND = 0.05
+# A load factor this much above the highest one so far is that of a body which carries nothing.
+LEAP = 10.0
+# Sweeps with damage held in which it settles, or a shorter step is tried.
+SWEEPS = 100
+
+
+class PathSolver(StepSolver):
+    """Newton's method for ``f_int(u) = lambda f_ext`` with ``u = lambda U`` where prescribed, and one constraint.
+
+    Unknowns are the displacements and the load factor ``lambda``; each linear solve takes two with the tangent, for the
+    residual and for the load. SNES sees the whole system, the options of KSP and PC are those of the tangent.
+
+    Parameters
+    ----------
+    model, loading, assembler
+        The body and its conditions.
+    options : PathFollowing
+        What the case declares.
+    stop : callable
+        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+
+    Raises
+    ------
+    CaseError
+        The conditions are not proportional to the step time, or the control does not fit the body.
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+
+    References
+    ----------
+    de Borst (1987) on control by chosen displacements; Chen, Schreyer (1990) on control by the zone that softens.
+    """
+
+    unit = "Newton"
+    advice = "take smaller steps of the control, or a control that grows all along the path"
+
+    def __init__(
+        self, model: Model, loading: Loading, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
+    ) -> None:
+        loading.refuse_what_is_not_proportional("Path following")
+        self.model = model
+        self.load = 0.0
+        self._options = options
+        self._stop = stop
+        self._whole = loading.prescribed(1.0), loading.forces(1.0)
+        self._opening = opening_weights(model, options.control) if isinstance(options.control, Opening) else None
+        if self._opening is None and model.failure is None:
+            raise CaseError("Path following by bond stretches needs bonds that can fail; give damage, or an Opening.")
+        self._equilibrium = Equilibrium(model, loading, assembler)
+        self._force = 1.0
+        self._highest = 0.0
+        self._target = 0.0
+        self._constraint = Constraint(np.zeros(loading.fixed.shape), 1.0, np.zeros(loading.fixed.shape), 0.0)
+        self._bordered = Bordered(self._equilibrium.matrix.mat)
+        self._r, self._x = self._bordered.vector(), self._bordered.vector()
+        self.snes = PETSc.SNES().create(comm=model.cloud.comm)
+        self.snes.setFunction(self._residual, self._r)
+        self.snes.setJacobian(self._jacobian, self._bordered.mat)
+        self.snes.setConvergenceTest(self._test)
+        self._bordered.solve_in(self.snes.getKSP())
+        try:
+            self.snes.setFromOptions()
+            self._bordered.ksp.setFromOptions()
+        except PETSc.Error as error:
+            self.destroy()
+            raise CaseError(
+                f"PETSc refused the solver options; check their names and values: {first_line(error)}."
+            ) from error
+        self.snes.setLineSearchPreCheck(self._shorten)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+        return self._equilibrium.matrix.bytes
+
+    def description(self) -> str:
+        """Return the solver in force in a few words."""
+        control = type(self._options.control).__name__
+        return f"path following by {control}, snes {self.snes.getType()}, {linear_solver(self._bordered.ksp)}"
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, in order."""
+        self.snes.destroy()
+        self._r.destroy()
+        self._x.destroy()
+        self._bordered.free()
+        self._equilibrium.destroy()
+
+    def march(
+        self, u: Float, load: float, pace: tuple[float, ...], on_failure: Callable[[float, float, StepResult], None]
+    ) -> Iterator[Converged]:
+        """Yield equilibria along the path from ``u`` at a load factor, at the ``pace`` of the step before if any.
+
+        Raises
+        ------
+        SolveError
+            The smallest step failed, or there are too many; what was yielded before stands.
+        Interrupted
+            A signal asked to stop.
+
+        Notes
+        -----
+        Collective.
+        """
+        options = self._options
+        self.load = load
+        step, highest, self._highest, self._equilibrium.reference = pace or (options.control.step, 0.0, 0.0, 0.0)
+        failures: list[StepResult] = []
+        converged = 0
+        while converged < options.most:
+            size = self._aim(u, step)
+            attempt, result, broken, sweeps = self._advance(u, size)
+            if self._stop():
+                self.model.revert()
+                raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
+            if not result.converged:
+                self.model.revert()
+                self.load = load
+                failures.append(result)
+                step = 0.5 * size if self._constraint.share == 0.0 else 0.5 * step
+                on_failure(load, step, result)
+                if step < options.smallest * options.control.step:
+                    raise SolveError(
+                        f"The path is lost at load factor {load:.6g} with the smallest step of the control: "
+                        f"{result.reason}; {self.advice}."
+                    )
+                continue
+            u, load, converged = attempt, self.load, converged + 1
+            self.model.commit(u)
+            highest = max(highest, result.reference)
+            self._highest = max(self._highest, abs(load))
+            if result.easy:
+                step = min(step * GROWTH, options.control.step)
+            now = (step, highest, self._highest, result.reference)
+            yield Converged(u, load, result, failures, broken, sweeps, now)
+            failures = []
+            if result.reference <= options.until * highest or self._at_end(u):
+                return
+        raise SolveError(f"More than {options.most} steps up to load factor {load:.6g}; raise most of PathFollowing.")
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium where the control has grown by ``t`` since the last converged step, from ``u``."""
+        sought, of = self._equilibrium, self._constraint
+        self._target = t
+        self._force = max(sought.reference, sought.scale * float(np.finfo(float).eps)) / self._options.control.step
+        sought.norms, sought.reason = [], ""
+        sought.hold_loose_particles(u)
+        self._bordered.put(self._x, u, self.load)
+        self.snes.solve(None, self._x)
+        linear = self._bordered.iterations
+        if sought.damping is not None and self.snes.getConvergedReason() > 0:
+            # Once more from where it came to rest: the damping has no force there.
+            sought.move_springs(self._displacement(self._x)[0].copy())
+            self.snes.solve(None, self._x)
+            linear += self._bordered.iterations
+        reason = self.snes.getConvergedReason()
+        moved, load = self._displacement(self._x)
+        self.load = load if reason > 0 else of.load0
+        iterations = max(len(sought.norms) - 1, 0)
+        result = StepResult(
+            converged=reason > 0,
+            reason=sought.reason or words(reason, self._bordered.ksp.getConvergedReason()),
+            norms=list(sought.norms),
+            reference=sought.reference,
+            iterations=iterations,
+            easy=iterations <= EASY_ITERATIONS,
+            linear_iterations=linear,
+        )
+        return moved.copy(), result
+
+    def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
+        """Let the control grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
+        options, model, broken, swept = self._options, self.model, 0, 0
+        if self._opening is not None:
+            return equilibrium(self, options.breaks, u, size, self._stop)
+        attempt, result, sweeps = self._settle(u, size)
+        while result.converged:
+            swept += sweeps
+            more = model.break_bonds(attempt, options.breaks)
+            if not more:
+                break
+            # The bonds that are now the most stretched ones stay as they are while the rest adapts.
+            broken += more
+            self._aim(attempt, 1.0)
+            before, load = attempt, self.load
+            attempt, result, sweeps = self._settle(before, 0.0)
+            if not result.converged or abs(self.load) > LEAP * self._highest:
+                # Nothing holds them any more against the load: what is left is found under the load as it is.
+                self.load = load
+                self._constraint = Constraint(np.zeros_like(u), 1.0, before, load)
+                attempt, result, sweeps = self._settle(before, 0.0)
+        return attempt, result, broken, swept
+
+    def _settle(self, u: Float, size: float) -> tuple[Float, StepResult, int]:
+        """Find equilibrium and damage where the control has grown by ``size``, with no bond breaking.
+
+        Newton with damage that follows first; where bonds that unload and load again keep it from converging,
+        equilibria with damage held and damage there alternate.
+        """
+        model, load = self.model, self.load
+        model.freeze(False)
+        attempt, result = self.solve(u, size)
+        if result.converged and model.fading(attempt) <= GENTLE:
+            model.soften(attempt)
+            return attempt, result, 0
+        if self._stop() or not model.softens:
+            return attempt, result, 0
+        model.freeze(True)
+        attempt, self.load, change = u, load, 1.0
+        for sweep in range(1, SWEEPS + 1):
+            attempt, result = self.solve(attempt, size)
+            if not result.converged:
+                return attempt, result, sweep
+            change = model.soften(attempt)
+            if change < SETTLED:
+                return attempt, replace(result, reason="damage settled", easy=False), sweep
+        return attempt, replace(result, converged=False, reason=f"damage did not settle in {SWEEPS} sweeps"), SWEEPS
+
+    def _aim(self, u: Float, step: float) -> float:
+        """Set up the constraint of the next step from the converged ``u``; return by how much the control grows."""
+        control = self._options.control
+        if self._opening is not None:
+            self._constraint = Constraint(self._opening, 0.0, u, self.load)
+            assert isinstance(control, Opening)
+            return min(step, control.end - self._opened(u))
+        of, largest = self.model.most_stretched(u, BAND)
+        by_load = largest <= 0.0
+        self._constraint = Constraint(of, float(by_load), u, self.load)
+        return self._options.first * step / control.step if by_load else step
+
+    def _opened(self, u: Float) -> float:
+        assert self._opening is not None
+        return float(total(self.model.cloud.comm, float((self._opening * u).sum())))
+
+    def _at_end(self, u: Float) -> bool:
+        control = self._options.control
+        return isinstance(control, Opening) and self._opened(u) >= control.end * (1.0 - 1e-9)
+
+    def _displacement(self, x: PETSc.Vec) -> tuple[Float, float]:
+        """Return displacements and load factor of the unknowns; the conditions follow the factor."""
+        sought = self._equilibrium
+        values, load = self._bordered.split(x)
+        sought.prescribed, sought.external = load * self._whole[0], load * self._whole[1]
+        return sought.at_prescribed(values), load
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        u, load = self._displacement(x)
+        residual = self._equilibrium.residual(self._bordered.split(x)[0])
+        if residual is None:
+            set_domain_error(snes)
+            r.set(np.inf)
+            return
+        row = self._constraint
+        grown = float(total(self.model.cloud.comm, float((row.of * (u - row.u0)).sum()))) + row.share * (
+            load - row.load0
+        )
+        self._bordered.put(r, residual, self._force * (grown - self._target))
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        sought, row, free = self._equilibrium, self._constraint, self._equilibrium.free
+        u, _ = self._displacement(x)
+        sought.assemble(u)
+        whole, external = self._whole
+        held = np.where(free, 0.0, whole)
+        column = self.model.tangent_times(u, held) - external
+        along = row.share + float(total(self.model.cloud.comm, float((row.of * held).sum())))
+        self._bordered.border(
+            np.where(free, column, -sought.scale * whole),
+            self._force * np.where(free, row.of, 0.0),
+            self._force * along,
+        )
+
+    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
+        moved = x.duplicate()
+
+        def after(part: float) -> Float:
+            moved.waxpy(-part, y, x)
+            return self._displacement(moved)[0]
+
+        part = self._equilibrium.admissible_part(after)
+        moved.destroy()
+        if part < 1.0:
+            y.scale(part)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        if self._stop():
+            return self._equilibrium.interrupted()
+        u, _ = self._displacement(snes.getSolution())
+        return self._equilibrium.verdict(u, iteration, norms[2], float(snes.getTolerances()[0]))

@@ -1,0 +1,135 @@
+"""Path following: snap-back of one bond, peak of a crack against the event-driven solver, ranks, restart, energy."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests.commands import ROOT, results
+from tests.test_events import history, one_bond
+
+sys.path.append(str(ROOT / "runs/fracture"))
+import centre_crack
+import plate_with_hole
+
+CRACK = "runs/fracture/centre_crack.py"
+
+
+def crack(**changes):
+    """Return the strip with a central crack of softening bonds, 10 particles wide."""
+    case = centre_crack.case(n=10, law="linear")
+    return dataclasses.replace(case, fields=[], picture=None, **changes)
+
+
+@pytest.mark.parametrize("ratio", [1.2, 1.5, 3.0])
+def test_one_bond_in_series_with_another_is_followed_back(ratio, tmp_path):
+    """Two equal springs: u = x l + q / k with the law's force q = k l (r - x) / (r - 1); below r = 2 u turns back."""
+    solver = pd.PathFollowing(pd.BondStretch(0.02), until=1e-9)
+    pd.run(dataclasses.replace(one_bond(ratio), solver=solver), output=tmp_path, quiet=True)
+    h = history(tmp_path)
+    k, limit = 100.0, 0.01
+    x = h["displacement"] / limit - h["force"] / (k * limit)
+    law = k * limit * np.where(x <= 1.0, x, np.maximum((ratio - x) / (ratio - 1.0), 0.0))
+    assert np.allclose(h["force"], law, atol=1e-9)
+    assert (np.diff(h["displacement"]) < 0.0).any() == (ratio < 2.0)
+    assert abs(h["force"][-1]) < 1e-9
+    assert h["dissipated"][-1] == pytest.approx(0.5 * k * limit * ratio * limit, rel=1e-9)
+
+
+@pytest.mark.parametrize("control", ["stretch", "opening"])
+def test_the_peak_of_a_crack_is_that_of_the_event_driven_solver(control, tmp_path):
+    pd.run(crack(), output=tmp_path / "events", quiet=True)
+    middle = pd.region.Box((8.0, 18.0), (12.0, 22.0))
+    up, down = pd.region.Slab("y", low=20.0), pd.region.Slab("y", high=20.0)
+    controls = {
+        "stretch": pd.BondStretch(0.1),
+        "opening": pd.Opening("y", middle & up, against=middle & down, step=0.004, end=0.2),
+    }
+    pd.run(crack(solver=pd.PathFollowing(controls[control])), output=tmp_path / "path", quiet=True)
+    exact, path = history(tmp_path / "events"), history(tmp_path / "path")
+    assert path["force"].max() == pytest.approx(exact["force"].max(), rel=0.02)
+    # All of the work is dissipated where the body is apart, up to what jumps between the steps have set free.
+    assert abs(path["force"][-1]) < 0.02 * path["force"].max()
+    assert path["dissipated"][-1] <= path["work"][-1] * (1.0 + 1e-2)
+    assert np.all(np.diff(path["dissipated"]) > -1e-12)
+    assert path["tip"][-1] > path["tip"][0]
+
+
+def test_any_number_of_ranks_follows_the_same_path(tmp_path):
+    arguments = ("n=10", "law=linear", "solver=path")
+    for ranks in (1, 2, 3):
+        results(CRACK, *arguments, output=tmp_path / str(ranks), ranks=ranks)
+    one = history(tmp_path / "1")
+    for ranks in (2, 3):
+        other = history(tmp_path / str(ranks))
+        for name in ("force", "displacement", "broken"):
+            assert np.allclose(one[name], other[name], rtol=1e-6, atol=1e-6 * np.abs(one[name]).max())
+
+
+class Stop(pd.Quantity):
+    """Ends the run after some steps."""
+
+    def evaluate(self, solution):
+        if solution.step > 15:
+            raise pd.Interrupted("enough")
+        return 0.0
+
+
+def test_a_restart_goes_on_along_the_path(tmp_path):
+    case = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.5), checkpoints=4)
+    pd.run(case, output=tmp_path / "whole", quiet=True)
+    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop()})
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped, output=tmp_path / "part", quiet=True)
+    checkpoint = tmp_path / "part" / "checkpoint.h5"
+    pd.run(case, output=tmp_path / "rest", restart=checkpoint, quiet=True)
+    whole, rest = history(tmp_path / "whole"), history(tmp_path / "rest")
+    # The stopped run keeps the step that it was stopped at, between two checkpoints.
+    assert 4 * len(rest["step"]) > len(whole["step"])
+    for name in ("force", "work", "dissipated"):
+        assert np.allclose(rest[name], whole[name][-len(rest[name]) :], rtol=1e-8, atol=1e-8 * np.abs(whole[name]).max())
+
+
+def test_the_plate_with_a_hole_turns_back_and_comes_apart(tmp_path):
+    """Correspondence with smooth degradation, where load steps jump: the load falls while the plate springs back."""
+    solver = pd.PathFollowing(pd.BondStretch(0.1), until=0.02)
+    case = dataclasses.replace(plate_with_hole.case(), solver=solver, fields=[], picture=None)
+    pd.run(case, output=tmp_path, quiet=True)
+    h = history(tmp_path)
+    peak = int(np.argmax(h["force"]))
+    assert h["displacement"].max() == pytest.approx(h["displacement"][peak], rel=0.25)
+    assert h["displacement"][-1] < 0.6 * h["displacement"][peak]
+    assert h["force"][-1] <= 0.02 * h["force"][peak]
+    assert h["broken"][-1] > 60
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conditions": [pd.Displacement(pd.region.All(), x=0.0, y=1.0, schedule=pd.Hold())]}, "proportional"),
+        ({"damage": None}, "bonds that can fail"),
+        (
+            {"solver": pd.PathFollowing(pd.Opening("z", pd.region.All(), step=1.0, end=2.0))},
+            "no component z",
+        ),
+    ],
+)
+def test_what_a_path_cannot_follow_is_refused(changes, message, tmp_path):
+    with pytest.raises(pd.CaseError, match=message):
+        pd.run(crack(**{"solver": pd.PathFollowing(), **changes}), output=tmp_path, quiet=True)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: pd.BondStretch(0.0),
+        lambda: pd.Opening("a", pd.region.All(), step=1.0, end=2.0),
+        lambda: pd.Opening("x", pd.region.All(), step=1.0, end=-2.0),
+        lambda: pd.PathFollowing(until=1.0),
+    ],
+)
+def test_wrong_paths_are_refused(wrong):
+    with pytest.raises(pd.CaseError):
+        wrong()

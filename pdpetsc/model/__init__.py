@@ -1,6 +1,7 @@
 """The discrete body: residual, tangent and energy, composed from the layers below."""
 
-from pdpetsc.model.base import Assembler, Linearised, Model
+from pdpetsc.model.assembler import Assembler
+from pdpetsc.model.base import Linearised, Model
 from pdpetsc.model.bonds import BondModel
 from pdpetsc.model.correspondence import CorrespondenceModel
 from pdpetsc.model.damaged import DamagedCorrespondenceModel

@@ -11,7 +11,7 @@ from pdpetsc.discrete.pattern import Rows, build_pattern
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import bond_rows_kernel
 from pdpetsc.kernels.pattern import sum_by, transpose
-from pdpetsc.model.base import Assembler
+from pdpetsc.model.assembler import Assembler
 
 if TYPE_CHECKING:
     from pdpetsc.model.bonds import BondModel

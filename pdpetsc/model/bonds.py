@@ -21,7 +21,8 @@ from pdpetsc.kernels.bonds import (
     turning_force_kernel,
 )
 from pdpetsc.kernels.pattern import sum_by
-from pdpetsc.model.base import Assembler, Linearised, Model
+from pdpetsc.model.assembler import Assembler
+from pdpetsc.model.base import Linearised, Model
 from pdpetsc.model.bond_assembly import BondAssembler, DilatationAssembler
 from pdpetsc.model.failure import BondFailure
 

@@ -17,7 +17,8 @@ from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.pattern import transpose
 from pdpetsc.law import Law, make_law
 from pdpetsc.material.base import Material
-from pdpetsc.model.base import Assembler, Linearised, Model
+from pdpetsc.model.assembler import Assembler
+from pdpetsc.model.base import Linearised, Model
 from pdpetsc.stabilisation.base import Control, Stabilisation, Stiffness
 
 

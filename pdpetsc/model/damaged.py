@@ -18,7 +18,8 @@ from pdpetsc.kernels.bonds import elongation_rate_kernel
 from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
 from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.material.base import Material
-from pdpetsc.model.base import Assembler, Linearised
+from pdpetsc.model.assembler import Assembler
+from pdpetsc.model.base import Linearised
 from pdpetsc.model.correspondence import CorrespondenceModel
 from pdpetsc.model.damaged_assembly import DamagedAssembler
 from pdpetsc.model.failure import BondFailure

@@ -59,4 +59,4 @@ def test_wrong_options_are_refused(wrong):
 def test_an_unknown_solver_is_refused(tmp_path):
     finished = run(BLOCK, "--solver", "magic", output=tmp_path)
     assert finished.returncode == 2
-    assert "--solver is one of newton, relaxation, events, not 'magic'" in finished.stderr
+    assert "--solver is one of newton, relaxation, events, path, not 'magic'" in finished.stderr

@@ -265,4 +265,23 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
                     raise
                 detached |= more
         self.n_detached = int(total(self.cloud.comm, np.count_nonzero(detached)))
-        return replace(operator, volume=np.where(detached[operator.owner], 0.0, operator.volume))
+        volume = np.where(detached[operator.owner], 0.0, self._by_bonds_left(operator))
+        return replace(operator, volume=volume)
+
+    def _by_bonds_left(self, operator: GradientOperator) -> Float:
+        """Return the volumes of the points: bonds that are gone take their share of it with them.
+
+        ``V_i sum_left omega V / sum_all omega V`` of a particle, divided among its points as the volumes of their
+        neighbours: the force states of the bonds that are left stay as they were when a bond breaks, though the
+        gradient is that of fewer bonds, and a point with one bond left across a crack does not carry a whole stress.
+        """
+        n, centres = self.cloud.n_owned, self.families.centres
+        weight = self._omega * self.cloud.volume[self.families.neighbours]
+        left = np.bincount(centres, weight * self.failure.intact, n) / np.bincount(centres, weight, n)
+        ends = np.where(
+            operator.members == np.repeat(operator.owner, np.diff(operator.point_ptr)), -1, operator.members
+        )
+        of_point = np.add.reduceat(np.append(self.cloud.volume, 0.0)[ends], operator.point_ptr[:-1])
+        share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
+        hurt = (left < 1.0)[operator.owner]
+        return np.where(hurt, (self.cloud.volume[:n] * left)[operator.owner] * share, operator.volume)

@@ -40,6 +40,7 @@ def case(
     laws = {
         "none": None,
         "smooth": pd.SmoothDegradation(critical, s_min / s_cr, continuous=not published, protected=held),
+        "early": pd.SmoothDegradation(critical, 0.4, protected=held),
         "brittle": pd.Brittle(critical, protected=held),
         "linear": pd.LinearSoftening(critical, 1.5, protected=held),
     }

@@ -39,7 +39,7 @@ def measure(scene, updates):
     cloud = make_cloud(world(), scene)
     model = make_model(scene, cloud, find_families(cloud))
     loading = Loading(model, scene.conditions, scene.particles.thickness)
-    with options({}, default_options(model, {}, pd.EventDriven())):
+    with options({}, default_options(model, {}, EventDriven())):
         solver = EventSolver(
             model, loading, model.assembler(), EventDriven(updates), stiffness_scale(model), lambda: False
         )

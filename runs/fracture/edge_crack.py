@@ -1,0 +1,79 @@
+"""Strip with a crack from its edge, pulled at its ends until it breaks: peak load against Griffith. Units mm, N.
+
+Width 20, length 60, bond-based, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, a crack of length ``a`` from
+the left edge; the ends are pulled by uniform forces, which leave them free to turn. The event-driven solver follows the
+crack. Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)`` with
+``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris, Irwin); ``ratio`` of both;
+``straightness``, the largest distance of a broken bond from the line of the crack over the horizon.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import pdpetsc as pd
+
+WIDTH, LENGTH = 20.0, 60.0
+E, GC = 1000.0, 0.1
+# The whole load is this many times Griffith's; the strip breaks long before.
+MOST = 3.0
+
+
+@dataclass(frozen=True)
+class Spread(pd.Quantity):
+    """Largest distance from a height of particles with local damage above 0.2 [length]."""
+
+    height: float
+
+    def evaluate(self, solution):
+        damaged = pd.local_damage(solution) > 0.2
+        return solution.largest(float(np.abs(solution.x[damaged, 1] - self.height).max(initial=0.0)))
+
+
+def case(n=20, horizon=3.015, a=8.0, solver="events"):
+    dx = WIDTH / n
+    low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=LENGTH - dx)
+    ends = pd.region.Slab("y", high=3.0 * horizon * dx) | pd.region.Slab("y", low=LENGTH - 3.0 * horizon * dx)
+    q = a / WIDTH
+    F = 1.122 - 0.231 * q + 10.550 * q**2 - 21.710 * q**3 + 30.382 * q**4
+    griffith = np.sqrt(E * GC / (np.pi * a)) / F
+    corner = pd.region.Nearest((0.5 * dx, 0.5 * LENGTH - 0.5 * dx))
+    far = pd.region.Nearest((WIDTH - 0.5 * dx, 0.5 * LENGTH - 0.5 * dx))
+
+    def results(h):
+        peak = max(h["t"]) * MOST * griffith
+        return {
+            "peak_stress": peak,
+            "griffith": griffith,
+            "ratio": peak / griffith,
+            "broken_bonds": h["broken"][-1],
+            "straightness": h["spread"][-1] / (horizon * dx),
+        }
+
+    force = MOST * griffith * WIDTH
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
+        horizon=horizon * dx,
+        material=pd.BondBased(E=E, plane="stress", calibration="family"),
+        cracks=[pd.Segment((-1.0, 0.5 * LENGTH), (a, 0.5 * LENGTH))],
+        damage=pd.Brittle(pd.FractureEnergy(GC), protected=ends),
+        conditions=[
+            pd.Displacement(far, x=0.0, y=0.0),
+            pd.Displacement(corner, y=0.0),
+            pd.Force(low, y=-force),
+            pd.Force(high, y=force),
+        ],
+        solver=pd.choose("solver", solver, pd.SOLVERS),
+        history={
+            "opening": pd.Mean(pd.displacement, "y", high),
+            "broken": pd.BrokenBonds(),
+            "tip": pd.CrackTip((1.0, 0.0)),
+            "spread": Spread(0.5 * LENGTH),
+            "work": pd.ExternalWork(),
+            "stored": pd.StrainEnergy(),
+            "dissipated": pd.DissipatedEnergy(),
+        },
+        results=results,
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 5.0),
+    )

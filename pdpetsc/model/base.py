@@ -139,7 +139,7 @@ class Model(ABC):
 
     def freeze(self, frozen: bool) -> None:
         """Let damage stay, or follow the displacement (not collective)."""
-        if self.failure is not None:
+        if self.failure is not None and self.failure.frozen != frozen:
             self.failure.frozen = frozen
             self.version += 1
 

@@ -176,7 +176,7 @@ class BondModel(Model):
     def commit(self, u: Float) -> None:
         """Keep what has failed."""
         if self.failure is not None:
-            self.failure.soften(self.elongation(self.with_ghosts(u)))
+            self.soften(u)
             self.failure.commit()
 
     def revert(self) -> None:
@@ -218,8 +218,9 @@ class BondModel(Model):
         """Take the integrity of bonds at ``u`` for good; return the largest change."""
         if self.failure is None:
             return 0.0
-        self.version += 1
-        return self.failure.soften(self.elongation(self.with_ghosts(u)))
+        change = self.failure.soften(self.elongation(self.with_ghosts(u)))
+        self.version += int(change > 0.0)
+        return change
 
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""

@@ -26,6 +26,9 @@ from pdpetsc.solve.steps import GENTLE, GROWTH, SETTLED, Converged, equilibrium
 BAND = 0.05
 # A load factor this much above the highest one so far is that of a body which carries nothing.
 LEAP = 10.0
+# A load factor that changes by more than this share of the highest one in a step is of another branch, likely, and a
+# shorter step is tried, down to this share of the largest one.
+JUMP, PATIENCE = 0.4, 0.05
 # Sweeps with damage held in which it settles, or a shorter step is tried.
 SWEEPS = 100
 
@@ -117,7 +120,7 @@ class PathSolver(StepSolver):
     def march(
         self, u: Float, load: float, pace: tuple[float, ...], on_failure: Callable[[float, float, StepResult], None]
     ) -> Iterator[Converged]:
-        """Yield equilibria along the path from ``u`` at a load factor, at the ``pace`` of the step before if any.
+        """Yield equilibria from ``u`` at a load factor, at the ``pace`` of the step before if any (collective).
 
         Raises
         ------
@@ -125,10 +128,6 @@ class PathSolver(StepSolver):
             The smallest step failed, or there are too many; what was yielded before stands.
         Interrupted
             A signal asked to stop.
-
-        Notes
-        -----
-        Collective.
         """
         options = self._options
         self.load = load
@@ -138,6 +137,9 @@ class PathSolver(StepSolver):
         while converged < options.most:
             size = self._aim(u, step)
             attempt, result, broken, sweeps = self._advance(u, size)
+            far = abs(self.load - load) > JUMP * self._highest > 0.0
+            if result.converged and far and step > PATIENCE * options.control.step and self._constraint.share == 0.0:
+                result = replace(result, converged=False, reason="the load jumped")
             if self._stop():
                 self.model.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")

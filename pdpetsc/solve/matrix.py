@@ -63,6 +63,7 @@ class TangentMatrix:
         self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
         self._handles = seq_blocks(self.mat)
         self._filled = -1
+        self._damped = False
         self.diagonal: Float = np.zeros(n * dim)
 
     def update(self, u: Float, damping: Float | None = None) -> None:
@@ -81,7 +82,11 @@ class TangentMatrix:
             diag[self._diagonal[self._fixed]] = self._scale
         self.mat.assemble()
         self.mat.stateIncrease()
-        self._filled = version
+        self._filled, self._damped = version, damping is not None
+
+    def holds(self, damped: bool) -> bool:
+        """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
+        return self._filled == self._assembler.model.version and self._damped == damped
 
     @property
     def bytes(self) -> int:

@@ -135,14 +135,16 @@ class StaticSolver(StepSolver):
     def _predict(self, u: Float, jump: Float) -> tuple[Float, int]:
         """Return the linear response to new prescribed displacements: Newton's first step, from the old state.
 
-        Setting them alone would strain the layer next to a support by the whole increment.
+        Setting them alone would strain the layer next to a support by the whole increment. The tangent is that of the
+        last iteration before, whose factor is there already, unless bonds have failed since.
         """
         sought, free = self._equilibrium, self._equilibrium.free
         jump = np.where(free, 0.0, jump)
         force = self.model.internal_force(u)
         if force is None:
             return u, 0
-        sought.matrix.update(u, sought.damping)
+        if not sought.matrix.holds(sought.damping is not None):
+            sought.matrix.update(u, sought.damping)
         b = sought.external - force - self.model.tangent_times(u, jump)
         self._r.array = np.where(free, b, 0.0).ravel()
         ksp = self.snes.getKSP()

@@ -197,6 +197,7 @@ class _Run:
                 self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
                 step += 1
                 self.report.step(step, converged.t, converged.result, solver.unit, converged.broken, converged.sweeps)
+                self._say_detached(model)
                 self.steps.append(_step_summary(step, converged, solver.unit))
                 failed.clear()
                 with self._timed("output"):
@@ -220,6 +221,14 @@ class _Run:
         if self.case.picture is not None:
             wanted += [f for f in (displacement, self.case.picture.field) if f not in wanted]
         return wanted
+
+    def _say_detached(self, model: Model) -> None:
+        if model.n_detached > self.summary.get("detached_particles", 0):
+            self.report.say(
+                f"           {model.n_detached} particles have too few bonds left for a gradient; their stress is gone"
+            )
+        if model.n_detached:
+            self.summary["detached_particles"] = model.n_detached
 
     def _finish(self, status: str, failed: list[StepResult], unit: str) -> None:
         memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)

@@ -135,6 +135,10 @@ def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(sch
     upper = x[:, 1] > 2.5
     assert np.allclose(F[upper], np.diag([1.1, 1.0]), atol=1e-10)
     assert np.allclose(F[~upper], np.eye(2), atol=1e-10)
+    # Bonds that are gone take their share of the volume with them.
+    left = np.bincount(centres, model.failure.intact) / np.bincount(centres)
+    volume = np.bincount(model.operator.owner, model.operator.volume, len(x))
+    assert np.allclose(volume, left * model.cloud.volume[: len(x)], rtol=1e-12)
     K = dense_tangent(model, strained)
     columns = rng.choice(u.size, 8, replace=False)
     assert np.abs(K[:, columns] - differences(model, strained, columns)).max() < 1e-6 * np.abs(K).max()

@@ -191,3 +191,39 @@ def test_a_centre_crack_grows_at_the_load_of_griffith(a, tmp_path):
     # It runs along the ligaments in its own plane.
     places = np.array([[float(row[5]), float(row[6])] for row in broken(tmp_path)])
     assert np.abs(places[:, 1] - 20.0).max() < 5.0
+
+
+@pytest.mark.parametrize(("n", "within"), [(10, 0.1), pytest.param(20, 0.05, marks=pytest.mark.long)])
+def test_an_edge_crack_grows_at_the_load_of_griffith_and_straight(n, within, tmp_path):
+    found = results("runs/fracture/edge_crack.py", f"n={n}", output=tmp_path)["results"]
+    assert found["ratio"] == pytest.approx(1.0, abs=within)
+    assert found["straightness"] < 0.6
+
+
+@pytest.mark.long
+def test_a_double_cantilever_opens_as_beams_do(tmp_path):
+    found = results("runs/fracture/double_cantilever.py", "n=10", output=tmp_path)["results"]
+    assert found["stiffness"] == pytest.approx(1.0, abs=0.05)
+    assert found["first_load"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_energy_balances_while_bonds_soften(tmp_path):
+    """One softening bond: what is not stored is dissipated, to 1e-6 of the work with small steps."""
+    case = dataclasses.replace(one_bond(4.0), solver=pd.Newton(), steps=pd.Steps(400))
+    history_of = {**case.history, "work": pd.ExternalWork()}
+    pd.run(dataclasses.replace(case, history=history_of), output=tmp_path, quiet=True)
+    h = history(tmp_path)
+    # The steps meet the ends of the law, so that force and displacement are linear between them.
+    assert np.abs(h["work"] - h["energy"] - h["dissipated"]).max() < 1e-6 * h["work"][-1]
+    assert np.all(np.diff(h["dissipated"]) > -1e-15)
+
+
+def test_a_wide_step_of_many_bonds_and_a_narrow_one_of_each_end_alike(tmp_path):
+    """From one bond at a time to thousands at once."""
+    found = {}
+    for most in (1, 5000):
+        case = dataclasses.replace(plate_with_hole.case(law="brittle"), steps=pd.Steps(5, breaks=most), fields=[])
+        found[most] = pd.run(dataclasses.replace(case, picture=None), output=tmp_path, quiet=True)
+        assert abs(found[most]["last_load"]) < 1e-3 * found[most]["peak_load"]
+        assert found[most]["symmetry_error"] < 1e-6
+    assert found[1]["broken_bonds"] < found[5000]["broken_bonds"]

@@ -74,6 +74,22 @@ def test_a_linear_problem_takes_one_factorisation_and_one_solve_a_step(tmp_path)
     assert np.allclose(force, force[-1] * np.array([0.0, 1.0, 2.0, 3.0]) / 3.0, rtol=1e-10)
 
 
+def test_external_work_is_stored_and_what_is_not_is_dissipated(tmp_path):
+    """Linear: exact. Finite strain: the trapezoidal rule converges with the square of the step."""
+    energies = {"work": pd.ExternalWork(), "stored": pd.StrainEnergy(), "lost": pd.DissipatedEnergy()}
+    energies["control"] = pd.ControlEnergy()
+
+    def gap(**changes):
+        pd.run(strip(history=energies, results=None, **changes), output=tmp_path, quiet=True)
+        rows = np.genfromtxt(tmp_path / "history.csv", delimiter=",", names=True)
+        assert np.all(rows["lost"] == 0.0)
+        return abs(rows["work"][-1] - rows["stored"][-1] - rows["control"][-1]) / rows["work"][-1]
+
+    assert gap(material=pd.LinearElastic(E=10.0, nu=0.3)) < 1e-12
+    coarse, fine = (gap(steps=pd.Steps(n)) for n in (4, 8))
+    assert fine == pytest.approx(coarse / 4.0, rel=0.1)
+
+
 def test_work_of_the_load_is_the_energy(tmp_path):
     """Trapezoidal work of the prescribed displacement against stored energy of a hyperelastic body without control."""
     pd.run(strip(stabilisation=None, steps=pd.Steps(40)), output=tmp_path, quiet=True)
@@ -105,6 +121,20 @@ def test_a_step_that_inverts_the_body_is_cut_back_until_the_smallest(tmp_path):
     assert len(rows) == 1 + len(found["steps"])
     with h5py.File(tmp_path / "fields.h5") as file:
         assert sum(name.startswith("step_") for name in file) == len(rows)
+
+
+def test_a_run_with_few_checkpoints_keeps_the_step_that_it_ends_at(tmp_path):
+    squash = pd.Displacement(pd.region.All(), x=lambda x, t: -2.0 * t * x[:, 0], y=0.0)
+    case = strip(conditions=[squash], steps=pd.Steps(8, smallest=0.05), checkpoints=1000)
+    with pytest.raises(pd.SolveError):
+        pd.run(case, output=tmp_path, quiet=True)
+    last = summary(tmp_path)["steps"][-1]
+    with h5py.File(tmp_path / "checkpoint.h5") as file:
+        assert (file.attrs["step"], file.attrs["t"]) == (last["step"], last["t"])
+    pd.run(strip(checkpoints=0), output=tmp_path / "none", quiet=True)
+    assert not (tmp_path / "none" / "checkpoint.h5").exists()
+    with pytest.raises(pd.CaseError, match="checkpoints"):
+        strip(checkpoints=-1)
 
 
 def test_a_failed_run_ends_with_status_1_on_every_rank_count(tmp_path):

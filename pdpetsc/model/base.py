@@ -38,6 +38,8 @@ class Model(ABC):
         State of the bonds where they can fail.
     finite : int
         Whether elongations of bonds are those of their current length, 1, or along their first direction, 0.
+    n_detached : int
+        Particles on all ranks that have too few bonds left for a gradient, and no stress.
     note : str
         What a user should know about how the body was built; the same on all ranks.
 
@@ -48,6 +50,7 @@ class Model(ABC):
 
     version: int = 0
     finite: int = 1
+    n_detached: int = 0
     note: str = ""
     failure: BondFailure | None = None
 

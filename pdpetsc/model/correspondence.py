@@ -173,6 +173,7 @@ class CorrespondenceModel(Model):
             F = self.deformation(self.with_ghosts(u))
             for law in self.laws:
                 law.commit(F)
+            self.version += 1
 
     def revert(self) -> None:
         """Do nothing: nothing changes before ``commit``."""

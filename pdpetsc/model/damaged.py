@@ -69,7 +69,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         self._factor = factor
         self.failure = BondFailure(cloud, families, damage, protected)
         self._whole_control = self.control
-        self.n_detached = 0
         self._take_operator(self.operator)
         self._take_integrity()
 

@@ -88,6 +88,10 @@ class TangentMatrix:
         """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
         return self._filled == self._assembler.model.version and self._damped == damped
 
+    def forget(self) -> None:
+        """Let the next ``update`` fill it anew: it is of a displacement that led nowhere (not collective)."""
+        self._filled = -1
+
     @property
     def bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""

@@ -108,6 +108,7 @@ class StaticSolver(StepSolver):
         )
         if reason <= 0:
             sought.prescribed = old_prescribed
+            sought.matrix.forget()
         return sought.at_prescribed(self._x.array).copy(), result
 
     def destroy(self) -> None:

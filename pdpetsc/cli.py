@@ -27,7 +27,7 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   NAME=VALUE      a parameter of that function
   -o DIR          folder for the results (default: out/CASE)
   --restart FILE  go on from a checkpoint
-  --solver NAME   newton, relaxation (dynamic) or events (bond by bond), not the case's
+  --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.defaults import stiffness_scale
@@ -157,7 +158,19 @@ class Equilibrium:
         self._anchor = u
 
 
-def first_line(error: PETSc.Error) -> str:
+def read_options(destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP) -> None:
+    """Give solvers their options (collective); where PETSc refuses one, ``destroy`` and raise CaseError."""
+    try:
+        for solver in solvers:
+            solver.setFromOptions()
+    except PETSc.Error as error:
+        destroy()
+        raise CaseError(
+            f"PETSc refused the solver options; check their names and values: {_first_line(error)}."
+        ) from error
+
+
+def _first_line(error: PETSc.Error) -> str:
     """Return what PETSc says is wrong, without its traceback."""
     lines = [line.split("] ", 1)[-1] for line in str(error).splitlines() if line.strip()]
     kept = [line for line in lines if not line.startswith(("error code", "SNES", "KSP", "PC"))]

@@ -17,7 +17,7 @@ from pdpetsc.scene.solver import Opening, PathFollowing
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.bordered import Bordered
 from pdpetsc.solve.constraint import Constraint, opening_weights
-from pdpetsc.solve.equilibrium import Equilibrium, first_line, words
+from pdpetsc.solve.equilibrium import Equilibrium, read_options, words
 from pdpetsc.solve.petsc import set_domain_error
 from pdpetsc.solve.static import EASY_ITERATIONS, linear_solver
 from pdpetsc.solve.steps import GENTLE, GROWTH, SETTLED, Converged, equilibrium
@@ -89,14 +89,7 @@ class PathSolver(StepSolver):
         self.snes.setJacobian(self._jacobian, self._bordered.mat)
         self.snes.setConvergenceTest(self._test)
         self._bordered.solve_in(self.snes.getKSP())
-        try:
-            self.snes.setFromOptions()
-            self._bordered.ksp.setFromOptions()
-        except PETSc.Error as error:
-            self.destroy()
-            raise CaseError(
-                f"PETSc refused the solver options; check their names and values: {first_line(error)}."
-            ) from error
+        read_options(self.destroy, self.snes, self._bordered.ksp)
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property

@@ -9,11 +9,10 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
-from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult, StepSolver
-from pdpetsc.solve.equilibrium import Equilibrium, first_line, words
+from pdpetsc.solve.equilibrium import Equilibrium, read_options, words
 from pdpetsc.solve.petsc import full_steps, line_search, set_domain_error, start_anew
 
 # A step with no more iterations may be followed by a longer one.
@@ -55,13 +54,7 @@ class StaticSolver(StepSolver):
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, mat)
         self.snes.setConvergenceTest(self._test)
-        try:
-            self.snes.setFromOptions()
-        except PETSc.Error as error:
-            self.destroy()
-            raise CaseError(
-                f"PETSc refused the solver options; check their names and values: {first_line(error)}."
-            ) from error
+        read_options(self.destroy, self.snes)
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property

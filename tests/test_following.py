@@ -15,9 +15,9 @@ import centre_crack
 import plate_with_hole
 
 
-def crack(**changes):
+def crack(pull=1.0, **changes):
     """Return the strip with a central crack of softening bonds, 10 particles wide."""
-    case = centre_crack.case(n=10, law="linear")
+    case = centre_crack.case(n=10, law="linear", pull=pull)
     return dataclasses.replace(case, fields=[], picture=None, **changes)
 
 
@@ -101,6 +101,18 @@ def test_a_restart_goes_on_along_the_path(tmp_path):
         assert np.allclose(rest[name], same, rtol=1e-8, atol=1e-8 * np.abs(whole[name]).max())
 
 
+def test_a_path_goes_on_from_load_steps(tmp_path):
+    stepped = crack(solver=pd.Newton(), steps=pd.Steps(20), history={"stop": pd.BrokenBonds()})
+    stepped = dataclasses.replace(stepped, conditions=crack(pull=0.05).conditions, results=None)
+    pd.run(stepped, output=tmp_path / "steps", quiet=True)
+    path = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.8), pull=0.05)
+    pd.run(path, output=tmp_path / "path", restart=tmp_path / "steps" / "checkpoint.h5", quiet=True)
+    h = history(tmp_path / "path")
+    assert h["t"][0] == pytest.approx(1.0)
+    assert h["force"].max() > h["force"][0]
+    assert h["force"][-1] <= 0.8 * h["force"].max()
+
+
 def test_the_plate_with_a_hole_turns_back_and_comes_apart(tmp_path):
     """Correspondence with smooth degradation, where load steps jump: the load falls while the plate springs back."""
     solver = pd.PathFollowing(pd.BondStretch(0.1), until=0.02)
@@ -137,6 +149,7 @@ def test_what_a_path_cannot_follow_is_refused(changes, message, tmp_path):
         lambda: pd.Opening("a", pd.region.All(), step=1.0, end=2.0),
         lambda: pd.Opening("x", pd.region.All(), step=1.0, end=-2.0),
         lambda: pd.PathFollowing(until=1.0),
+        lambda: pd.PathFollowing(0.1),
     ],
 )
 def test_wrong_paths_are_refused(wrong):

@@ -144,6 +144,8 @@ class PathFollowing:
     breaks: int | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.control, BondStretch | Opening):
+            raise CaseError(f"PathFollowing is controlled by a BondStretch or an Opening, not by {self.control!r}.")
         if not (0.0 < self.first <= 1.0 and 0.0 < self.smallest <= 1.0 and 0.0 <= self.until < 1.0 and self.most >= 1):
             raise CaseError(
                 f"PathFollowing needs first and smallest in (0, 1], until in [0, 1) and most >= 1, not {self.first}, "

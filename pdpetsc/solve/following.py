@@ -124,7 +124,9 @@ class PathSolver(StepSolver):
         """
         options = self._options
         self.load = load
-        step, highest, self._highest, self._equilibrium.reference = pace or (options.control.step, 0.0, 0.0, 0.0)
+        # A checkpoint of load steps has another pace.
+        known = pace if len(pace) == 4 else (options.control.step, 0.0, 0.0, 0.0)
+        step, highest, self._highest, self._equilibrium.reference = known
         failures: list[StepResult] = []
         converged = 0
         while converged < options.most:

@@ -82,7 +82,7 @@ def load_steps(
     -----
     Collective.
     """
-    dt = min(pace[0], steps.largest) if pace else steps.first
+    dt = min(pace[0], steps.largest) if len(pace) == 1 else steps.first
     stops = steps.stops()
     failures: list[StepResult] = []
     while t < 1.0 - SAME_TIME:

@@ -76,7 +76,7 @@ class Solution:
     @cached_property
     def reaction(self) -> Float:
         """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
-        return np.where(self.loading.fixed, self.internal_force - self.loading.forces(self.t), 0.0)
+        return np.where(self.loading.fixed, self.internal_force - self._loads, 0.0)
 
     def follow(self, before: Solution) -> None:
         """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
@@ -88,9 +88,14 @@ class Solution:
         self.work = before.work + float(self.sum(0.5 * float((forces * (self.unknowns - before.unknowns)).sum())))
 
     @cached_property
+    def _loads(self) -> Float:
+        """Return the external forces (n_rows, dim) [force]."""
+        return self.loading.forces(self.t)
+
+    @cached_property
     def _acting(self) -> Float:
         """Return the forces of loads and supports (n_rows, dim) [force]."""
-        return np.where(self.loading.fixed, self.internal_force, self.loading.forces(self.t))
+        return np.where(self.loading.fixed, self.internal_force, self._loads)
 
     @cached_property
     def energies(self) -> tuple[float, float]:

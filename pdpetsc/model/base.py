@@ -10,6 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.kernels.bonds import bond_force_kernel, elongation_kernel
 from pdpetsc.model.assembler import Assembler
@@ -118,17 +119,28 @@ class Model(ABC):
     def energy(self, u: Float) -> tuple[float, float]:
         """Return the strain energy of the body and that of its zero-energy control [energy]."""
 
-    @abstractmethod
     def commit(self, u: Float) -> None:
         """Take ``u`` as converged: what has a history remembers it."""
+        if self.failure is not None:
+            self.soften(u)
+            self.failure.commit()
 
-    @abstractmethod
     def revert(self) -> None:
-        """Take back what failed since the last ``commit`` (not collective)."""
+        """Take back what failed since the last ``commit``."""
+        if self.failure is not None:
+            intact = self.failure.intact
+            self.failure.revert()
+            mended = int(np.any(intact != self.failure.intact))
+            self._changed(rebuild=int(total(self.cloud.comm, mended)) > 0)
 
     def break_bonds(self, u: Float, most: int | None = None) -> int:
-        """Break what has reached its limit at ``u``, about ``most`` bonds at once; return how many."""
-        return 0
+        """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs."""
+        if self.failure is None:
+            return 0
+        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u)), most)
+        if broken:
+            self._changed(rebuild=True)
+        return broken
 
     @property
     def symmetric(self) -> bool:
@@ -165,7 +177,12 @@ class Model(ABC):
 
     def soften(self, u: Float) -> float:
         """Take the damage at ``u`` for good; return the largest change of an integrity [-]."""
-        return 0.0
+        if self.failure is None:
+            return 0.0
+        change = self.failure.soften(self.elongation(self.with_ghosts(u)))
+        if change > 0.0:
+            self._changed(rebuild=False)
+        return change
 
     def most_stretched(self, u: Float, band: float) -> tuple[Float, float]:
         """Return how the largest stretch over the critical one grows with the unknowns, and that stretch.
@@ -194,7 +211,11 @@ class Model(ABC):
         """Follow the state of the bonds, set from outside, and keep it."""
         if self.failure is not None:
             self.failure.commit()
-            self.version += 1
+            self._changed(rebuild=True)
+
+    def _changed(self, rebuild: bool) -> None:
+        """Follow a change of the integrity of bonds, and of which are broken where ``rebuild``."""
+        self.version += 1
 
     def broken_bonds(self) -> int:
         """Return how many pairs of particles have lost their bond."""

@@ -173,18 +173,6 @@ class BondModel(Model):
         volume = self.cloud.volume[: self.cloud.n_owned]
         return float(total(self.cloud.comm, volume @ self.energy_density(u))), 0.0
 
-    def commit(self, u: Float) -> None:
-        """Keep what has failed."""
-        if self.failure is not None:
-            self.soften(u)
-            self.failure.commit()
-
-    def revert(self) -> None:
-        """Restore the bonds that failed since the last ``commit``."""
-        if self.failure is not None:
-            self.failure.revert()
-            self.version += 1
-
     @property
     def has_history(self) -> bool:
         """Return whether bonds can fail."""
@@ -205,22 +193,6 @@ class BondModel(Model):
         """Return the largest ``lambda + 2 mu`` of the materials times the largest factor on this rank [stress]."""
         lame = [elastic.lame(self.dim) for elastic in self._elastic]
         return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
-
-    def break_bonds(self, u: Float, most: int | None = None) -> int:
-        """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs."""
-        if self.failure is None:
-            return 0
-        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u)), most)
-        self.version += int(broken > 0)
-        return broken
-
-    def soften(self, u: Float) -> float:
-        """Take the integrity of bonds at ``u`` for good; return the largest change."""
-        if self.failure is None:
-            return 0.0
-        change = self.failure.soften(self.elongation(self.with_ghosts(u)))
-        self.version += int(change > 0.0)
-        return change
 
     def dissipated_energy(self) -> float:
         """Return what bonds have dissipated in failing [energy]."""

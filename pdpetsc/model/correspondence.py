@@ -169,14 +169,12 @@ class CorrespondenceModel(Model):
 
     def commit(self, u: Float) -> None:
         """Take ``u`` (n_owned, dim) as converged: materials with history remember it."""
-        if self.has_history:
+        super().commit(u)
+        if any(law.has_history for law in self.laws):
             F = self.deformation(self.with_ghosts(u))
             for law in self.laws:
                 law.commit(F)
             self.version += 1
-
-    def revert(self) -> None:
-        """Do nothing: nothing changes before ``commit``."""
 
     @property
     def has_history(self) -> bool:

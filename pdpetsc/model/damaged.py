@@ -149,37 +149,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         m = slope[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]
         return bonds, np.asarray(v), np.asarray(m)
 
-    def commit(self, u: Float) -> None:
-        """Take the damage at ``u`` for good and keep it."""
-        self.soften(u)
-        self.failure.commit()
-
-    def revert(self) -> None:
-        """Restore bonds and integrity as they were at the last ``commit``."""
-        broken = ~self.failure.intact
-        self.failure.revert()
-        changed = int(total(self.cloud.comm, int(np.any(broken != ~self.failure.intact))))
-        self._changed(changed > 0)
-
-    def soften(self, u: Float) -> float:
-        """Take the integrity of bonds at ``u`` for good; return the largest change."""
-        change = self.failure.soften(self.elongation(self.with_ghosts(u)))
-        if change > 0.0:
-            self._changed(rebuild=False)
-        return change
-
-    def break_bonds(self, u: Float, most: int | None = None) -> int:
-        """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs."""
-        broken = self.failure.break_bonds(self.elongation(self.with_ghosts(u)), most)
-        if broken:
-            self._changed(rebuild=True)
-        return broken
-
-    def take_failure(self) -> None:
-        """Follow the state of the bonds, set from outside, and keep it."""
-        self.failure.commit()
-        self._changed(rebuild=True)
-
     @property
     def restartable(self) -> bool:
         """Return True."""
@@ -231,7 +200,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         if rebuild:
             self._take_operator(self._rebuilt())
         self._take_integrity()
-        self.version += 1
+        super()._changed(rebuild)
 
     def _take_operator(self, operator: GradientOperator) -> None:
         self.operator = operator
@@ -277,10 +246,8 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         n, centres = self.cloud.n_owned, self.families.centres
         weight = self._omega * self.cloud.volume[self.families.neighbours]
         left = np.bincount(centres, weight * self.failure.intact, n) / np.bincount(centres, weight, n)
-        ends = np.where(
-            operator.members == np.repeat(operator.owner, np.diff(operator.point_ptr)), -1, operator.members
-        )
-        of_point = np.add.reduceat(np.append(self.cloud.volume, 0.0)[ends], operator.point_ptr[:-1])
+        whole = np.add.reduceat(self.cloud.volume[operator.members], operator.point_ptr[:-1])
+        of_point = whole - self.cloud.volume[operator.owner]
         share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
         hurt = (left < 1.0)[operator.owner]
         return np.where(hurt, (self.cloud.volume[:n] * left)[operator.owner] * share, operator.volume)

@@ -104,8 +104,10 @@ class BondFailure:
 
     def at(self, e: Float) -> tuple[Float, Float]:
         """Return integrity (n_bonds,) [-] and its derivative by the elongation [1 / length] at elongations e."""
-        if not self.softens:
-            return self.integrity, np.zeros_like(e)
+        return self._following(e) if self.softens else (self.integrity, np.zeros_like(e))
+
+    def _following(self, e: Float) -> tuple[Float, Float]:
+        """Return both as they are where damage is not held."""
         law = self.law
         x = e / self.limit
         T, slope = self.integrity.copy(), np.zeros_like(e)
@@ -132,23 +134,16 @@ class BondFailure:
 
     def fading(self, e: Float) -> float:
         """Return the largest integrity that a bond would lose at elongations e [-] (collective)."""
-        return largest(self._comm, float((self.integrity - self._at_last(e)).max(initial=0.0)))
+        return largest(self._comm, float((self.integrity - self._following(e)[0]).max(initial=0.0)))
 
     def soften(self, e: Float) -> float:
         """Take the integrity at elongations e for good; return the largest change of any bond (collective)."""
-        T = self._at_last(e)
+        T, _ = self._following(e)
         change = float((self.integrity - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
         self.worst[:] = np.maximum(self.worst, e / self.limit)
         return largest(self._comm, change)
-
-    def _at_last(self, e: Float) -> Float:
-        """Return the integrity at elongations e, whether it is held or not (not collective)."""
-        frozen, self.frozen = self.frozen, False
-        T, _ = self.at(e)
-        self.frozen = frozen
-        return T
 
     def break_bonds(self, e: Float, most: int | None = None) -> int:
         """Break bonds past their final stretch, the worst first; return how many pairs (collective).

@@ -26,7 +26,7 @@ class Bordered:
     ksp : KSP
         Solver of the tangent, with the options of the command line.
     iterations : int
-        Krylov iterations since the last solve of SNES began.
+        Krylov iterations so far; whoever counts sets it to 0.
 
     Notes
     -----
@@ -94,7 +94,7 @@ class Bordered:
             y.set(np.nan)
             return
         self.ksp.solve(self._r, self._y1)
-        self.iterations = self.ksp.getIterationNumber()
+        self.iterations += self.ksp.getIterationNumber()
         self.ksp.solve(self._b, self._y2)
         self.iterations += self.ksp.getIterationNumber()
         corner = self._d - self._c.dot(self._y2)

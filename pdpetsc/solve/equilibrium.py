@@ -12,6 +12,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
+from pdpetsc.solve.base import StepResult
 from pdpetsc.solve.defaults import stiffness_scale
 from pdpetsc.solve.matrix import TangentMatrix
 
@@ -20,6 +21,8 @@ FLOOR = 20.0
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
 HALVINGS = 40
+# A step with no more iterations may be followed by a longer one.
+EASY_ITERATIONS = 6
 # Stiffness that holds a particle which has lost bonds, over a typical one.
 DAMPING = 1e-8
 
@@ -141,7 +144,25 @@ class Equilibrium:
         self.reason = "a signal asked the run to stop"
         return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
 
-    def hold_loose_particles(self, u: Float) -> None:
+    def begin(self, u: Float) -> None:
+        """Start to record a solve from ``u``, and hold loose particles there."""
+        self.norms, self.reason = [], ""
+        self._hold_loose_particles(u)
+
+    def result(self, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
+        """Return how the solve went, for PETSc's reasons to end of SNES and KSP (not collective)."""
+        iterations = max(len(self.norms) - 1, 0)
+        return StepResult(
+            converged=reason > 0,
+            reason=self.reason or _words(reason, linear_reason),
+            norms=list(self.norms),
+            reference=self.reference,
+            iterations=iterations,
+            easy=iterations <= EASY_ITERATIONS,
+            linear_iterations=linear_iterations,
+        )
+
+    def _hold_loose_particles(self, u: Float) -> None:
         """Damp particles that have lost bonds: a piece that has come free stays where it was, whatever it is.
 
         The force is that of a spring far softer than a bond to the place where the solve starts; it vanishes where
@@ -177,7 +198,7 @@ def _first_line(error: PETSc.Error) -> str:
     return (kept or lines or ["unknown"])[-1].rstrip(".")
 
 
-def words(reason: int, linear: int) -> str:
+def _words(reason: int, linear: int) -> str:
     """Return PETSc's reason for the end of a solve in words, that of the linear solver where it was to blame."""
     names = {value: name for name, value in vars(PETSc.SNES.ConvergedReason).items() if isinstance(value, int)}
     name: str = names.get(reason, str(reason))

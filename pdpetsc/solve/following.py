@@ -17,10 +17,9 @@ from pdpetsc.scene.solver import Opening, PathFollowing
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.bordered import Bordered
 from pdpetsc.solve.constraint import Constraint, opening_weights
-from pdpetsc.solve.equilibrium import Equilibrium, read_options, words
-from pdpetsc.solve.petsc import set_domain_error
-from pdpetsc.solve.static import EASY_ITERATIONS, linear_solver
-from pdpetsc.solve.steps import GENTLE, GROWTH, SETTLED, Converged, equilibrium
+from pdpetsc.solve.equilibrium import Equilibrium, read_options
+from pdpetsc.solve.petsc import linear_solver, set_domain_error
+from pdpetsc.solve.steps import GENTLE, GROWTH, Converged, equilibrium, settle
 
 # Bonds whose stretch over the critical one is within this of the largest share the control, relatively.
 BAND = 0.05
@@ -168,30 +167,19 @@ class PathSolver(StepSolver):
         sought, of = self._equilibrium, self._constraint
         self._target = t
         self._force = max(sought.reference, sought.scale * float(np.finfo(float).eps)) / self._options.control.step
-        sought.norms, sought.reason = [], ""
-        sought.hold_loose_particles(u)
+        sought.begin(u)
+        self._bordered.iterations = 0
         self._bordered.put(self._x, u, self.load)
         self.snes.solve(None, self._x)
-        linear = self._bordered.iterations
         if sought.damping is not None and self.snes.getConvergedReason() > 0:
             # Once more from where it came to rest: the damping has no force there.
-            sought.move_springs(self._displacement(self._x)[0].copy())
+            sought.move_springs(self._displacement(self._x).copy())
             self.snes.solve(None, self._x)
-            linear += self._bordered.iterations
         reason = self.snes.getConvergedReason()
-        moved, load = self._displacement(self._x)
+        values, load = self._take(self._x)
         self.load = load if reason > 0 else of.load0
-        iterations = max(len(sought.norms) - 1, 0)
-        result = StepResult(
-            converged=reason > 0,
-            reason=sought.reason or words(reason, self._bordered.ksp.getConvergedReason()),
-            norms=list(sought.norms),
-            reference=sought.reference,
-            iterations=iterations,
-            easy=iterations <= EASY_ITERATIONS,
-            linear_iterations=linear,
-        )
-        return moved.copy(), result
+        result = sought.result(reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
+        return sought.at_prescribed(values).copy(), result
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
         """Let the control grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
@@ -230,16 +218,9 @@ class PathSolver(StepSolver):
             return attempt, result, 0
         if self._stop() or not model.softens:
             return attempt, result, 0
-        model.freeze(True)
-        attempt, self.load, change = u, load, 1.0
-        for sweep in range(1, SWEEPS + 1):
-            attempt, result = self.solve(attempt, size)
-            if not result.converged:
-                return attempt, result, sweep
-            change = model.soften(attempt)
-            if change < SETTLED:
-                return attempt, replace(result, reason="damage settled", easy=False), sweep
-        return attempt, replace(result, converged=False, reason=f"damage did not settle in {SWEEPS} sweeps"), SWEEPS
+        self.load = load
+        attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
+        return attempt, result, sweeps
 
     def _aim(self, u: Float, step: float) -> float:
         """Set up the constraint of the next step from the converged ``u``; return by how much the control grows."""
@@ -261,29 +242,30 @@ class PathSolver(StepSolver):
         control = self._options.control
         return isinstance(control, Opening) and self._opened(u) >= control.end * (1.0 - 1e-9)
 
-    def _displacement(self, x: PETSc.Vec) -> tuple[Float, float]:
-        """Return displacements and load factor of the unknowns; the conditions follow the factor."""
+    def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
+        """Return the unknowns without the load factor, and that; the conditions follow it."""
         sought = self._equilibrium
         values, load = self._bordered.split(x)
         sought.prescribed, sought.external = load * self._whole[0], load * self._whole[1]
-        return sought.at_prescribed(values), load
+        return values, load
+
+    def _displacement(self, x: PETSc.Vec) -> Float:
+        return self._equilibrium.at_prescribed(self._take(x)[0])
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        u, load = self._displacement(x)
-        residual = self._equilibrium.residual(self._bordered.split(x)[0])
+        sought = self._equilibrium
+        values, load = self._take(x)
+        residual = sought.residual(values)
         if residual is None:
             set_domain_error(snes)
             r.set(np.inf)
             return
-        row = self._constraint
-        grown = float(total(self.model.cloud.comm, float((row.of * (u - row.u0)).sum()))) + row.share * (
-            load - row.load0
-        )
+        grown = self._constraint.grown(self.model.cloud.comm, sought.at_prescribed(values), load)
         self._bordered.put(r, residual, self._force * (grown - self._target))
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, free = self._equilibrium, self._constraint, self._equilibrium.free
-        u, _ = self._displacement(x)
+        u = self._displacement(x)
         sought.assemble(u)
         whole, external = self._whole
         held = np.where(free, 0.0, whole)
@@ -301,7 +283,7 @@ class PathSolver(StepSolver):
 
         def after(part: float) -> Float:
             moved.waxpy(-part, y, x)
-            return self._displacement(moved)[0]
+            return self._displacement(moved)
 
         part = self._equilibrium.admissible_part(after)
         moved.destroy()
@@ -311,5 +293,6 @@ class PathSolver(StepSolver):
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         if self._stop():
             return self._equilibrium.interrupted()
-        u, _ = self._displacement(snes.getSolution())
-        return self._equilibrium.verdict(u, iteration, norms[2], float(snes.getTolerances()[0]))
+        return self._equilibrium.verdict(
+            self._take(snes.getSolution())[0], iteration, norms[2], float(snes.getTolerances()[0])
+        )

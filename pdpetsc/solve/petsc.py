@@ -97,6 +97,13 @@ def start_anew(ksp: PETSc.KSP) -> None:
     ksp.setOperators(mat, preconditioner)
 
 
+def linear_solver(ksp: PETSc.KSP) -> str:
+    """Return a linear solver in a few words."""
+    pc = ksp.getPC()
+    package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky", "ilu", "icc") else None
+    return f"ksp {ksp.getType()}, pc {f'{pc.getType()} ({package})' if package else pc.getType()}"
+
+
 def petsc_version() -> str:
     """Return PETSc's version."""
     return ".".join(str(part) for part in PETSc.Sys.getVersion())

@@ -12,11 +12,9 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult, StepSolver
-from pdpetsc.solve.equilibrium import Equilibrium, read_options, words
-from pdpetsc.solve.petsc import full_steps, line_search, set_domain_error, start_anew
+from pdpetsc.solve.equilibrium import Equilibrium, read_options
+from pdpetsc.solve.petsc import full_steps, line_search, linear_solver, set_domain_error, start_anew
 
-# A step with no more iterations may be followed by a longer one.
-EASY_ITERATIONS = 6
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
 
@@ -78,9 +76,8 @@ class StaticSolver(StepSolver):
         sought = self._equilibrium
         old_prescribed = sought.prescribed
         sought.prescribed, sought.external = self.loading.prescribed(t), self.loading.forces(t)
-        sought.norms, sought.reason, linear = [], "", 0
-        start = u
-        sought.hold_loose_particles(u)
+        sought.begin(u)
+        start, linear = u, 0
         if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):
             start, linear = self._predict(u, sought.prescribed - np.where(self.loading.fixed, u, 0.0))
         linear += self._iterate(start)
@@ -90,15 +87,7 @@ class StaticSolver(StepSolver):
             sought.move_springs(rest)
             linear += self._iterate(rest)
         reason = self.snes.getConvergedReason()
-        result = StepResult(
-            converged=reason > 0,
-            reason=sought.reason or words(reason, self.snes.getKSP().getConvergedReason()),
-            norms=list(sought.norms),
-            reference=sought.reference,
-            iterations=max(len(sought.norms) - 1, 0),
-            easy=len(sought.norms) - 1 <= EASY_ITERATIONS,
-            linear_iterations=linear,
-        )
+        result = sought.result(reason, self.snes.getKSP().getConvergedReason(), linear)
         if reason <= 0:
             sought.prescribed = old_prescribed
             sought.matrix.forget()
@@ -113,18 +102,19 @@ class StaticSolver(StepSolver):
 
     def _iterate(self, start: Float) -> int:
         """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""
-        self._x.array = start.ravel()
-        self.snes.solve(None, self._x)
-        linear = int(self.snes.getLinearSolveIterations())
-        if self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            start_anew(self.snes.getKSP())
+        linear = self._run(start)
         if self.snes.getConvergedReason() < 0 and line_search(self.snes) == SECANTS and not self._stop():
             self._equilibrium.reason = ""
-            self._x.array = start.ravel()
             with full_steps(self.snes):
-                self.snes.solve(None, self._x)
-            linear += int(self.snes.getLinearSolveIterations())
+                linear += self._run(start)
         return linear
+
+    def _run(self, start: Float) -> int:
+        self._x.array = start.ravel()
+        self.snes.solve(None, self._x)
+        if self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            start_anew(self.snes.getKSP())
+        return int(self.snes.getLinearSolveIterations())
 
     def _predict(self, u: Float, jump: Float) -> tuple[Float, int]:
         """Return the linear response to new prescribed displacements: Newton's first step, from the old state.
@@ -171,10 +161,3 @@ class StaticSolver(StepSolver):
             return self._equilibrium.interrupted()
         rtol = float(snes.getTolerances()[0])
         return self._equilibrium.verdict(snes.getSolution().array_r, iteration, norms[2], rtol)
-
-
-def linear_solver(ksp: PETSc.KSP) -> str:
-    """Return a linear solver in a few words."""
-    pc = ksp.getPC()
-    package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky", "ilu", "icc") else None
-    return f"ksp {ksp.getType()}, pc {f'{pc.getType()} ({package})' if package else pc.getType()}"

@@ -130,21 +130,37 @@ def equilibrium(
     if stop() or (result.converged and model.soften(attempt) <= GENTLE and not model.break_bonds(attempt, 1)):
         return attempt, result, broken, 0
     model.revert()
-    model.freeze(True)
-    attempt, broken, iterations, linear = u, 0, 0, 0
-    for sweep in range(1, SWEEPS + 1):
-        attempt, result = solver.solve(attempt, target)
+    return settle(solver, u, target, SWEEPS, lambda v: model.break_bonds(v, breaks))
+
+
+def settle(
+    solver: StepSolver, u: Float, target: float, most: int, fail: Callable[[Float], int]
+) -> tuple[Float, StepResult, int, int]:
+    """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
+
+    Parameters
+    ----------
+    most : int
+        Sweeps in which this happens.
+    fail : callable
+        Breaks bonds at an equilibrium and returns how many.
+
+    Returns
+    -------
+    As ``equilibrium``.
+    """
+    solver.model.freeze(True)
+    broken, iterations, linear = 0, 0, 0
+    for sweep in range(1, most + 1):
+        u, result = solver.solve(u, target)
         iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         if not result.converged:
-            break
-        change = model.soften(attempt)
-        more = model.break_bonds(attempt, breaks)
+            return u, result, broken, sweep
+        change = solver.model.soften(u)
+        more = fail(u)
         broken += more
         if change < SETTLED and not more:
-            result = replace(
-                result, reason="damage settled", iterations=iterations, linear_iterations=linear, easy=False
-            )
-            return attempt, result, broken, sweep
-    else:
-        result = replace(result, converged=False, reason=f"damage did not settle in {SWEEPS} sweeps")
-    return attempt, result, broken, sweep
+            reason = "damage settled"
+            result = replace(result, reason=reason, iterations=iterations, linear_iterations=linear, easy=False)
+            return u, result, broken, sweep
+    return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most

@@ -3,9 +3,8 @@
     python runs/bench/robustness.py [FOLDER]
 
 108 runs of ``runs/fracture/plate_with_hole.py`` in some ten minutes on one core. Writes ``robustness.csv`` with one
-row per run and prints, for every value of every parameter, the share of runs that end with exit status 0, the share
-that separate (the last load below a thousandth of the peak), cut-backs, the median time of a step in which nothing
-breaks over that of the undamaged plate, and the median total time.
+row per run and prints, for every value of every parameter, how many runs end with exit status 0, how many separate (the
+last load below a thousandth of the peak), cut-backs, and the median time of the solve.
 """
 
 import csv

@@ -1,4 +1,4 @@
-"""Bonds that soften as concrete does: strength, fracture energy and the shape of the curve."""
+"""What the concrete cases share: bonds that soften as concrete does, and their results."""
 
 import numpy as np
 
@@ -18,3 +18,9 @@ def bilinear(E, strength, Gf, horizon, protected=None):
     return pd.BilinearSoftening(
         pd.ConstantCritical(critical), 1.0 + kink * (ratio - 1.0), share, ratio, protected=protected
     )
+
+
+def at_peak(factors, load):
+    """Return results of a run whose conditions hold ``load`` at factor 1, and the step of its peak."""
+    peak = int(np.argmax(factors))
+    return {"peak_load": factors[peak] * load, "last_load": factors[-1] / factors[peak]}, peak

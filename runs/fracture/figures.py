@@ -42,7 +42,7 @@ def plate(folder):
 
 
 def edge(folder):
-    exact = edge_crack.case().results({"t": [1.0], "broken": [0.0], "spread": [0.0]})["griffith"]
+    exact = edge_crack.griffith()
     factor = (1.0, edge_crack.MOST)
     cases = {f"n = {n}": edge_crack.case(n=n) for n in (10, 20, 40)}
     curves = {name: curve(folder, case, "opening", "t", factor) for name, case in cases.items()}
@@ -54,7 +54,7 @@ def edge(folder):
 def cantilever(folder):
     H, E, GC = double_cantilever.H, double_cantilever.E, double_cantilever.GC
     cases = {f"n = {n}": double_cantilever.case(n=n) for n in (10, 20)}
-    curves = {name: curve(folder, case, "opening", "load", (2.0, 1.0)) for name, case in cases.items()}
+    curves = {name: curve(folder, case, "deflection", "load", (2.0, 1.0)) for name, case in cases.items()}
     a = np.linspace(double_cantilever.CRACK, 60.0, 50) + double_cantilever.ROOT * H
     load = np.sqrt(E * GC * H**3 / 12.0) / a
     opening = 8.0 * load * a**3 / (E * H**3)

@@ -27,13 +27,11 @@ def case(n=20, horizon=3.015, step=0.02, end=0.6):
     load = 1000.0
 
     def results(h):
-        loads = [t * load for t in h["t"]]
-        peak = max(loads)
+        found, peak = concrete.at_peak(h["t"], load)
         return {
-            "peak_load": peak,
-            "peak_deflection": -h["deflection"][loads.index(peak)],
+            **found,
+            "peak_deflection": -h["deflection"][peak],
             "dissipated": h["dissipated"][-1] / (GF * WIDTH * (DEPTH - NOTCH)),
-            "last_load": loads[-1] / peak,
             "broken_bonds": h["broken"][-1],
         }
 

@@ -34,6 +34,7 @@ from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.defaults import default_options, stiffness_scale
 from pdpetsc.solve.events import EventSolver
 from pdpetsc.solve.following import PathSolver
+from pdpetsc.solve.jacobian import Choice, assembler, choose, words
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import petsc_version
@@ -129,9 +130,10 @@ class _Run:
             loading = Loading(model, case.conditions, case.particles.thickness)
             refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
-        defaults = default_options(model, self.options, case.solver)
+        choice = choose(model, self.options, case.solver)
+        defaults = default_options(model, self.options, case.solver, choice)
         with stop_on_signals(comm) as stop, petsc_options(self.options, defaults):
-            solver = self._solver(model, loading, stop)
+            solver = self._solver(model, loading, choice, stop)
             self.summary["solver"] = solver.description()
             self.report.say(f"solver: {solver.description()}")
             try:
@@ -139,23 +141,24 @@ class _Run:
             finally:
                 solver.destroy()
 
-    def _solver(self, model: Model, loading: Loading, stop: Callable[[], bool]) -> Running:
+    def _solver(self, model: Model, loading: Loading, choice: Choice, stop: Callable[[], bool]) -> Running:
         chosen = self.case.solver
         if isinstance(chosen, DynamicRelaxation):
             return RelaxationSolver(model, loading, chosen, stop)
         with self._timed("pattern"):
-            assembler = model.assembler()
-            predicted = predicted_bytes(assembler.pattern, model.dim)
-            self.report.say(f"tangent matrix: {predicted / 2**20:.1f} MiB predicted")
+            filled = assembler(model, choice)
+            self.report.say(words(choice, filled))
         with self._timed("allocation"):
             solver: StaticSolver | EventSolver | PathSolver
             if isinstance(chosen, EventDriven):
-                solver = EventSolver(model, loading, assembler, chosen, stiffness_scale(model), stop)
+                solver = EventSolver(model, loading, filled, chosen, stiffness_scale(model), stop)
             elif isinstance(chosen, PathFollowing):
-                solver = PathSolver(model, loading, assembler, chosen, stop)
+                solver = PathSolver(model, loading, filled, chosen, stop)
             else:
-                solver = StaticSolver(model, loading, assembler, stop)
+                solver = StaticSolver(model, loading, filled, stop)
+        predicted = predicted_bytes(filled.pattern, model.dim)
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
+        self.summary["allocated"].append("matrix of nearest neighbours" if choice.matrix_free else "tangent matrix")
         return solver
 
     def _march(self, model: Model, loading: Loading, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
@@ -260,8 +263,7 @@ class _Run:
         bonds, points, ghosts = total(comm, [len(model.families.neighbours), model.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
-        matrix = [] if isinstance(self.case.solver, DynamicRelaxation) else ["tangent matrix"]
-        self.summary["allocated"] = model.parts + matrix
+        self.summary["allocated"] = list(model.parts)
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
             f"{f'{int(points)} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"

@@ -24,7 +24,7 @@ def model(request, rng):
 
 def control_force(model, u):
     f = np.zeros_like(u)
-    energy = model.control.force(u, f)
+    energy = model.control.force(u, f, model.families.everyone)
     return f, energy
 
 

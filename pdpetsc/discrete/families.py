@@ -37,6 +37,11 @@ class Families:
         """Return the local index of ``i`` for every bond."""
         return np.repeat(np.arange(len(self.indptr) - 1, dtype=np.int32), np.diff(self.indptr))
 
+    @cached_property
+    def everyone(self) -> LocalIndex:
+        """Return the own particles (n_owned,)."""
+        return np.arange(len(self.indptr) - 1, dtype=np.int32)
+
     def bonds(self, x: Float) -> Float:
         """Return ``xi = x_j - x_i`` (n_bonds, dim) [length]."""
         return np.asarray(x[self.neighbours] - x[self.centres])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import numpy as np
 from mpi4py import MPI
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import GlobalIndex, LocalIndex
 from pdpetsc.discrete.communicator import Comm, exchange
+
+# Waits for an exchange that has been started (collective).
+Finish: TypeAlias = Callable[[], None]
 
 
 class Halo:
@@ -51,17 +55,32 @@ class Halo:
 
     def forward(self, values: NDArray[Any]) -> None:
         """Overwrite the ghost rows of ``values`` (n_owned + n_ghost, ...) with their owners' rows (collective)."""
-        ghosts = values[self.n_owned :]
-        outgoing = values[self.send_index]
-        self._swap(outgoing, self.targets, self.target_ptr, ghosts, self.sources, self.source_ptr)
+        self.start_forward(values)()
 
     def reverse(self, values: NDArray[Any]) -> None:
         """Add the ghost rows of ``values`` to their owners' rows (collective)."""
+        self.start_reverse(values)()
+
+    def start_forward(self, values: NDArray[Any]) -> Finish:
+        """Start ``forward``; own rows may be read, ghost rows not touched until what is returned is called."""
+        ghosts = values[self.n_owned :]
+        outgoing = values[self.send_index]
+        return self._start(outgoing, self.targets, self.target_ptr, ghosts, self.sources, self.source_ptr)
+
+    def start_reverse(self, values: NDArray[Any]) -> Finish:
+        """Start ``reverse``; own rows may be added to, ghost rows not touched until what is returned is called."""
         incoming = np.empty((len(self.send_index), *values.shape[1:]), dtype=values.dtype)
-        self._swap(values[self.n_owned :], self.sources, self.source_ptr, incoming, self.targets, self.target_ptr)
-        for begin, end in zip(self._runs[:-1], self._runs[1:], strict=True):
-            part = slice(begin, end)
-            values[self.send_index[part]] += incoming[part]
+        arrived = self._start(
+            values[self.n_owned :], self.sources, self.source_ptr, incoming, self.targets, self.target_ptr
+        )
+
+        def finish() -> None:
+            arrived()
+            for begin, end in zip(self._runs[:-1], self._runs[1:], strict=True):
+                part = slice(begin, end)
+                values[self.send_index[part]] += incoming[part]
+
+        return finish
 
     def reverse_rows(self, values: NDArray[Any], lengths: GlobalIndex, incoming_lengths: GlobalIndex) -> NDArray[Any]:
         """Send rows of varying length, one per ghost, to the owners of the ghosts.
@@ -87,10 +106,10 @@ class Halo:
         starts = np.concatenate([[0], np.cumsum(lengths)])[self.source_ptr]
         incoming_starts = np.concatenate([[0], np.cumsum(incoming_lengths)])
         incoming = np.empty(int(incoming_starts[-1]), dtype=values.dtype)
-        self._swap(values, self.sources, starts, incoming, self.targets, incoming_starts[self.target_ptr])
+        self._start(values, self.sources, starts, incoming, self.targets, incoming_starts[self.target_ptr])()
         return incoming
 
-    def _swap(
+    def _start(
         self,
         outgoing: NDArray[Any],
         to: NDArray[Any],
@@ -98,18 +117,26 @@ class Halo:
         incoming: NDArray[Any],
         source: NDArray[Any],
         in_ptr: NDArray[Any],
-    ) -> None:
+    ) -> Finish:
         here = self.comm.rank
+        # Buffers of messages on their way must not be freed.
+        sent: list[NDArray[Any]] = []
         requests = [
             self.comm.Irecv(incoming[in_ptr[r] : in_ptr[r + 1]], source=rank)
             for r, rank in enumerate(source.tolist())
             if rank != here
         ]
         for r, rank in enumerate(to.tolist()):
-            part = outgoing[out_ptr[r] : out_ptr[r + 1]]
+            part = np.ascontiguousarray(outgoing[out_ptr[r] : out_ptr[r + 1]])
             if rank != here:
-                requests.append(self.comm.Isend(np.ascontiguousarray(part), dest=rank))
+                requests.append(self.comm.Isend(part, dest=rank))
+                sent.append(part)
             else:
                 own = int(np.searchsorted(source, here))
                 incoming[in_ptr[own] : in_ptr[own + 1]] = part
-        MPI.Request.Waitall(requests)
+
+        def finish() -> None:
+            MPI.Request.Waitall(requests)
+            sent.clear()
+
+        return finish

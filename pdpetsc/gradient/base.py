@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -77,6 +78,11 @@ class GradientOperator:
     def n_points(self) -> int:
         """Return the number of gradient points on this rank."""
         return len(self.owner)
+
+    @cached_property
+    def points_of(self) -> GlobalIndex:
+        """Return where the points of every own particle start (n_owned + 1,): each has at least one."""
+        return np.concatenate([[0], np.flatnonzero(np.diff(self.owner)) + 1, [self.n_points]])
 
     def gradient(self, u: Float) -> Float:
         """Return ``H_p = sum_k u_k (x) g_pk`` (n_points, dim, dim) for ``u`` (n_local, dim)."""
@@ -160,12 +166,17 @@ def with_centres(owner: LocalIndex, point_ptr: GlobalIndex, members: LocalIndex,
     )
 
 
+def stencil_weights(stencils: Stencils, x: Float, K_inverse: Float) -> Float:
+    """Return ``g_pk = weight_pk K_p^-1 xi_pk`` (n_entries, dim) [1 / length]."""
+    g = np.empty((len(stencils.members), x.shape[1]))
+    kernel = weights_kernel(x.shape[1])
+    kernel(stencils.owner, stencils.point_ptr, stencils.members, stencils.weight, x, K_inverse, g)
+    return g
+
+
 def operator(cloud: Cloud, stencils: Stencils, note: str = "") -> GradientOperator:
     """Return the operator with ``g_pk = weight_pk K_p^-1 xi_pk`` and ``W_p = V_i / (points of i)``."""
-    dim = cloud.dim
-    K_inverse = np.linalg.inv(stencils.shape_tensors(cloud.x))
-    g = np.empty((len(stencils.members), dim))
-    weights_kernel(dim)(stencils.owner, stencils.point_ptr, stencils.members, stencils.weight, cloud.x, K_inverse, g)
+    g = stencil_weights(stencils, cloud.x, np.linalg.inv(stencils.shape_tensors(cloud.x)))
     volume = shared_volume(cloud, stencils.owner)
     return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, volume, note)
 

@@ -16,7 +16,7 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def _direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
+def direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
     """Write the direction of bond ``ij`` into ``n``; return its reference and its current length."""
     reference = 0.0
     current = 0.0
@@ -44,7 +44,7 @@ def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
         for i in range(indptr.size - 1):
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
-                reference, current = _direction(i, j, x, u, finite, n)
+                reference, current = direction(i, j, x, u, finite, n)
                 least = min(least, current)
                 if finite:
                     e[b] = current - reference
@@ -59,25 +59,6 @@ def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
 
 @lru_cache
-def elongation_rate_kernel(dim: int, finite: int) -> Callable[..., Any]:
-    """Return ``rate(indptr, neighbours, x, u, du, de)``: ``de_ij = n_ij . (du_j - du_i)`` with ``n`` at ``u``."""
-
-    @compiled
-    def rate(indptr, neighbours, x, u, du, de):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
-        for i in range(indptr.size - 1):
-            for b in range(indptr[i], indptr[i + 1]):
-                j = neighbours[b]
-                _direction(i, j, x, u, finite, n)
-                value = 0.0
-                for m in range(dim):
-                    value += n[m] * (du[j, m] - du[i, m])
-                de[b] = value
-
-    return rate
-
-
-@lru_cache
 def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``force(indptr, neighbours, x, u, tension, f)``: adds ``t_ij n_ij`` to ``j`` and its opposite to ``i``."""
 
@@ -89,38 +70,13 @@ def bond_force_kernel(dim: int, finite: int) -> Callable[..., Any]:
             centre[:] = 0.0
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
-                _direction(i, j, x, u, finite, n)
+                direction(i, j, x, u, finite, n)
                 for m in range(dim):
                     value = tension[b] * n[m]
                     f[j, m] += value
                     centre[m] -= value
             for m in range(dim):
                 f[i, m] += centre[m]
-
-    return force
-
-
-@lru_cache
-def turning_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(indptr, neighbours, x, u, tension, du, f)``: forces of bonds under tension that turn.
-
-    Adds ``t / |xi + eta| (I - n n) (du_j - du_i)`` to ``j`` and its opposite to ``i``.
-    """
-
-    @compiled
-    def force(indptr, neighbours, x, u, tension, du, f):  # type: ignore[no-untyped-def]
-        n = np.empty(dim)
-        for i in range(indptr.size - 1):
-            for b in range(indptr[i], indptr[i + 1]):
-                j = neighbours[b]
-                _, current = _direction(i, j, x, u, 1, n)
-                along = 0.0
-                for m in range(dim):
-                    along += n[m] * (du[j, m] - du[i, m])
-                for m in range(dim):
-                    value = tension[b] / current * (du[j, m] - du[i, m] - along * n[m])
-                    f[j, m] += value
-                    f[i, m] -= value
 
     return force
 
@@ -153,7 +109,7 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
             a = first_row + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
                 b = entry_point[e]
-                _, current = _direction(ends[2 * b], ends[2 * b + 1], x, u, finite, n)
+                _, current = direction(ends[2 * b], ends[2 * b + 1], x, u, finite, n)
                 turning = finite * tension[b] / current
                 for side in range(2):
                     q = slot[ends[entries[e] ^ side]]

@@ -144,3 +144,13 @@ def sum_by(index: Any, values: Any, n: int) -> Any:
     flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     sums = np.stack([np.bincount(index, column, n) for column in flat.T], axis=1)
     return sums.reshape(n, *values.shape[1:])
+
+
+@compiled
+def families_with_ghosts(indptr, neighbours, n_owned, found):  # type: ignore[no-untyped-def]
+    """Write which families hold a particle of another rank or an image."""
+    for i in range(indptr.size - 1):
+        found[i] = False
+        for b in range(indptr[i], indptr[i + 1]):
+            if neighbours[b] >= n_owned:
+                found[i] = True

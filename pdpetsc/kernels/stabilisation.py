@@ -13,7 +13,7 @@ from pdpetsc.kernels.compile import compiled
 
 @lru_cache
 def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(indptr, neighbours, stiffness, K_inverse, x, u, f)`` -> energy.
+    """Return ``force(particles, indptr, neighbours, stiffness, K_inverse, x, u, f)`` -> energy of these families.
 
     Adds the forces of ``psi = 1/2 sum_i sum_j s_ij |z_ij|^2``, ``z_ij = eta_ij - H_i xi_ij``,
     ``H_i = (sum_j s_ij eta_ij (x) xi_ij) K_i^-1``. Because ``sum_j s_ij z_ij (x) xi_ij = 0``, the force on ``j`` is
@@ -21,12 +21,13 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def force(indptr, neighbours, stiffness, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, indptr, neighbours, stiffness, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
         moment = np.empty((dim, dim))
         H = np.empty((dim, dim))
         xi = np.empty(dim)
         energy = 0.0
-        for i in range(indptr.size - 1):
+        for q in range(particles.size):
+            i = particles[q]
             moment[:] = 0.0
             for t in range(indptr[i], indptr[i + 1]):
                 j = neighbours[t]
@@ -129,19 +130,20 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def directed_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(indptr, neighbours, S, g, x, u, f)`` -> energy.
+    """Return ``force(particles, indptr, neighbours, S, g, x, u, f)`` -> energy of these families.
 
     Adds the forces of ``psi = 1/2 sum_i sum_j z_ij . S_ij z_ij``, ``z_ij = eta_ij - H_i xi_ij``,
     ``H_i = sum_j eta_ij (x) g_ij``: on ``j`` ``S_ij z_ij - R_i g_ij`` with ``R_i = sum_j S_ij z_ij (x) xi_ij``.
     """
 
     @compiled
-    def force(indptr, neighbours, S, g, x, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, indptr, neighbours, S, g, x, u, f):  # type: ignore[no-untyped-def]
         H = np.empty((dim, dim))
         R = np.empty((dim, dim))
         z = np.empty(dim)
         energy = 0.0
-        for i in range(indptr.size - 1):
+        for q in range(particles.size):
+            i = particles[q]
             H[:] = 0.0
             R[:] = 0.0
             for t in range(indptr[i], indptr[i + 1]):
@@ -266,15 +268,16 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def average_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(point_ptr, members, b, c, u, f)`` -> energy.
+    """Return ``force(particles, point_ptr, members, b, c, u, f)`` -> energy of these families.
 
     Adds the forces of ``psi = 1/2 sum_i c_i |a_i|^2``, ``a_i = sum_k b_ik u_k``.
     """
 
     @compiled
-    def force(point_ptr, members, b, c, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, point_ptr, members, b, c, u, f):  # type: ignore[no-untyped-def]
         energy = 0.0
-        for i in range(point_ptr.size - 1):
+        for q in range(particles.size):
+            i = particles[q]
             for m in range(dim):
                 a = 0.0
                 for t in range(point_ptr[i], point_ptr[i + 1]):

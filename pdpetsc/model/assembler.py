@@ -11,7 +11,8 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.pattern import Pattern
 
 if TYPE_CHECKING:
-    from pdpetsc.model.base import Linearised, Model
+    from pdpetsc.model.base import Model
+    from pdpetsc.model.linearised import Linearised
 
 
 class Assembler(ABC):
@@ -47,7 +48,11 @@ class Assembler(ABC):
         n_diag, n_off = size * int(particles.diag_ptr[-1]), size * int(particles.off_ptr[-1])
         self.assemble_particles(u, diag[:n_diag], off[:n_off])
         if self.pattern.border is not None:
-            self._assemble_border(self.model.linearised(u), diag, off)
+            self._assemble_border(self.linearised(u), diag, off)
+
+    def linearised(self, u: Float) -> Linearised:
+        """Return what the matrix assembles, for the columns of virtual unknowns."""
+        return self.model.linearised(u)
 
     @abstractmethod
     def assemble_particles(self, u: Float, diag: Float, off: Float) -> None:

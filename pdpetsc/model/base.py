@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 
@@ -12,12 +10,11 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.spread import Spread
 from pdpetsc.kernels.bonds import bond_force_kernel, elongation_kernel
 from pdpetsc.model.assembler import Assembler
 from pdpetsc.model.failure import BondFailure
-
-# Applies the tangent at one displacement to others: (n_rows, dim) -> (n_rows, dim).
-Linearised: TypeAlias = Callable[[Float], Float]
+from pdpetsc.model.linearised import Linearised
 
 
 class Model(ABC):
@@ -33,8 +30,12 @@ class Model(ABC):
 
     Attributes
     ----------
-    version : int
-        Grows whenever the constants of the forces change, as they do when bonds fail.
+    coupling : int
+        Horizons over which particles are coupled.
+    version, breaks : int
+        Grow whenever the constants of the forces change, as they do when bonds fail; and whenever bonds break or mend.
+    spread : Spread
+        Applies work on families.
     failure : BondFailure or None
         State of the bonds where they can fail.
     finite : int
@@ -49,7 +50,9 @@ class Model(ABC):
     Every method is collective but where it says otherwise.
     """
 
+    coupling: int = 2
     version: int = 0
+    breaks: int = 0
     finite: int = 1
     n_detached: int = 0
     note: str = ""
@@ -58,6 +61,7 @@ class Model(ABC):
     def __init__(self, cloud: Cloud, families: Families) -> None:
         self.cloud = cloud
         self.families = families
+        self.spread = Spread(cloud, families)
         self._u = np.zeros((cloud.n_local, cloud.dim))
 
     @property
@@ -109,7 +113,7 @@ class Model(ABC):
 
     @abstractmethod
     def linearised(self, u: Float) -> Linearised:
-        """Return ``du -> K(u) du`` [force] without assembling K; the result is collective too."""
+        """Return the tangent at ``u``, which is applied without assembling it."""
 
     def tangent_times(self, u: Float, du: Float) -> Float:
         """Return ``K(u) du`` (n_rows, dim) [force]."""
@@ -216,6 +220,7 @@ class Model(ABC):
     def _changed(self, rebuild: bool) -> None:
         """Follow a change of the integrity of bonds, and of which are broken where ``rebuild``."""
         self.version += 1
+        self.breaks += rebuild
 
     def broken_bonds(self) -> int:
         """Return how many pairs of particles have lost their bond."""

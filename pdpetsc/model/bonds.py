@@ -15,16 +15,13 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.pattern import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import Stencils, whole_families
-from pdpetsc.kernels.bonds import (
-    bond_force_kernel,
-    elongation_rate_kernel,
-    turning_force_kernel,
-)
+from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.model.assembler import Assembler
-from pdpetsc.model.base import Linearised, Model
+from pdpetsc.model.base import Model
 from pdpetsc.model.bond_assembly import BondAssembler, DilatationAssembler
 from pdpetsc.model.failure import BondFailure
+from pdpetsc.model.linearised import BondTangent, Linearised
 
 
 class BondModel(Model):
@@ -73,6 +70,7 @@ class BondModel(Model):
         self._factor = np.ones(cloud.n_owned) if factor is None else factor
         constants = combine(bonds, materials, material_of, self._factor)
         self.k, self.a, self.B = constants.k, constants.a, constants.B
+        self.coupling = 1 if self.a is None else 2
         if damage is not None:
             if self.a is not None:
                 raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
@@ -105,13 +103,6 @@ class BondModel(Model):
             return self.k
         T, slope = self.failure.at(e)
         return self.k * (T + slope * e)
-
-    def elongation_rate(self, u_local: Float, du_local: Float) -> Float:
-        """Return ``de`` (n_bonds,) [length] in the direction ``du`` at ``u``, both with ghosts."""
-        de = np.empty(len(self.families.neighbours))
-        kernel = elongation_rate_kernel(self.dim, self.finite)
-        kernel(self.families.indptr, self.families.neighbours, self.cloud.x, u_local, du_local, de)
-        return de
 
     def tension(self, e: Float) -> Float:
         """Return the tension of every bond of every own particle (n_bonds,) [force] for elongations e."""
@@ -151,22 +142,8 @@ class BondModel(Model):
         return int(total(self.cloud.comm, int(self.elongated(self.with_ghosts(u))[1] <= 0.0))) == 0
 
     def linearised(self, u: Float) -> Linearised:
-        """Return ``du -> K du`` with the directions and tensions at u."""
-        u_local = self.with_ghosts(u).copy()
-        e = self.elongation(u_local)
-        tension, tangent = self.tension(e), self.tangent(e)
-
-        def times(du: Float) -> Float:
-            du_local = self.with_ghosts(du)
-            de = self.elongation_rate(u_local, du_local)
-            f = self.bond_forces(u_local, self._with_pressure(tangent * de, de))
-            if self.finite:
-                family = self.families
-                kernel = turning_force_kernel(self.dim)
-                kernel(family.indptr, family.neighbours, self.cloud.x, u_local, tension, du_local, f)
-            return self.gather(f)
-
-        return times
+        """Return the tangent with the directions and tensions at u."""
+        return BondTangent(self, u)
 
     def energy(self, u: Float) -> tuple[float, float]:
         """Return the strain energy of the body and 0 [energy]."""

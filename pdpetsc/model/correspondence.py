@@ -18,7 +18,8 @@ from pdpetsc.kernels.pattern import transpose
 from pdpetsc.law import Law, make_law
 from pdpetsc.material.base import Material
 from pdpetsc.model.assembler import Assembler
-from pdpetsc.model.base import Linearised, Model
+from pdpetsc.model.base import Model
+from pdpetsc.model.linearised import GradientTangent, Linearised
 from pdpetsc.stabilisation.base import Control, Stabilisation, Stiffness
 
 
@@ -128,7 +129,7 @@ class CorrespondenceModel(Model):
         f = np.zeros_like(u_local)
         self.put_forces(self.stress(F), u_local, f)
         if self.control is not None:
-            self.control.force(u_local, f)
+            self.control.force(u_local, f, self.families.everyone)
         return self.gather(f)
 
     def put_forces(self, P: Float, u_local: Float, f: Float) -> None:
@@ -141,17 +142,8 @@ class CorrespondenceModel(Model):
         return int(total(self.cloud.comm, int(not self.admissible(F)))) == 0
 
     def linearised(self, u: Float) -> Linearised:
-        """Return ``du -> (G^T W A G + K_control) du`` with the moduli A at u."""
-        A = self.moduli(self.deformation(self.with_ghosts(u)))
-        return lambda du: self._moduli_times(A, du)
-
-    def _moduli_times(self, A: Float, du: Float) -> Float:
-        du_local = self.with_ghosts(du)
-        f = np.zeros_like(du_local)
-        self.operator.divergence(np.einsum("pimkn,pkn->pim", A, self.operator.gradient(du_local)), f)
-        if self.control is not None:
-            self.control.force(du_local, f)
-        return self.gather(f)
+        """Return the tangent ``G^T W A G + K_control`` with the moduli A at u."""
+        return GradientTangent(self, u)
 
     def uniform_stress_force(self, P: Float) -> Float:
         """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
@@ -163,9 +155,14 @@ class CorrespondenceModel(Model):
         """Return the strain energy of the body and that of its zero-energy control [energy]."""
         u_local = self.with_ghosts(u)
         elastic = float(self.operator.volume @ self.point_energy(self.deformation(u_local)))
-        control = 0.0 if self.control is None else self.control.force(u_local, np.zeros_like(u_local))
-        both = total(self.cloud.comm, [elastic, control])
+        both = total(self.cloud.comm, [elastic, self.control_energy(u_local)])
         return float(both[0]), float(both[1])
+
+    def control_energy(self, u_local: Float) -> float:
+        """Return the energy of the zero-energy control on this rank [energy] (not collective)."""
+        if self.control is None:
+            return 0.0
+        return self.control.force(u_local, np.zeros_like(u_local), self.families.everyone)
 
     def commit(self, u: Float) -> None:
         """Take ``u`` (n_owned, dim) as converged: materials with history remember it."""

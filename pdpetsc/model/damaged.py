@@ -14,15 +14,14 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Scheme
-from pdpetsc.kernels.bonds import elongation_rate_kernel
 from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
 from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.model.assembler import Assembler
-from pdpetsc.model.base import Linearised
 from pdpetsc.model.correspondence import CorrespondenceModel
 from pdpetsc.model.damaged_assembly import DamagedAssembler
 from pdpetsc.model.failure import BondFailure
+from pdpetsc.model.linearised import DamagedTangent, Linearised
 from pdpetsc.stabilisation.base import Stabilisation
 
 
@@ -102,31 +101,12 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     def put_forces(self, P: Float, u_local: Float, f: Float) -> None:
         """Add the forces of stresses ``P`` with the integrity of the bonds at ``u`` to ``f`` (not collective)."""
         T, _ = self.failure.at(self.elongation(u_local))
-        self._put_forces(P, self.scaled_weights(T), f)
+        operator, h = self.operator, self.scaled_weights(T)
+        divergence_kernel(self.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
 
     def linearised(self, u: Float) -> Linearised:
-        """Return ``du -> K du`` with the exact derivative of the integrity, where it is not frozen."""
-        u_local = self.with_ghosts(u).copy()
-        F = self.deformation(u_local)
-        A, P = self.moduli(F), self.stress(F)
-        T, slope = self.failure.at(self.elongation(u_local))
-        h = self.scaled_weights(T)
-
-        def times(du: Float) -> Float:
-            du_local = self.with_ghosts(du)
-            f = np.zeros_like(du_local)
-            self._put_forces(np.einsum("pimkn,pkn->pim", A, self.operator.gradient(du_local)), h, f)
-            if slope.any():
-                rate = np.empty_like(slope)
-                family = self.families
-                kernel = elongation_rate_kernel(self.dim, 1)
-                kernel(family.indptr, family.neighbours, self.cloud.x, u_local, du_local, rate)
-                self._put_forces(P, self.scaled_weights(slope * rate), f)
-            if self.control is not None:
-                self.control.force(du_local, f)
-            return self.gather(f)
-
-        return times
+        """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
+        return DamagedTangent(self, u)
 
     def softening(self, u: Float) -> tuple[GlobalIndex, Float, Float]:
         """Return numbers, forces and directions of the bonds whose integrity falls at ``u``: ``v (x) m`` of each.
@@ -159,8 +139,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         u_local = self.with_ghosts(u)
         T, _ = self.failure.at(self.elongation(u_local))
         psi = self.point_energy(self.deformation(u_local)) * self._at_points(T)
-        control = 0.0 if self.control is None else self.control.force(u_local, np.zeros_like(u_local))
-        both = total(self.cloud.comm, [float(self.operator.volume @ psi), control])
+        both = total(self.cloud.comm, [float(self.operator.volume @ psi), self.control_energy(u_local)])
         return float(both[0]), float(both[1])
 
     def local_damage(self) -> Float:
@@ -190,10 +169,6 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         """Return the mean integrity of the bonds of every point (n_points,)."""
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
-
-    def _put_forces(self, P: Float, h: Float, f: Float) -> None:
-        operator = self.operator
-        divergence_kernel(self.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
 
     def _changed(self, rebuild: bool) -> None:
         """Follow a change of the integrity, and of the broken bonds where ``rebuild`` (collective)."""

@@ -7,6 +7,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.solve.petsc import set_up_failed, start_anew
+from pdpetsc.solve.tangent import Tangent
 
 
 class Bordered:
@@ -16,8 +17,8 @@ class Bordered:
 
     Parameters
     ----------
-    K : Mat
-        The tangent.
+    tangent : Tangent
+        K.
 
     Attributes
     ----------
@@ -33,8 +34,9 @@ class Bordered:
     Construction and every method are collective. Call ``free`` before MPI ends.
     """
 
-    def __init__(self, K: PETSc.Mat) -> None:
-        self._K = K
+    def __init__(self, tangent: Tangent) -> None:
+        self._tangent = tangent
+        self._K = K = tangent.mat
         comm = K.getComm()
         self._last = comm.size - 1
         self._comm = comm.tompi4py()
@@ -42,12 +44,17 @@ class Bordered:
         local = self._n + (comm.rank == self._last)
         size = (local, K.getSize()[0] + 1)
         self.ksp = PETSc.KSP().create(comm=comm)
-        self.ksp.setOperators(K, K)
+        self.ksp.setOperators(K, tangent.preconditioner)
         self.mat = PETSc.Mat().createPython((size, size), context=self, comm=comm)
         self.mat.setUp()
-        self._r, self._y1, self._y2, self._b, self._c = (K.createVecRight() for _ in range(5))
+        self._r, self._y1, self._y2, self._b, self._c = (tangent.preconditioner.createVecRight() for _ in range(5))
         self._d = 0.0
         self.iterations = 0
+
+    def renew(self) -> None:
+        """Take the new matrix of the preconditioner."""
+        start_anew(self.ksp)
+        self.ksp.setOperators(self._K, self._tangent.preconditioner)
 
     def vector(self) -> PETSc.Vec:
         """Return a vector of the whole system."""

@@ -10,12 +10,10 @@ from petsc4py import PETSc
 from pdpetsc.discrete.communicator import total
 from pdpetsc.model import Model
 from pdpetsc.scene.solver import AnySolver, PathFollowing
-
-# Largest number of unknowns for which the direct solver is the default, by dimension.
-DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
+from pdpetsc.solve.jacobian import Choice
 
 
-def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver) -> dict[str, object]:
+def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, choice: Choice) -> dict[str, object]:
     """Return pdpetsc's solver options for a model; ``chosen`` and the command line override each of them.
 
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
@@ -28,8 +26,6 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver) 
     """
     database = PETSc.Options()
     pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
-    unknowns = model.cloud.n_global * model.dim
-    direct = pc in ("lu", "cholesky") or (not pc and unknowns <= DIRECT_UNKNOWNS[model.dim])
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
         "snes_linesearch_type": "basic" if model.linear or isinstance(solver, PathFollowing) else "cp",
@@ -37,7 +33,7 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver) 
         "snes_rtol": 1e-10,
         "snes_max_it": 30,
     }
-    if direct:
+    if choice.direct:
         defaults |= {
             "ksp_type": "preonly",
             "pc_type": "cholesky" if model.symmetric else "lu",

@@ -14,7 +14,7 @@ from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult
 from pdpetsc.solve.defaults import stiffness_scale
-from pdpetsc.solve.matrix import TangentMatrix
+from pdpetsc.solve.jacobian import make_tangent
 
 # The residual cannot fall below about this multiple of the round-off of K u.
 FLOOR = 20.0
@@ -43,8 +43,8 @@ class Equilibrium:
         The present conditions [length], [force]; set by the solver.
     scale : float
         Diagonal of prescribed rows [force / length].
-    matrix : TangentMatrix
-        Tangent at the displacement it was last filled for.
+    tangent : Tangent
+        At the displacement it was last filled for.
     norms : list of float
         Residual norms of the present solve [force].
     reference : float
@@ -65,7 +65,7 @@ class Equilibrium:
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
         self.scale = stiffness_scale(model)
-        self.matrix = TangentMatrix(assembler, loading.fixed, self.scale)
+        self.tangent = make_tangent(assembler, loading.fixed, self.scale)
         self.prescribed = np.zeros(loading.fixed.shape)
         self.external = np.zeros(loading.fixed.shape)
         self.norms: list[float] = []
@@ -77,7 +77,7 @@ class Equilibrium:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        self.matrix.destroy()
+        self.tangent.destroy()
 
     def at_prescribed(self, x: Float) -> Float:
         """Return unknowns with the prescribed ones at their values (n_rows, dim) (not collective)."""
@@ -97,7 +97,7 @@ class Equilibrium:
 
     def assemble(self, x: Float) -> None:
         """Fill the matrix with the tangent at ``x``."""
-        self.matrix.update(self.at_prescribed(x), self.damping)
+        self.tangent.update(self.at_prescribed(x), self.damping)
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
         """Return the part of a Newton step, halved as often as det F > 0 asks.
@@ -123,7 +123,7 @@ class Equilibrium:
         if not np.isfinite(residual):
             return int(reason.DIVERGED_FNORM_NAN)
         values = self.at_prescribed(x)
-        diagonal = self.matrix.diagonal.reshape(values.shape)
+        diagonal = self.tangent.diagonal.reshape(values.shape)
         round_off = np.where(self.free, diagonal * (np.abs(values) + self.spacing), 0.0)
         squares = total(
             self.model.cloud.comm, [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
@@ -144,10 +144,14 @@ class Equilibrium:
         self.reason = "a signal asked the run to stop"
         return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
 
-    def begin(self, u: Float) -> None:
-        """Start to record a solve from ``u``, and hold loose particles there."""
+    def begin(self, u: Float) -> bool:
+        """Start to record a solve from ``u``, and hold loose particles there; return whether there is a new ``Mat``.
+
+        That of the preconditioner is, where bonds have broken.
+        """
         self.norms, self.reason = [], ""
         self._hold_loose_particles(u)
+        return self.tangent.renew()
 
     def result(self, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
         """Return how the solve went, for PETSc's reasons to end of SNES and KSP (not collective)."""

@@ -81,7 +81,7 @@ class PathSolver(StepSolver):
         self._highest = 0.0
         self._target = 0.0
         self._constraint = Constraint(np.zeros(loading.fixed.shape), 1.0, np.zeros(loading.fixed.shape), 0.0)
-        self._bordered = Bordered(self._equilibrium.matrix.mat)
+        self._bordered = Bordered(self._equilibrium.tangent)
         self._r, self._x = self._bordered.vector(), self._bordered.vector()
         self.snes = PETSc.SNES().create(comm=model.cloud.comm)
         self.snes.setFunction(self._residual, self._r)
@@ -94,7 +94,7 @@ class PathSolver(StepSolver):
     @property
     def matrix_bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
-        return self._equilibrium.matrix.bytes
+        return self._equilibrium.tangent.bytes
 
     def description(self) -> str:
         """Return the solver in force in a few words."""
@@ -167,7 +167,8 @@ class PathSolver(StepSolver):
         sought, of = self._equilibrium, self._constraint
         self._target = t
         self._force = max(sought.reference, sought.scale * float(np.finfo(float).eps)) / self._options.control.step
-        sought.begin(u)
+        if sought.begin(u):
+            self._bordered.renew()
         self._bordered.iterations = 0
         self._bordered.put(self._x, u, self.load)
         self.snes.solve(None, self._x)

@@ -12,6 +12,7 @@ from pdpetsc.discrete.pieces import rigid_modes
 from pdpetsc.kernels.pattern import scalar_rows
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.petsc import seq_blocks, values_of
+from pdpetsc.solve.tangent import Tangent
 
 
 def predicted_bytes(pattern: Pattern, dim: int) -> int:
@@ -26,7 +27,7 @@ def predicted_bytes(pattern: Pattern, dim: int) -> int:
     return int(total(pattern.cloud.comm, per_rank))
 
 
-class TangentMatrix:
+class TangentMatrix(Tangent):
     """An AIJ matrix of block size ``dim`` that the model's assembler fills in place.
 
     Rows and columns of prescribed degrees of freedom hold only ``scale`` on the diagonal, so that the matrix stays
@@ -53,6 +54,7 @@ class TangentMatrix:
         model, pattern = assembler.model, assembler.pattern
         dim, n = model.dim, model.cloud.n_rows
         self.mat = _allocate(model, pattern)
+        self.preconditioner = self.mat
         rows = pattern.rows
         self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
         self._n_off = int(rows.off_ptr[-1]) * dim * dim
@@ -64,7 +66,7 @@ class TangentMatrix:
         self._handles = seq_blocks(self.mat)
         self._filled = -1
         self._damped = False
-        self.diagonal: Float = np.zeros(n * dim)
+        self.diagonal = np.zeros(n * dim)
 
     def update(self, u: Float, damping: Float | None = None) -> None:
         """Fill the matrix with K(u); that of a linear model only where bonds have failed since."""
@@ -83,6 +85,10 @@ class TangentMatrix:
         self.mat.assemble()
         self.mat.stateIncrease()
         self._filled, self._damped = version, damping is not None
+
+    def renew(self) -> bool:
+        """Return False: the pattern is that of the whole families."""
+        return False
 
     def holds(self, damped: bool) -> bool:
         """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""

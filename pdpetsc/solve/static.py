@@ -45,12 +45,12 @@ class StaticSolver(StepSolver):
         self.loading = loading
         self._stop = stop
         self._equilibrium = Equilibrium(model, loading, assembler)
-        mat = self._equilibrium.matrix.mat
-        self._x = mat.createVecRight()
+        tangent = self._equilibrium.tangent
+        self._x = tangent.preconditioner.createVecRight()
         self._r = self._x.duplicate()
         self.snes = PETSc.SNES().create(comm=model.cloud.comm)
         self.snes.setFunction(self._residual, self._r)
-        self.snes.setJacobian(self._jacobian, mat)
+        self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
         self.snes.setConvergenceTest(self._test)
         read_options(self.destroy, self.snes)
         self.snes.setLineSearchPreCheck(self._shorten)
@@ -58,7 +58,7 @@ class StaticSolver(StepSolver):
     @property
     def matrix_bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
-        return self._equilibrium.matrix.bytes
+        return self._equilibrium.tangent.bytes
 
     def description(self) -> str:
         """Return the solver in force in a few words."""
@@ -76,7 +76,9 @@ class StaticSolver(StepSolver):
         sought = self._equilibrium
         old_prescribed = sought.prescribed
         sought.prescribed, sought.external = self.loading.prescribed(t), self.loading.forces(t)
-        sought.begin(u)
+        if sought.begin(u):
+            start_anew(self.snes.getKSP())
+            self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
         start, linear = u, 0
         if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):
             start, linear = self._predict(u, sought.prescribed - np.where(self.loading.fixed, u, 0.0))
@@ -90,7 +92,7 @@ class StaticSolver(StepSolver):
         result = sought.result(reason, self.snes.getKSP().getConvergedReason(), linear)
         if reason <= 0:
             sought.prescribed = old_prescribed
-            sought.matrix.forget()
+            sought.tangent.forget()
         return sought.at_prescribed(self._x.array).copy(), result
 
     def destroy(self) -> None:
@@ -127,12 +129,12 @@ class StaticSolver(StepSolver):
         force = self.model.internal_force(u)
         if force is None:
             return u, 0
-        if not sought.matrix.holds(sought.damping is not None):
-            sought.matrix.update(u, sought.damping)
+        if not sought.tangent.holds(sought.damping is not None):
+            sought.tangent.update(u, sought.damping)
         b = sought.external - force - self.model.tangent_times(u, jump)
         self._r.array = np.where(free, b, 0.0).ravel()
         ksp = self.snes.getKSP()
-        ksp.setOperators(sought.matrix.mat, sought.matrix.mat)
+        ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
         ksp.solve(self._r, self._x)
         change = self._x.array.reshape(u.shape) + jump
         finite = np.isfinite(float(total(self.model.cloud.comm, float(change.sum()))))

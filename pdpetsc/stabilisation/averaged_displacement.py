@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
@@ -59,9 +59,10 @@ class _Averaged(Control):
         self._b = stencils.weight
         self._b[self.point_ptr[:-1]] = -np.add.reduceat(self._b, self.point_ptr[:-1])
 
-    def force(self, u: Float, f: Float) -> float:
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``c_i a_i b_ik`` to every member ``k`` of ``i``; return the energy."""
-        return float(average_force_kernel(self._cloud.dim)(self.point_ptr, self.members, self._b, self._c, u, f))
+        kernel = average_force_kernel(self._cloud.dim)
+        return float(kernel(particles, self.point_ptr, self.members, self._b, self._c, u, f))
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""

@@ -127,8 +127,8 @@ class Control(ABC):
     members: LocalIndex
 
     @abstractmethod
-    def force(self, u: Float, f: Float) -> float:
-        """Add the internal forces of ``u`` (n_local, dim) to ``f`` and return this rank's energy [energy]."""
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
 
     @abstractmethod
     def matrix(self, pattern: Pattern) -> ControlMatrix:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
@@ -40,12 +40,11 @@ class NonUniform(Control):
         self.point_ptr, self.members = with_centre.point_ptr, with_centre.members
         self._with_centre = with_centre.weight
 
-    def force(self, u: Float, f: Float) -> float:
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum s |z|^2``."""
-        kernel = non_uniform_force_kernel(self._cloud.dim)
-        family = self._families
-        energy = kernel(family.indptr, family.neighbours, self._stiffness, self._K_inverse, self._cloud.x, u, f)
-        return float(energy)
+        kernel, family = non_uniform_force_kernel(self._cloud.dim), self._families
+        data = family.indptr, family.neighbours, self._stiffness, self._K_inverse, self._cloud.x
+        return float(kernel(particles, *data, u, f))
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix of the control (collective)."""
@@ -83,11 +82,11 @@ class Directed(Control):
         stencils = whole_families(cloud, families, np.zeros(len(g)))
         self.point_ptr, self.members = stencils.point_ptr, stencils.members
 
-    def force(self, u: Float, f: Float) -> float:
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add the forces and return the energy."""
         family = self._families
         kernel = directed_force_kernel(self._cloud.dim)
-        return float(kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, u, f))
+        return float(kernel(particles, family.indptr, family.neighbours, self._S, self._g, self._cloud.x, u, f))
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the block matrix of the control (collective)."""

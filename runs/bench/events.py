@@ -28,6 +28,7 @@ from pdpetsc.loading import Loading  # noqa: E402
 from pdpetsc.scene.solver import EventDriven  # noqa: E402
 from pdpetsc.solve.defaults import default_options, stiffness_scale  # noqa: E402
 from pdpetsc.solve.events import EventSolver  # noqa: E402
+from pdpetsc.solve.jacobian import choose  # noqa: E402
 from pdpetsc.solve.petsc import options  # noqa: E402
 
 EVENTS = 600
@@ -39,7 +40,8 @@ def measure(scene, updates):
     cloud = make_cloud(world(), scene)
     model = make_model(scene, cloud, find_families(cloud))
     loading = Loading(model, scene.conditions, scene.particles.thickness)
-    with options({}, default_options(model, {}, EventDriven())):
+    choice = choose(model, {}, EventDriven())
+    with options({}, default_options(model, {}, EventDriven(), choice)):
         solver = EventSolver(
             model, loading, model.assembler(), EventDriven(updates), stiffness_scale(model), lambda: False
         )

@@ -1,0 +1,166 @@
+"""Products of tangents with displacements, family by family, without a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.kernels.bonds import direction
+from pdpetsc.kernels.compile import compiled
+
+
+@lru_cache
+def gradient_times_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``times(particles, points_of, point_ptr, members, g, h, volume, A, u, f)``: adds ``H^T (W A) G u``.
+
+    One pass over the points of the given particles: gradient, stress and its forces while the stencil is in cache.
+    """
+
+    @compiled
+    def times(particles, points_of, point_ptr, members, g, h, volume, A, u, f):  # type: ignore[no-untyped-def]
+        gradient = np.empty((dim, dim))
+        stress = np.empty((dim, dim))
+        centre = np.empty(dim)
+        for q in range(particles.size):
+            i = particles[q]
+            for p in range(points_of[i], points_of[i + 1]):
+                first = point_ptr[p]
+                gradient[:] = 0.0
+                for t in range(first + 1, point_ptr[p + 1]):
+                    k = members[t]
+                    for m in range(dim):
+                        eta = u[k, m] - u[i, m]
+                        for n in range(dim):
+                            gradient[m, n] += eta * g[t, n]
+                for a in range(dim):
+                    for b in range(dim):
+                        value = 0.0
+                        for m in range(dim):
+                            for n in range(dim):
+                                value += A[p, a, b, m, n] * gradient[m, n]
+                        stress[a, b] = volume[p] * value
+                centre[:] = 0.0
+                for t in range(first + 1, point_ptr[p + 1]):
+                    k = members[t]
+                    for m in range(dim):
+                        force = 0.0
+                        for n in range(dim):
+                            force += stress[m, n] * h[t, n]
+                        f[k, m] += force
+                        centre[m] -= force
+                for m in range(dim):
+                    f[i, m] += centre[m]
+
+    return times
+
+
+@lru_cache
+def outer_times_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``times(particles, ptr, neighbours, v, w, u, f)``: adds ``v_b (w_b . (u_j - u_i))`` to ``j``.
+
+    ``i`` gets the opposite; the bonds of ``i`` are ``ptr[i]`` to ``ptr[i + 1]``.
+    """
+
+    @compiled
+    def times(particles, ptr, neighbours, v, w, u, f):  # type: ignore[no-untyped-def]
+        for q in range(particles.size):
+            i = particles[q]
+            for b in range(ptr[i], ptr[i + 1]):
+                j = neighbours[b]
+                rate = 0.0
+                for m in range(dim):
+                    rate += w[b, m] * (u[j, m] - u[i, m])
+                for m in range(dim):
+                    f[j, m] += v[b, m] * rate
+                    f[i, m] -= v[b, m] * rate
+
+    return times
+
+
+@lru_cache
+def bond_times_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f)``.
+
+    Adds to ``j`` of every bond of the given particles, and its opposite to ``i``, with ``n`` at ``u``,
+    ``(s n . d_eta + a_ij B_i sum_k a_ik n_ik . d_eta_ik) n + t / |xi + eta| (I - n n) d_eta``; the last term only where
+    ``finite``. ``a`` and ``B`` are empty where there is no dilatation.
+    """
+
+    @compiled
+    def times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f):  # type: ignore[no-untyped-def]
+        n = np.empty(dim)
+        dilates = a.size > 0
+        for q in range(particles.size):
+            i = particles[q]
+            pressure = 0.0
+            if dilates:
+                for b in range(indptr[i], indptr[i + 1]):
+                    j = neighbours[b]
+                    direction(i, j, x, u, finite, n)
+                    for m in range(dim):
+                        pressure += a[b] * n[m] * (du[j, m] - du[i, m])
+                pressure *= B[i]
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                _, current = direction(i, j, x, u, finite, n)
+                along = 0.0
+                for m in range(dim):
+                    along += n[m] * (du[j, m] - du[i, m])
+                force = stiffness[b] * along
+                if dilates:
+                    force += a[b] * pressure
+                turning = tension[b] / current if finite else 0.0
+                for m in range(dim):
+                    value = force * n[m]
+                    if finite:
+                        value += turning * (du[j, m] - du[i, m] - along * n[m])
+                    f[j, m] += value
+                    f[i, m] -= value
+
+    return times
+
+
+@lru_cache
+def bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``moduli(indptr, neighbours, x, u, stiffness, tension, a, B, D)``, in uniform deformation of each family.
+
+    ``D_i = sum_j (s n n + t / |xi + eta| (I - n n)) xi xi + B_i (sum_j a n xi) (sum_j a n xi)``, the derivative of
+    ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of the family; the tension only where ``finite``.
+    """
+
+    @compiled
+    def moduli(indptr, neighbours, x, u, stiffness, tension, a, B, D):  # type: ignore[no-untyped-def]
+        n = np.empty(dim)
+        xi = np.empty(dim)
+        spread = np.empty((dim, dim))
+        dilates = a.size > 0
+        for i in range(indptr.size - 1):
+            D[i] = 0.0
+            spread[:] = 0.0
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                _, current = direction(i, j, x, u, finite, n)
+                turning = tension[b] / current if finite else 0.0
+                for m in range(dim):
+                    xi[m] = x[j, m] - x[i, m]
+                for m in range(dim):
+                    for k in range(dim):
+                        value = (stiffness[b] - turning) * n[m] * n[k]
+                        if m == k:
+                            value += turning
+                        for o in range(dim):
+                            for p in range(dim):
+                                D[i, m, o, k, p] += value * xi[o] * xi[p]
+                        if dilates:
+                            spread[m, k] += a[b] * n[m] * xi[k]
+            if dilates:
+                for m in range(dim):
+                    for o in range(dim):
+                        for k in range(dim):
+                            for p in range(dim):
+                                D[i, m, o, k, p] += B[i] * spread[m, o] * spread[k, p]
+
+    return moduli

@@ -1,0 +1,113 @@
+"""Whether the tangent is assembled or applied without a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Mask
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
+from pdpetsc.model import Assembler, Model, NearAssembler
+from pdpetsc.scene.solver import AnySolver, EventDriven
+from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes
+from pdpetsc.solve.matrix_free import MatrixFreeTangent
+from pdpetsc.solve.tangent import Tangent
+
+# Largest number of unknowns for which the direct solver is the default, by dimension.
+DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
+# Blocks of a row of nearest neighbours on a lattice, by dimension; wider matrices than this many times as wide are not
+# assembled.
+NEAR_BLOCKS, WIDE = {1: 5, 2: 13, 3: 25}, 1.5
+# Particles of each rank whose neighbours at two horizons are counted.
+SAMPLE = 300
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How the tangent is represented.
+
+    Attributes
+    ----------
+    direct : bool
+        Whether a factorisation is the solver.
+    matrix_free : bool
+        Whether the tangent is applied without a matrix.
+    estimate : int
+        About what its assembled matrix takes, over all ranks [bytes].
+    """
+
+    direct: bool
+    matrix_free: bool
+    estimate: int
+
+
+def choose(model: Model, chosen: Mapping[str, Any], solver: AnySolver) -> Choice:
+    """Choose by ``-pd_jacobian``, else by size: direct where that is quick, assembled where rows are narrow.
+
+    Parameters
+    ----------
+    chosen : mapping
+        PETSc options of the case; those of the command line win.
+
+    Raises
+    ------
+    CaseError
+        The word is unknown, or the solver needs a matrix.
+
+    Notes
+    -----
+    Collective.
+    """
+    database = PETSc.Options()
+    word = database.getString("pd_jacobian", str(chosen.get("pd_jacobian", "auto")))
+    pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
+    if word not in ("assembled", "matfree", "auto"):
+        raise CaseError(f"-pd_jacobian takes assembled, matfree or auto, not {word!r}.")
+    if word == "matfree" and isinstance(solver, EventDriven):
+        raise CaseError("The event-driven solver factors its matrix; leave -pd_jacobian at assembled or auto.")
+    blocks = _blocks(model)
+    size = model.dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
+    small = model.cloud.n_global * model.dim <= DIRECT_UNKNOWNS[model.dim]
+    factors = pc in ("lu", "cholesky")
+    needs = isinstance(solver, EventDriven) or factors or (not pc and small)
+    narrow = blocks <= WIDE * NEAR_BLOCKS[model.dim] * model.cloud.n_global
+    matrix_free = word == "matfree" or (word == "auto" and not needs and not narrow)
+    return Choice(not matrix_free and (factors or (not pc and small)), matrix_free, int(blocks * size))
+
+
+def assembler(model: Model, choice: Choice) -> Assembler:
+    """Return what fills the matrix that the choice asks for (collective)."""
+    return NearAssembler(model) if choice.matrix_free else model.assembler()
+
+
+def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> Tangent:
+    """Return the tangent whose matrix an assembler fills (collective)."""
+    if isinstance(filled, NearAssembler):
+        return MatrixFreeTangent(filled, fixed, scale)
+    return TangentMatrix(filled, fixed, scale)
+
+
+def words(choice: Choice, filled: Assembler) -> str:
+    """Return what is about to be allocated (collective)."""
+    predicted = predicted_bytes(filled.pattern, filled.model.dim)
+    if choice.matrix_free:
+        return (
+            f"tangent: without a matrix, preconditioned by nearest neighbours, {predicted / 2**20:.1f} MiB predicted "
+            f"(assembled about {choice.estimate / 2**20:.0f} MiB)"
+        )
+    return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted"
+
+
+def _blocks(model: Model) -> float:
+    """Return about how many blocks the assembled tangent has, from a sample of particles (collective)."""
+    cloud = model.cloud
+    reach = cloud.horizon * model.coupling * (1.0 + 1e-9)
+    sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
+    found = cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
+    return float(total(cloud.comm, float(np.mean(found)) * cloud.n_owned))

@@ -1,0 +1,100 @@
+"""The tangent applied without a matrix, preconditioned by a matrix of nearest neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.model import Linearised, Model, NearAssembler
+from pdpetsc.solve.matrix import TangentMatrix
+from pdpetsc.solve.tangent import Tangent
+
+
+class MatrixFreeTangent(Tangent):
+    """A Mat of type python that applies ``K(u)`` family by family, and an AIJ matrix of nearest neighbours.
+
+    Rows and columns of prescribed degrees of freedom hold only ``scale`` on the diagonal, in both.
+
+    Parameters
+    ----------
+    near : NearAssembler
+        Fills the matrix of nearest neighbours.
+    fixed : (n_rows, dim) bool
+        Prescribed degrees of freedom.
+    scale : float
+        Diagonal of prescribed rows [force / length].
+    """
+
+    def __init__(self, near: NearAssembler, fixed: Mask, scale: float) -> None:
+        self._near = near
+        self._fixed, self._scale = fixed, scale
+        self._model: Model = near.model
+        self._breaks = self._model.breaks
+        self._matrix = TangentMatrix(near, fixed, scale)
+        self.preconditioner, self.diagonal = self._matrix.mat, self._matrix.diagonal
+        self._product = _Product(fixed, scale)
+        sizes = self._matrix.mat.getSizes()
+        self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=self._model.cloud.comm)
+        if self._model.symmetric:
+            self.mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self.mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        self.mat.setUp()
+
+    def update(self, u: Float, damping: Float | None = None) -> None:
+        """Make it K(u), with damping on the diagonal of both matrices."""
+        self._matrix.update(u, damping)
+        self.diagonal = self._matrix.diagonal
+        self._product.tangent, self._product.damping = self._near.tangent, damping
+        self.mat.stateIncrease()
+
+    def renew(self) -> bool:
+        """Choose nearest neighbours anew where bonds have broken or mended."""
+        if self._breaks == self._model.breaks:
+            return False
+        self._breaks = self._model.breaks
+        self._matrix.destroy()
+        self._near = NearAssembler(self._model)
+        self._matrix = TangentMatrix(self._near, self._fixed, self._scale)
+        self.preconditioner = self._matrix.mat
+        return True
+
+    def holds(self, damped: bool) -> bool:
+        """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
+        return self._breaks == self._model.breaks and self._matrix.holds(damped)
+
+    def forget(self) -> None:
+        """Let the next ``update`` make it anew (not collective)."""
+        self._matrix.forget()
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory of the entries of the matrix of nearest neighbours, over all ranks [bytes]."""
+        return self._matrix.bytes
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self.mat.destroy()
+        self._matrix.destroy()
+
+
+class _Product:
+    """The tangent times a vector, with the rows of prescribed degrees of freedom."""
+
+    def __init__(self, fixed: Mask, scale: float) -> None:
+        self._fixed, self._free, self._scale = fixed, ~fixed, scale
+        self._masked = np.zeros(fixed.shape)
+        self.tangent: Linearised | None = None
+        self.damping: Float | None = None
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply; PETSc calls it."""
+        assert self.tangent is not None
+        values = x.array_r.reshape(self._free.shape)
+        np.multiply(values, self._free, out=self._masked)
+        product = self.tangent(self._masked)
+        if self.damping is not None:
+            product = product + self.damping[:, None] * self._masked
+        result = y.array_w.reshape(self._free.shape)
+        np.multiply(product, self._free, out=result)
+        np.add(result, self._scale * values, out=result, where=self._fixed)

@@ -1,0 +1,56 @@
+"""What solvers ask of a tangent in PETSc, assembled or not."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+
+
+class Tangent(ABC):
+    """The tangent of a body with prescribed degrees of freedom, and the matrix that its preconditioner is made from.
+
+    Attributes
+    ----------
+    mat : Mat
+        The tangent.
+    preconditioner : Mat
+        What the preconditioner is made from; the tangent itself where it is assembled.
+    diagonal : (n_rows * dim,) float64
+        Its diagonal, or a likely one [force / length].
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    mat: PETSc.Mat
+    preconditioner: PETSc.Mat
+    diagonal: Float
+
+    @abstractmethod
+    def update(self, u: Float, damping: Float | None = None) -> None:
+        """Make it K(u), with (n_rows,) ``damping`` [force / length] on the diagonal."""
+
+    @abstractmethod
+    def renew(self) -> bool:
+        """Follow bonds that have broken or mended; return whether ``preconditioner`` is another one now."""
+
+    @abstractmethod
+    def holds(self, damped: bool) -> bool:
+        """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Let the next ``update`` make it anew: it is of a displacement that led nowhere (not collective)."""
+
+    @property
+    @abstractmethod
+    def bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+
+    @abstractmethod
+    def destroy(self) -> None:
+        """Free the PETSc objects."""

@@ -24,7 +24,8 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
     def force(particles, indptr, neighbours, stiffness, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
         moment = np.empty((dim, dim))
         H = np.empty((dim, dim))
-        xi = np.empty(dim)
+        eta = np.empty(dim)
+        centre = np.empty(dim)
         energy = 0.0
         for q in range(particles.size):
             i = particles[q]
@@ -32,9 +33,13 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
             for t in range(indptr[i], indptr[i + 1]):
                 j = neighbours[t]
                 for m in range(dim):
-                    for n in range(dim):
-                        moment[m, n] += stiffness[t] * (u[j, m] - u[i, m]) * (x[j, n] - x[i, n])
+                    eta[m] = stiffness[t] * (u[j, m] - u[i, m])
+                for n in range(dim):
+                    xi = x[j, n] - x[i, n]
+                    for m in range(dim):
+                        moment[m, n] += eta[m] * xi
             for m in range(dim):
+                centre[m] = 0.0
                 for n in range(dim):
                     H[m, n] = 0.0
                     for o in range(dim):
@@ -42,15 +47,20 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
             for t in range(indptr[i], indptr[i + 1]):
                 j = neighbours[t]
                 for m in range(dim):
-                    xi[m] = x[j, m] - x[i, m]
+                    eta[m] = u[j, m] - u[i, m]
+                for n in range(dim):
+                    xi = x[j, n] - x[i, n]
+                    for m in range(dim):
+                        eta[m] -= H[m, n] * xi
+                square = 0.0
                 for m in range(dim):
-                    z = u[j, m] - u[i, m]
-                    for n in range(dim):
-                        z -= H[m, n] * xi[n]
-                    value = stiffness[t] * z
-                    energy += 0.5 * value * z
+                    square += eta[m] * eta[m]
+                    value = stiffness[t] * eta[m]
                     f[j, m] += value
-                    f[i, m] -= value
+                    centre[m] -= value
+                energy += 0.5 * stiffness[t] * square
+            for m in range(dim):
+                f[i, m] += centre[m]
         return energy
 
     return force

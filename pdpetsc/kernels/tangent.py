@@ -58,6 +58,78 @@ def gradient_times_kernel(dim: int) -> Callable[..., Any]:
 
 
 @lru_cache
+def stabilised_times_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``times(particles, point_ptr, members, g, volume, A, stiffness, K, u, f)``, with a control of the same H.
+
+    The energy of ``G^T (W A) G`` and ``sum_j s_ij |eta_ij - H_i xi_ij|^2 / 2``, where ``H_i`` is the gradient itself
+    with ``s_ij xi_ij = K_i g_ij``: the force on ``j`` is ``(W A H - H K) g_ij + s_ij eta_ij``. One point per particle,
+    over its whole family.
+    """
+
+    @compiled
+    def times(particles, point_ptr, members, g, volume, A, stiffness, K, u, f):  # type: ignore[no-untyped-def]
+        H = np.empty((dim, dim))
+        stress = np.empty((dim, dim))
+        centre = np.empty(dim)
+        for q in range(particles.size):
+            i = particles[q]
+            first = point_ptr[i]
+            H[:] = 0.0
+            for t in range(first + 1, point_ptr[i + 1]):
+                k = members[t]
+                for m in range(dim):
+                    eta = u[k, m] - u[i, m]
+                    for n in range(dim):
+                        H[m, n] += eta * g[t, n]
+            for a in range(dim):
+                centre[a] = 0.0
+                for b in range(dim):
+                    value = 0.0
+                    for m in range(dim):
+                        for n in range(dim):
+                            value += A[i, a, b, m, n] * H[m, n]
+                    value *= volume[i]
+                    for n in range(dim):
+                        value -= H[a, n] * K[i, n, b]
+                    stress[a, b] = value
+            for t in range(first + 1, point_ptr[i + 1]):
+                k = members[t]
+                s = stiffness[t - i - 1]
+                for m in range(dim):
+                    force = s * (u[k, m] - u[i, m])
+                    for n in range(dim):
+                        force += stress[m, n] * g[t, n]
+                    f[k, m] += force
+                    centre[m] -= force
+            for m in range(dim):
+                f[i, m] += centre[m]
+
+    return times
+
+
+@lru_cache
+def same_gradient_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``deviation(point_ptr, members, g, stiffness, K_inverse, x)``: ``max |g - s K^-1 xi| / max |g|``."""
+
+    @compiled
+    def deviation(point_ptr, members, g, stiffness, K_inverse, x):  # type: ignore[no-untyped-def]
+        worst = 0.0
+        largest = 0.0
+        for i in range(point_ptr.size - 1):
+            for t in range(point_ptr[i] + 1, point_ptr[i + 1]):
+                k = members[t]
+                for m in range(dim):
+                    value = g[t, m]
+                    largest = max(largest, abs(value))
+                    for n in range(dim):
+                        value -= stiffness[t - i - 1] * K_inverse[i, m, n] * (x[k, n] - x[i, n])
+                    worst = max(worst, abs(value))
+        return worst / largest if largest > 0.0 else 0.0
+
+    return deviation
+
+
+@lru_cache
 def outer_times_kernel(dim: int) -> Callable[..., Any]:
     """Return ``times(particles, ptr, neighbours, v, w, u, f)``: adds ``v_b (w_b . (u_j - u_i))`` to ``j``.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -144,6 +145,11 @@ class CorrespondenceModel(Model):
     def linearised(self, u: Float) -> Linearised:
         """Return the tangent ``G^T W A G + K_control`` with the moduli A at u."""
         return GradientTangent(self, u)
+
+    @cached_property
+    def shared_control(self) -> tuple[Float, Float] | None:
+        """Return stiffness and shape tensors of a control that shares the gradient, if it does (not collective)."""
+        return None if self.control is None else self.control.of_gradient(self.operator)
 
     def uniform_stress_force(self, P: Float) -> Float:
         """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
-from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel, gradient_times_kernel, outer_times_kernel
+from pdpetsc.kernels.tangent import (
+    bond_moduli_kernel,
+    bond_times_kernel,
+    gradient_times_kernel,
+    outer_times_kernel,
+    stabilised_times_kernel,
+)
 
 if TYPE_CHECKING:
     from pdpetsc.model.base import Model
@@ -51,8 +57,14 @@ class GradientTangent(Linearised):
         self._h = model.operator.g
 
     def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add those of moduli and control."""
+        """Add those of moduli and control, in one pass where they share the gradient."""
         operator, control = self.model.operator, self.model.control
+        shared = self.model.shared_control if self._h is operator.g else None
+        if shared is not None:
+            stabilised_times_kernel(self.model.dim)(
+                particles, operator.point_ptr, operator.members, operator.g, operator.volume, self._A, *shared, du, f
+            )
+            return
         gradient_times_kernel(self.model.dim)(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
             self._A, du, f,

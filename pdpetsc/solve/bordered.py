@@ -53,7 +53,6 @@ class Bordered:
 
     def renew(self) -> None:
         """Take the new matrix of the preconditioner."""
-        start_anew(self.ksp)
         self.ksp.setOperators(self._K, self._tangent.preconditioner)
 
     def vector(self) -> PETSc.Vec:

@@ -91,7 +91,12 @@ def set_up_failed(ksp: PETSc.KSP) -> bool:
 
 
 def start_anew(ksp: PETSc.KSP) -> None:
-    """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective)."""
+    """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective).
+
+    Others are made anew for every matrix; GAMG cannot be reset, it keeps the solvers of its levels with their sizes.
+    """
+    if ksp.getPC().getType() not in ("lu", "cholesky"):
+        return
     mat, preconditioner = ksp.getOperators()
     ksp.getPC().reset()
     ksp.setOperators(mat, preconditioner)

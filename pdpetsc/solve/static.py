@@ -77,7 +77,6 @@ class StaticSolver(StepSolver):
         old_prescribed = sought.prescribed
         sought.prescribed, sought.external = self.loading.prescribed(t), self.loading.forces(t)
         if sought.begin(u):
-            start_anew(self.snes.getKSP())
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
         start, linear = u, 0
         if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):

@@ -14,6 +14,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.assembly import add_isotropic_kernel
 from pdpetsc.kernels.pattern import transpose
 
@@ -129,6 +130,13 @@ class Control(ABC):
     @abstractmethod
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
+
+    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return bond stiffness (n_bonds,) and shape tensors with which H is the gradient of a scheme, if it is.
+
+        Then one pass over the families serves both (not collective).
+        """
+        return None
 
     @abstractmethod
     def matrix(self, pattern: Pattern) -> ControlMatrix:

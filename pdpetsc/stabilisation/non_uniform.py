@@ -8,14 +8,18 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
-from pdpetsc.gradient.base import FLAT, whole_families
+from pdpetsc.gradient.base import FLAT, GradientOperator, whole_families
 from pdpetsc.kernels.stabilisation import (
     directed_force_kernel,
     directed_matrix_kernel,
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
+from pdpetsc.kernels.tangent import same_gradient_kernel
 from pdpetsc.stabilisation.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, fill
+
+# Weights of two gradients are the same up to this share of the largest.
+SAME = 1e-12
 
 
 class NonUniform(Control):
@@ -51,6 +55,16 @@ class NonUniform(Control):
         kernel = non_uniform_matrix_kernel(self._cloud.dim)
         data = self._with_centre, self._K_inverse, self._cloud.x
         return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (self.point_ptr, self.members), *data))
+
+    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
+        if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self.members):
+            return None
+        deviation = same_gradient_kernel(self._cloud.dim)
+        data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
+        if deviation(*data) > SAME:
+            return None
+        return self._stiffness, np.linalg.inv(self._K_inverse)
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control with ``s_ij`` times the integrity; a family left flat gives no gradient across it."""

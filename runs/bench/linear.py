@@ -1,11 +1,16 @@
-"""Time one linear solve from scratch: python runs/bench/linear.py [dim] [n] [horizon] [-petsc_option ...].
+"""Time one linear solve from scratch: [mpirun -n 2] python runs/bench/linear.py [name=value ...] [-petsc_option ...].
 
-A block of n^dim particles (2n x n in the plane) of linear elastic material with Silling's control, held at one end and
-pulled at the other: pattern, assembly and solve with pdpetsc's default solver for the size, or the one given.
+A box of n^dim particles (n x n in the plane) of Hencky material, held at one end and pulled at the other, with the
+tangent at rest: pattern, assembly, preconditioner and iterations to a relative residual of 1e-8. Parameters and their
+defaults: dim=2 n=201 horizon=3.015 nu=0.3 scheme=correspondence G=0.5 broken=0 jacobian=matfree repeats=1 json=; broken
+is the share of bonds that have failed, json a file for what was measured.
 """
 
+import json
+import resource
 import sys
-import tempfile
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -13,35 +18,143 @@ import study
 
 words = study.start()
 
+import numpy as np  # noqa: E402
+from petsc4py import PETSc  # noqa: E402
+
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
+from pdpetsc.build import make_cloud, make_model, rehearse  # noqa: E402
+from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
+from pdpetsc.discrete.families import find_families  # noqa: E402
+from pdpetsc.loading import Loading  # noqa: E402
+from pdpetsc.scene.solver import Newton  # noqa: E402
+from pdpetsc.solve.defaults import default_options, stiffness_scale  # noqa: E402
+from pdpetsc.solve.jacobian import assembler, choose, make_tangent  # noqa: E402
+from pdpetsc.solve.petsc import linear_solver, options  # noqa: E402
+
+RTOL = 1e-8
+APPLIED = 5
+SCRATCH = ("pattern", "allocation", "assembly", "preconditioner", "iterations")
 
 
-def main(dim=2, n=100, horizon=2.015, nu=0.3):
-    size = [2.0 * n] + [float(n)] * (dim - 1)
-    case = pd.Case(
-        particles=pd.Lattice([0.0] * dim, size, 1.0),
+def box(dim, n, horizon, nu=0.3, scheme="correspondence", G=0.5, broken=0.0):
+    """Return the case: a cube of particles with unit spacing in tension."""
+    damage = {"damage": pd.Brittle(pd.damage.ConstantCritical(1.0))} if broken else {}
+    return pd.Case(
+        particles=pd.Lattice([0.0] * dim, [float(n)] * dim, 1.0),
         horizon=horizon,
-        material=pd.LinearElastic(E=1.0, nu=nu),
-        scheme=pd.Correspondence(),
-        stabilisation=pd.Silling(0.5),
+        material=pd.Hencky(E=1.0, nu=nu),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        stabilisation=pd.Silling(G) if G else None,
         conditions=[
-            pd.Displacement(pd.region.Slab("x", high=horizon), **dict.fromkeys("xyz"[:dim], 0.0)),
-            pd.Traction(pd.region.Slab("x", low=2.0 * n - 1.0), x=1e-3, normal=[1.0] + [0.0] * (dim - 1)),
+            pd.Displacement(pd.region.Slab("x", high=1.0), **dict.fromkeys("xyz"[:dim], 0.0)),
+            pd.Displacement(pd.region.Slab("x", low=n - 1.0), x=0.01 * n),
         ],
-        options={"snes_rtol": 1e-8},
+        **damage,
     )
-    with tempfile.TemporaryDirectory() as folder:
-        _, found = study.run(Path(world().bcast(folder)), case)
+
+
+class Clock:
+    """Seconds of phases, the longest of all ranks."""
+
+    def __init__(self):
+        self.spent = {}
+
+    @contextmanager
+    def __call__(self, name):
         world().Barrier()
+        before = time.perf_counter()
+        yield
+        self.spent[name] = largest(world(), time.perf_counter() - before)
+
+
+def failed_bonds(model, share):
+    """Break a share of the bonds, the same from both ends and on any ranks."""
+    keys = model.failure.keys
+    number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
+    model.failure.integrity[number % 1000 < 1000 * share] = 0.0
+    model.take_failure()
+
+
+def solve(scene, jacobian, broken=0.0):
+    """Return what one solve took and gave."""
+    comm, clock = world(), Clock()
+    cloud = make_cloud(comm, scene)
+    rehearse(comm, scene, cloud.dim)
+    with clock("search"):
+        families = find_families(cloud)
+    with clock("model"):
+        model = make_model(scene, cloud, families)
+        if broken:
+            failed_bonds(model, broken)
+    loading = Loading(model, scene.conditions, 1.0)
+    chosen = {"pd_jacobian": jacobian}
+    choice = choose(model, chosen, Newton())
+    with options(chosen, default_options(model, chosen, Newton(), choice)):
+        with clock("pattern"):
+            filled = assembler(model, choice)
+        with clock("allocation"):
+            tangent = make_tangent(filled, loading.fixed, stiffness_scale(model))
+        u = np.zeros((cloud.n_rows, cloud.dim))
+        with clock("assembly"):
+            tangent.update(u)
+        ksp = PETSc.KSP().create(comm=comm)
+        ksp.setOperators(tangent.mat, tangent.preconditioner)
+        ksp.setFromOptions()
+        ksp.setTolerances(rtol=RTOL)
+        b, x = tangent.preconditioner.createVecRight(), tangent.preconditioner.createVecLeft()
+        b.array = np.where(loading.fixed, 0.0, -model.tangent_times(u, loading.prescribed(1.0))).ravel()
+        with clock("preconditioner"):
+            ksp.setUp()
+        with clock("iterations"):
+            ksp.solve(b, x)
+        with clock("operator"):
+            for _ in range(APPLIED):
+                tangent.mat.mult(x, b)
+        clock.spent["operator"] /= APPLIED
+        with clock("cycle"):
+            for _ in range(APPLIED):
+                ksp.getPC().apply(b, x)
+        clock.spent["cycle"] /= APPLIED
+        memory = float(total(comm, float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)))
+        found = {
+            "particles": cloud.n_global,
+            "bonds": int(total(comm, len(families.neighbours))),
+            "ranks": comm.size,
+            "solver": linear_solver(ksp),
+            "linear_iterations": ksp.getIterationNumber(),
+            "reason": ksp.getConvergedReason(),
+            "seconds": clock.spent,
+            "scratch": sum(
+                clock.spent[k] for k in ("pattern", "allocation", "assembly", "preconditioner", "iterations")
+            ),
+            "matrix_MiB": tangent.bytes / 2**20,
+            "peak_MiB": memory / 2**10,
+        }
+        ksp.destroy()
+        tangent.destroy()
+    return found
+
+
+def main():
+    given = dict(word.split("=", 1) for word in words)
+    defaults = {"dim": 2, "n": 201, "horizon": 3.015, "nu": 0.3, "scheme": "correspondence", "G": 0.5, "broken": 0.0}
+    values = {name: type(value)(given.pop(name, value)) for name, value in defaults.items()}
+    jacobian, repeats, out = given.pop("jacobian", "matfree"), int(given.pop("repeats", 1)), given.pop("json", "")
+    if given:
+        raise SystemExit(f"unknown parameters: {', '.join(given)}")
+    runs = [solve(box(**values), jacobian, values["broken"]) for _ in range(repeats)]
+    run = sorted(runs, key=lambda r: r["scratch"])[len(runs) // 2]
     if is_root(world()):
-        step, timings = found["steps"][0], found["timings"]
-        print(f"{found['particles']} particles, horizon {horizon}, {found['ranks']} ranks, {found['solver']}")
-        print(f"  matrix {found['matrix_bytes']['predicted'] / 2**20:.0f} MiB")
-        print(f"  pattern {timings['pattern']:.2f} s, allocation {timings['allocation']:.2f} s", end="")
-        print(f", solve {timings['solve']:.2f} s, {step['linear_iterations']} iterations")
-        print(f"  peak memory {sum(found['peak_memory_bytes']) / 2**20:.0f} MiB")
+        if out:
+            Path(out).write_text(json.dumps({**values, **run}))
+        print(f"{run['particles']} particles, {run['bonds']} bonds, {run['ranks']} ranks, {jacobian}, {run['solver']}")
+        print("  " + ", ".join(f"{name} {1e3 * s:.0f} ms" for name, s in run["seconds"].items()))
+        print(
+            f"  one solve from scratch {run['scratch']:.2f} s, {run['linear_iterations']} iterations"
+            f"{'' if run['reason'] > 0 else ' (not converged)'}, matrix {run['matrix_MiB']:.0f} MiB, "
+            f"peak memory {run['peak_MiB']:.0f} MiB"
+        )
 
 
 if __name__ == "__main__":
-    main(*(kind(word) for kind, word in zip((int, int, float, float), words, strict=False)))
+    main()

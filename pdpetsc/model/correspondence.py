@@ -268,7 +268,7 @@ class CorrespondenceAssembler(Assembler):
         self.model = model
         operator, control = model.operator, model.control
         # The stencil of every scheme lies inside its owner's family, which is what a control couples.
-        stencils = (operator.point_ptr, operator.members) if control is None else (control.point_ptr, control.members)
+        stencils = (operator.point_ptr, operator.members) if control is None else control.stencils
         self.pattern = build_pattern(model.cloud, *stencils)
         self._transpose()
         self._control = None if control is None else control.matrix(self.pattern)

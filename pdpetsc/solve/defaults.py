@@ -22,9 +22,9 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
     raises the residual norm a thousandfold. Its secant steps cost residuals only: up to ten of them, against PETSc's
     one, lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from 32 to 10.
     Without a matrix GAMG smooths with the tangent itself (``-pc_use_amat``, PETSc's default), whose short waves are
-    softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds estimated with the tangent
-    takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice the time each. GAMG keeps
-    its aggregates while Newton goes on.
+    softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds estimated with the
+    tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice the time each.
+    GAMG keeps its aggregates while Newton goes on.
     Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
     Along a path the residual with its constraint is the gradient of nothing, and full steps are taken.
     """

@@ -15,7 +15,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.stabilisation import average_force_kernel
-from pdpetsc.stabilisation.base import Control, ControlMatrix, IsotropicMatrix, Stabilisation, Stiffness, fill
+from pdpetsc.stabilisation.base import Control, ControlMatrix, IsotropicMatrix, Stabilisation, Stencil, Stiffness, fill
 
 
 @dataclass(frozen=True)
@@ -55,16 +55,21 @@ class _Averaged(Control):
         stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
         self._cloud = cloud
         self._c = c
-        self.point_ptr, self.members = stencils.point_ptr, stencils.members
+        self._stencils = stencils.point_ptr, stencils.members
         self._b = stencils.weight
-        self._b[self.point_ptr[:-1]] = -np.add.reduceat(self._b, self.point_ptr[:-1])
+        self._b[stencils.point_ptr[:-1]] = -np.add.reduceat(self._b, stencils.point_ptr[:-1])
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first."""
+        return self._stencils
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``c_i a_i b_ik`` to every member ``k`` of ``i``; return the energy."""
         kernel = average_force_kernel(self._cloud.dim)
-        return float(kernel(particles, self.point_ptr, self.members, self._b, self._c, u, f))
+        return float(kernel(particles, *self._stencils, self._b, self._c, u, f))
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
         data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
-        return IsotropicMatrix(pattern, *fill(pattern, 1, assemble_kernel(1), (self.point_ptr, self.members), *data))
+        return IsotropicMatrix(pattern, *fill(pattern, 1, assemble_kernel(1), self._stencils, *data))

@@ -116,16 +116,12 @@ def fill(
 
 
 class Control(ABC):
-    """A control built for one cloud: forces linear in u, so that its matrix is constant.
+    """A control built for one cloud: forces linear in u, so that its matrix is constant."""
 
-    Attributes
-    ----------
-    point_ptr, members
-        Stencils that its matrix couples: the families with their centre first.
-    """
-
-    point_ptr: GlobalIndex
-    members: LocalIndex
+    @property
+    @abstractmethod
+    def stencils(self) -> Stencil:
+        """Return what its matrix couples: the families with their centre first."""
 
     @abstractmethod
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:

@@ -16,7 +16,7 @@ from pdpetsc.kernels.stabilisation import (
     non_uniform_matrix_kernel,
 )
 from pdpetsc.kernels.tangent import same_gradient_kernel
-from pdpetsc.stabilisation.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, fill
+from pdpetsc.stabilisation.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, Stencil, fill
 
 # Weights of two gradients are the same up to this share of the largest.
 SAME = 1e-12
@@ -40,9 +40,12 @@ class NonUniform(Control):
         self._families = families
         self._stiffness = stiffness
         self._K_inverse = K_inverse
-        with_centre = whole_families(cloud, families, stiffness)
-        self.point_ptr, self.members = with_centre.point_ptr, with_centre.members
-        self._with_centre = with_centre.weight
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first."""
+        with_centre = whole_families(self._cloud, self._families, self._stiffness)
+        return with_centre.point_ptr, with_centre.members
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum s |z|^2``."""
@@ -53,12 +56,15 @@ class NonUniform(Control):
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix of the control (collective)."""
         kernel = non_uniform_matrix_kernel(self._cloud.dim)
-        data = self._with_centre, self._K_inverse, self._cloud.x
-        return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (self.point_ptr, self.members), *data))
+        with_centre = whole_families(self._cloud, self._families, self._stiffness)
+        data = with_centre.weight, self._K_inverse, self._cloud.x
+        return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (with_centre.point_ptr, with_centre.members), *data))
 
     def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
         """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
-        if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self.members):
+        if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self._stiffness) + len(
+            self._K_inverse
+        ):
             return None
         deviation = same_gradient_kernel(self._cloud.dim)
         data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
@@ -93,8 +99,12 @@ class Directed(Control):
         self._families = families
         self._S = S
         self._g = g
-        stencils = whole_families(cloud, families, np.zeros(len(g)))
-        self.point_ptr, self.members = stencils.point_ptr, stencils.members
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first."""
+        with_centre = whole_families(self._cloud, self._families, np.zeros(len(self._g)))
+        return with_centre.point_ptr, with_centre.members
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add the forces and return the energy."""
@@ -109,4 +119,4 @@ class Directed(Control):
         T = np.zeros((cloud.n_owned, dim, dim, dim, dim))
         np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
         data = self._S, self._g, T, cloud.x
-        return BlockMatrix(*fill(pattern, dim, directed_matrix_kernel(dim), (self.point_ptr, self.members), *data))
+        return BlockMatrix(*fill(pattern, dim, directed_matrix_kernel(dim), self.stencils, *data))

@@ -16,12 +16,12 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent.parent))
 import study
 
-words = study.start()
+words = study.start("bench")
 
 import numpy as np  # noqa: E402
+from box import case  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
-import pdpetsc as pd  # noqa: E402
 from pdpetsc.build import make_cloud, make_model, rehearse  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
@@ -34,23 +34,6 @@ from pdpetsc.solve.petsc import linear_solver, options  # noqa: E402
 RTOL = 1e-8
 APPLIED = 5
 SCRATCH = ("pattern", "allocation", "assembly", "preconditioner", "iterations")
-
-
-def box(dim, n, horizon, nu=0.3, scheme="correspondence", G=0.5, broken=0.0):
-    """Return the case: a cube of particles with unit spacing in tension."""
-    damage = {"damage": pd.Brittle(pd.damage.ConstantCritical(1.0))} if broken else {}
-    return pd.Case(
-        particles=pd.Lattice([0.0] * dim, [float(n)] * dim, 1.0),
-        horizon=horizon,
-        material=pd.Hencky(E=1.0, nu=nu),
-        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
-        conditions=[
-            pd.Displacement(pd.region.Slab("x", high=1.0), **dict.fromkeys("xyz"[:dim], 0.0)),
-            pd.Displacement(pd.region.Slab("x", low=n - 1.0), x=0.01 * n),
-        ],
-        **damage,
-    )
 
 
 class Clock:
@@ -142,11 +125,12 @@ def main():
     jacobian, repeats, out = given.pop("jacobian", "matfree"), int(given.pop("repeats", 1)), given.pop("json", "")
     if given:
         raise SystemExit(f"unknown parameters: {', '.join(given)}")
-    runs = [solve(box(**values), jacobian, values["broken"]) for _ in range(repeats)]
+    share = values.pop("broken")
+    runs = [solve(case(**values, breakable=share > 0.0), jacobian, share) for _ in range(repeats)]
     run = sorted(runs, key=lambda r: r["scratch"])[len(runs) // 2]
     if is_root(world()):
         if out:
-            Path(out).write_text(json.dumps({**values, **run}))
+            Path(out).write_text(json.dumps({**values, "broken": share, "jacobian": jacobian, **run}))
         print(f"{run['particles']} particles, {run['bonds']} bonds, {run['ranks']} ranks, {jacobian}, {run['solver']}")
         print("  " + ", ".join(f"{name} {1e3 * s:.0f} ms" for name, s in run["seconds"].items()))
         print(

@@ -12,6 +12,9 @@ from pdpetsc.model import Model
 from pdpetsc.scene.solver import AnySolver, PathFollowing
 from pdpetsc.solve.jacobian import Choice
 
+# Relative tolerance of the first linear solve of a step, and the largest of the others.
+LOOSE = 1e-3
+
 
 def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, choice: Choice) -> dict[str, object]:
     """Return pdpetsc's solver options for a model; ``chosen`` and the command line override each of them.
@@ -46,6 +49,8 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
         }
         return defaults if model.failure is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    if not model.linear and model.failure is None:
+        defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
         defaults["pc_gamg_reuse_interpolation"] = "true"

@@ -95,9 +95,9 @@ class Equilibrium:
         self._reaction = np.where(self.free, 0.0, residual)
         return np.where(self.free, residual, self.scale * (values - self.prescribed))
 
-    def assemble(self, x: Float) -> None:
-        """Fill the matrix with the tangent at ``x``."""
-        self.tangent.update(self.at_prescribed(x), self.damping)
+    def assemble(self, x: Float, effort: float | None = None) -> None:
+        """Make the tangent that at ``x``; ``effort`` is what the last linear solve took (``Tangent.update``)."""
+        self.tangent.update(self.at_prescribed(x), self.damping, effort)
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
         """Return the part of a Newton step, halved as often as det F > 0 asks.

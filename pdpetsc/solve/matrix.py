@@ -68,7 +68,7 @@ class TangentMatrix(Tangent):
         self._damped = False
         self.diagonal = np.zeros(n * dim)
 
-    def update(self, u: Float, damping: Float | None = None) -> None:
+    def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
         """Fill the matrix with K(u); that of a linear model only where bonds have failed since."""
         # (n_rows,) ``damping`` is added to the diagonal of the rows [force / length].
         version = self._assembler.model.version

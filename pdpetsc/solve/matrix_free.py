@@ -10,6 +10,9 @@ from pdpetsc.model import Linearised, Model, NearAssembler
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.tangent import Tangent
 
+# A linear solve that takes this many times the iterations per digit of the first one wants a new preconditioner.
+HARDER = 1.3
+
 
 class MatrixFreeTangent(Tangent):
     """A Mat of type python that applies ``K(u)`` family by family, and an AIJ matrix of nearest neighbours.
@@ -40,13 +43,32 @@ class MatrixFreeTangent(Tangent):
             self.mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self.mat.setUp()
+        self._version, self._damped = -1, False
+        self._effort: float | None = None
 
-    def update(self, u: Float, damping: Float | None = None) -> None:
-        """Make it K(u), with damping on the diagonal of both matrices."""
-        self._matrix.update(u, damping)
-        self.diagonal = self._matrix.diagonal
-        self._product.tangent, self._product.damping = self._near.tangent, damping
+    def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
+        """Make it K(u); the nearest neighbours stay as they are while linear solves do not get harder."""
+        version, damped = self._model.version, damping is not None
+        if self._model.linear and self.holds(damped):
+            return
+        if self._keep(effort) and damped == self._damped and self._model.failure is None:
+            self._product.tangent = self._model.linearised(u)
+        else:
+            self._matrix.forget()
+            self._matrix.update(u, damping)
+            self._product.tangent, self._effort = self._near.tangent, None
+            self.diagonal = self._matrix.diagonal
+        self._product.damping = damping
+        self._version, self._damped = version, damped
         self.mat.stateIncrease()
+
+    def _keep(self, effort: float | None) -> bool:
+        """Return whether the preconditioner does as well as when it was new; the first solve with it tells how well."""
+        if effort is None or self._version < 0:
+            return False
+        if self._effort is None:
+            self._effort = effort
+        return effort <= HARDER * self._effort
 
     def renew(self) -> bool:
         """Choose nearest neighbours anew where bonds have broken or mended."""
@@ -57,15 +79,17 @@ class MatrixFreeTangent(Tangent):
         self._near = NearAssembler(self._model)
         self._matrix = TangentMatrix(self._near, self._fixed, self._scale)
         self.preconditioner = self._matrix.mat
+        self.forget()
         return True
 
     def holds(self, damped: bool) -> bool:
         """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
-        return self._breaks == self._model.breaks and self._matrix.holds(damped)
+        same = self._breaks == self._model.breaks and self._version == self._model.version
+        return same and self._damped == damped
 
     def forget(self) -> None:
         """Let the next ``update`` make it anew (not collective)."""
-        self._matrix.forget()
+        self._version = -1
 
     @property
     def bytes(self) -> int:

@@ -102,6 +102,14 @@ def start_anew(ksp: PETSc.KSP) -> None:
     ksp.setOperators(mat, preconditioner)
 
 
+def effort(ksp: PETSc.KSP) -> float | None:
+    """Return the iterations per digit of the last linear solve, None without one or where it failed."""
+    rtol = float(ksp.getTolerances()[0])
+    if ksp.getConvergedReason() <= 0 or not 0.0 < rtol < 1.0:
+        return None
+    return float(ksp.getIterationNumber() / -np.log10(rtol))
+
+
 def linear_solver(ksp: PETSc.KSP) -> str:
     """Return a linear solver in a few words."""
     pc = ksp.getPC()

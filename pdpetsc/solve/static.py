@@ -13,7 +13,7 @@ from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.equilibrium import Equilibrium, read_options
-from pdpetsc.solve.petsc import full_steps, line_search, linear_solver, set_domain_error, start_anew
+from pdpetsc.solve.petsc import effort, full_steps, line_search, linear_solver, set_domain_error, start_anew
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
@@ -129,7 +129,7 @@ class StaticSolver(StepSolver):
         if force is None:
             return u, 0
         if not sought.tangent.holds(sought.damping is not None):
-            sought.tangent.update(u, sought.damping)
+            sought.tangent.update(u, sought.damping, effort(self.snes.getKSP()))
         b = sought.external - force - self.model.tangent_times(u, jump)
         self._r.array = np.where(free, b, 0.0).ravel()
         ksp = self.snes.getKSP()
@@ -148,7 +148,7 @@ class StaticSolver(StepSolver):
         r.array = residual.ravel()
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._equilibrium.assemble(x.array_r)
+        self._equilibrium.assemble(x.array_r, effort(snes.getKSP()))
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""

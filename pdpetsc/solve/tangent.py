@@ -31,8 +31,12 @@ class Tangent(ABC):
     diagonal: Float
 
     @abstractmethod
-    def update(self, u: Float, damping: Float | None = None) -> None:
-        """Make it K(u), with (n_rows,) ``damping`` [force / length] on the diagonal."""
+    def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
+        """Make it K(u), with (n_rows,) ``damping`` [force / length] on the diagonal.
+
+        ``effort`` is what the last linear solve with it took, in iterations per digit: the matrix of the preconditioner
+        may stay as it is while that does not grow. Without it that is made anew.
+        """
 
     @abstractmethod
     def renew(self) -> bool:

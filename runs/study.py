@@ -85,9 +85,9 @@ def write_curves(folder, name, title, columns, curves, reference=(), **axes):
     print(f"{folder / name}.csv and .png: {title}", flush=True)
 
 
-def dense_tangent(model, u):
-    """Return K(u) of a small model on one process as a dense matrix."""
-    assembler = model.assembler()
+def dense_tangent(model, u, assembler=None):
+    """Return K(u) of a small model on one process, or what another assembler makes of it, as a dense matrix."""
+    assembler = model.assembler() if assembler is None else assembler
     dim, rows = model.dim, assembler.pattern.rows
     values = np.empty(dim * dim * int(rows.diag_ptr[-1]))
     assembler.assemble(u, values, np.empty(0))

@@ -45,6 +45,10 @@ class Linearised(ABC):
     def stiffness(self) -> Float:
         """Return ``sum_p W_p dP/dF`` of every own particle (n_owned, dim, dim, dim, dim) [energy] (not collective)."""
 
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness`` (n_owned,) [energy] (not collective)."""
+        return np.asarray(np.einsum("pikik->p", self.stiffness()))
+
 
 class GradientTangent(Linearised):
     """``G^T (W A) G`` and the zero-energy control."""
@@ -79,6 +83,14 @@ class GradientTangent(Linearised):
         if operator.n_points == self.model.cloud.n_owned:
             return np.asarray(weighted)
         return np.asarray(np.add.reduceat(weighted, operator.points_of[:-1]))
+
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness`` without forming it."""
+        operator = self.model.operator
+        trace = operator.volume * np.einsum("pikik->p", self._A)
+        if operator.n_points == self.model.cloud.n_owned:
+            return np.asarray(trace)
+        return np.asarray(np.add.reduceat(trace, operator.points_of[:-1]))
 
 
 class DamagedTangent(GradientTangent):

@@ -6,12 +6,15 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.communicator import largest
 from pdpetsc.model import Linearised, Model, NearAssembler
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.tangent import Tangent
 
 # A linear solve that takes this many times the iterations per digit of the first one wants a new preconditioner.
 HARDER = 1.3
+# A particle this many times as stiff as when the bounds of the smoother were estimated may lie outside of them.
+STIFFER = 1.05
 
 
 class MatrixFreeTangent(Tangent):
@@ -45,30 +48,38 @@ class MatrixFreeTangent(Tangent):
         self.mat.setUp()
         self._version, self._damped = -1, False
         self._effort: float | None = None
+        self._strength = np.empty(0)
 
     def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
         """Make it K(u); the nearest neighbours stay as they are while linear solves do not get harder."""
         version, damped = self._model.version, damping is not None
         if self._model.linear and self.holds(damped):
             return
-        if self._keep(effort) and damped == self._damped and self._model.failure is None:
-            self._product.tangent = self._model.linearised(u)
-        else:
+        kept = None
+        if self._does_well(effort) and damped == self._damped and self._model.failure is None:
+            kept = self._not_stiffer(self._model.linearised(u))
+        if kept is None:
             self._matrix.forget()
             self._matrix.update(u, damping)
-            self._product.tangent, self._effort = self._near.tangent, None
+            kept, self._effort = self._near.tangent, None
+            self._strength = kept.strength()
             self.diagonal = self._matrix.diagonal
-        self._product.damping = damping
+        self._product.tangent, self._product.damping = kept, damping
         self._version, self._damped = version, damped
         self.mat.stateIncrease()
 
-    def _keep(self, effort: float | None) -> bool:
+    def _does_well(self, effort: float | None) -> bool:
         """Return whether the preconditioner does as well as when it was new; the first solve with it tells how well."""
         if effort is None or self._version < 0:
             return False
         if self._effort is None:
             self._effort = effort
         return effort <= HARDER * self._effort
+
+    def _not_stiffer(self, tangent: Linearised) -> Linearised | None:
+        """Return a tangent if no particle is much stiffer in it than when the bounds of the smoother were estimated."""
+        ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
+        return tangent if largest(self._model.cloud.comm, ratio) <= STIFFER else None
 
     def renew(self) -> bool:
         """Choose nearest neighbours anew where bonds have broken or mended."""

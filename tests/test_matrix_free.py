@@ -1,0 +1,135 @@
+"""The tangent without a matrix: the matrix of nearest neighbours beside it, and runs with and without assembly."""
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import world
+from pdpetsc.model import NearAssembler
+from pdpetsc.solve.jacobian import choose
+from tests.commands import results, run
+from tests.scenes import (
+    DIMS,
+    NOT_AFFINE,
+    SCHEMES,
+    STABILISATIONS,
+    bodies,
+    body,
+    bond_bodies,
+    bond_body,
+    damaged_body,
+    dense_tangent,
+    displacement,
+)
+
+BLOCKS = {1: 5, 2: 13, 3: 25}
+
+
+def affine(model, rng):
+    """Return displacements with a uniform gradient."""
+    n = model.cloud.n_owned
+    return np.ascontiguousarray(model.cloud.x[:n] @ rng.standard_normal((model.dim, model.dim)))
+
+
+def test_nearest_neighbours_have_the_energy_of_the_body_in_every_uniform_deformation(rng):
+    """Whatever the scheme, control or bonds, at any displacement: what makes long waves alike."""
+    free = [(label, model) for label, model in bond_bodies(rng) if "free" in label]
+    for label, model in [*bodies(rng), *free]:
+        if any(name.replace("_", " ") in label.replace("_", " ") for name in NOT_AFFINE):
+            continue
+        u = displacement(model, rng)
+        K, near = dense_tangent(model, u), dense_tangent(model, u, NearAssembler(model))
+        assert np.abs(near - near.T).max() < 1e-12 * np.abs(near).max(), label
+        du = affine(model, rng).ravel()
+        assert du @ near @ du == pytest.approx(du @ K @ du, rel=1e-9), label
+
+
+def test_nearest_neighbours_resist_everything_but_rigid_motion(rng):
+    for dim in DIMS:
+        for model in (body(dim, rng=rng), bond_body(dim, pd.BondBased(E=10.0), rng=rng)):
+            values = np.linalg.eigvalsh(dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model)))
+            rigid = dim * (dim + 1) // 2
+            assert np.abs(values[:rigid]).max() < 1e-10 * values[-1]
+            assert values[rigid] > 1e-5 * values[-1]
+
+
+@pytest.mark.parametrize("dim", DIMS)
+@pytest.mark.parametrize("horizon", (1.015, 2.015, 3.015))
+def test_rows_of_nearest_neighbours_are_as_short_for_any_horizon(dim, horizon):
+    model = body(dim, horizon=horizon)
+    assert np.diff(NearAssembler(model).pattern.owned.diag_ptr).max() <= BLOCKS[dim]
+
+
+def test_nearest_neighbours_are_those_of_bonds_that_hold(rng):
+    """With a third of the bonds broken the matrix stays definite where particles still have a gradient."""
+    law = pd.Brittle(pd.ConstantCritical(1.0))
+    for dim in (2, 3):
+        model = damaged_body(dim, law, control=pd.Silling(0.5))
+        keys = model.failure.keys
+        model.failure.integrity[(keys[:, 0] * 7 + keys[:, 1] * 13) % 10 < 3] = 0.0
+        model.take_failure()
+        values = np.linalg.eigvalsh(dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model)))
+        rigid = dim * (dim + 1) // 2
+        assert np.abs(values[:rigid]).max() < 1e-10 * values[-1]
+        assert values[rigid] > 1e-6 * values[-1]
+
+
+CASES = {
+    "beam": ("runs/beams/clamped.py", "ny=3", "horizon=2.015", "scheme=sub_horizons", "steps=2"),
+    "silling": ("runs/beams/clamped.py", "ny=3", "horizon=2.015", "G=0.5", "steps=2"),
+    "damage": ("runs/fracture/plate_with_hole.py", "steps=6"),
+    "plasticity": ("runs/plasticity/bar.py",),
+    "cell": ("runs/patch/cell.py",),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_results_are_those_of_the_assembled_tangent_on_1_and_2_ranks(name, tmp_path):
+    case, *words = CASES[name]
+    assembled = results(case, *words, output=tmp_path / "assembled")
+    assert "tangent matrix" in assembled["allocated"]
+    for ranks in (1, 2):
+        free = results(case, *words, "-pd_jacobian", "matfree", ranks=ranks, output=tmp_path / f"free_{ranks}")
+        assert "matrix of nearest neighbours" in free["allocated"]
+        assert len(free["steps"]) == len(assembled["steps"])
+        for key, value in assembled["results"].items():
+            assert free["results"][key] == pytest.approx(value, rel=1e-6, abs=1e-7), key
+
+
+def test_the_choice_follows_size_and_option():
+    from pdpetsc.scene.solver import EventDriven, Newton
+
+    model = body(2, horizon=3.015)
+    assert not choose(model, {}, Newton()).matrix_free
+    assert choose(model, {"pd_jacobian": "matfree"}, Newton()).matrix_free
+    assert choose(model, {"pc_type": "hypre"}, Newton()).matrix_free
+    assert not choose(body(2, horizon=1.015), {"pc_type": "hypre"}, Newton()).matrix_free
+    assert not choose(model, {"pc_type": "hypre", "pd_jacobian": "assembled"}, Newton()).matrix_free
+    with pytest.raises(pd.CaseError, match="assembled, matfree or auto"):
+        choose(model, {"pd_jacobian": "dense"}, Newton())
+    with pytest.raises(pd.CaseError, match="factors its matrix"):
+        choose(model, {"pd_jacobian": "matfree"}, EventDriven())
+
+
+def test_any_preconditioner_can_be_made_of_the_nearest_neighbours(tmp_path):
+    for options in (
+        ["-pc_type", "cholesky"],
+        ["-pc_type", "hypre", "-pc_hypre_type", "boomeramg"],
+        ["-pc_type", "icc"],
+    ):
+        case, *words = CASES["silling"]
+        found = run(case, *words, "-pd_jacobian", "matfree", *options, output=tmp_path / "out")
+        assert found.returncode == 0, (options, found.stderr)
+        assert f"pc {options[1]}" in found.stdout
+
+
+def test_forces_are_the_same_with_the_exchange_behind_the_work(rng):
+    """In parts, with ghosts in between, or all at once."""
+    assert world().size == 1
+    for name, scheme in SCHEMES.items():
+        model = body(2, scheme, STABILISATIONS["silling"], rng=rng)
+        du = rng.standard_normal(model.cloud.x.shape)
+        tangent = model.linearised(np.zeros_like(du))
+        whole = np.zeros_like(du)
+        tangent.forces(du, whole, model.families.everyone)
+        assert np.allclose(tangent(du), whole, atol=1e-13 * np.abs(whole).max()), name

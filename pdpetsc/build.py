@@ -20,7 +20,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
-from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model
+from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model, NearAssembler
 from pdpetsc.scene.particles import Chunk
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
@@ -42,11 +42,11 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     return _model(case, cloud, families, materials, material_of, factor)
 
 
-def rehearse(comm: Comm, case: Case, dim: int) -> None:
+def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
     """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
 
     The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
-    nor write its cache at once.
+    nor write its cache at once. With ``near`` these are the kernels of the matrix of nearest neighbours.
 
     Notes
     -----
@@ -62,7 +62,7 @@ def rehearse(comm: Comm, case: Case, dim: int) -> None:
                 # The case's critical stretches are those of another body.
                 damage = None if case.damage is None else LinearSoftening(ConstantCritical(1.0))
                 model = _model(replace(case, damage=damage), cloud, find_families(cloud), materials, alternating, None)
-                assembler = model.assembler()
+                assembler = NearAssembler(model) if near else model.assembler()
                 u = np.zeros_like(x)
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
                 assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))

@@ -39,6 +39,7 @@ from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import petsc_version
 from pdpetsc.solve.relaxation import RelaxationSolver
+from pdpetsc.solve.stages import OUTPUT, SEARCH, SET_UP, stage
 from pdpetsc.solve.static import StaticSolver
 from pdpetsc.solve.steps import Converged, load_steps
 
@@ -90,6 +91,13 @@ def run(
     with Reporter(comm, quiet) as report:
         return _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))()
 
+
+# Stages of PETSc's log that phases belong to.
+STAGES = {
+    **dict.fromkeys(("particles", "families"), SEARCH),
+    **dict.fromkeys(("kernels", "model", "pattern", "allocation"), SET_UP),
+    **dict.fromkeys(("output", "picture"), OUTPUT),
+}
 
 Running: TypeAlias = StepSolver | EventSolver
 
@@ -145,6 +153,9 @@ class _Run:
         chosen = self.case.solver
         if isinstance(chosen, DynamicRelaxation):
             return RelaxationSolver(model, loading, chosen, stop)
+        if choice.matrix_free:
+            with self._timed("kernels"):
+                rehearse(self.comm, self.case, model.dim, near=True)
         with self._timed("pattern"):
             filled = assembler(model, choice)
             self.report.say(words(choice, filled))
@@ -276,7 +287,8 @@ class _Run:
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:
         before = time.perf_counter()
-        yield
+        with stage(STAGES[phase]):
+            yield
         self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
 
 

@@ -1,10 +1,6 @@
 """The command line: splitting, conversion, help, and wrong input that ends with status 2 and one sentence."""
 
-import json
-import os
 import re
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
@@ -12,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.cli import arguments_of, split
-from tests.commands import ROOT, run
+from tests.commands import run
 
 GOOD = """
     import numpy as np
@@ -151,18 +147,3 @@ def test_more_ranks_than_particles_are_refused(tmp_path):
     finished = run(path, ranks=4, output=tmp_path / "out")
     assert finished.returncode == 2
     assert "3 particles for 4 ranks" in finished.stderr
-
-
-def test_batch_script_runs_the_case_on_all_ranks(tmp_path):
-    """``srun`` stands in as mpirun on two ranks."""
-    shim = tmp_path / "bin" / "srun"
-    shim.parent.mkdir()
-    shim.write_text(f'#!/bin/bash\nexec "{ROOT / ".ci" / "mpirun"}" 2 "$@"\n')
-    shim.chmod(0o755)
-    path = f"{shim.parent}:{Path(sys.executable).parent}:{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "HOME": str(tmp_path)}
-    words = ["bash", str(ROOT / "runs/hpc/job.slurm"), "runs/beams/clamped.py", "steps=1", "-o", str(tmp_path / "out")]
-    subprocess.run(words, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=300)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["ranks"] == 2
-    assert 0.0 < summary["results"]["error"] < 0.1

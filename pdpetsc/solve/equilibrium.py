@@ -15,6 +15,7 @@ from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult
 from pdpetsc.solve.defaults import stiffness_scale
 from pdpetsc.solve.jacobian import make_tangent
+from pdpetsc.solve.stages import RESIDUAL, TANGENT, stage
 
 # The residual cannot fall below about this multiple of the round-off of K u.
 FLOOR = 20.0
@@ -86,7 +87,8 @@ class Equilibrium:
     def residual(self, x: Float) -> Float | None:
         """Return the residual (n_rows, dim) [force]; None on all ranks where the displacement is inadmissible."""
         values = x.reshape(self.free.shape)
-        force = self.model.internal_force(self.at_prescribed(values))
+        with stage(RESIDUAL):
+            force = self.model.internal_force(self.at_prescribed(values))
         if force is None:
             return None
         residual = force - self.external
@@ -97,7 +99,8 @@ class Equilibrium:
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
         """Make the tangent that at ``x``; ``effort`` is what the last linear solve took (``Tangent.update``)."""
-        self.tangent.update(self.at_prescribed(x), self.damping, effort)
+        with stage(TANGENT):
+            self.tangent.update(self.at_prescribed(x), self.damping, effort)
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
         """Return the part of a Newton step, halved as often as det F > 0 asks.

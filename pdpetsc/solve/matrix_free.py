@@ -9,6 +9,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.model import Linearised, Model, NearAssembler
 from pdpetsc.solve.matrix import TangentMatrix
+from pdpetsc.solve.stages import PRECONDITIONER, stage
 from pdpetsc.solve.tangent import Tangent
 
 # A linear solve that takes this many times the iterations per digit of the first one wants a new preconditioner.
@@ -60,7 +61,8 @@ class MatrixFreeTangent(Tangent):
             kept = self._not_stiffer(self._model.linearised(u))
         if kept is None:
             self._matrix.forget()
-            self._matrix.update(u, damping)
+            with stage(PRECONDITIONER):
+                self._matrix.update(u, damping)
             kept, self._effort = self._near.tangent, None
             self._strength = kept.strength()
             self.diagonal = self._matrix.diagonal

@@ -1,0 +1,176 @@
+"""Batch scripts with stand-ins for srun and sbatch, stages of PETSc's log, and what each rank holds."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.commands import ROOT, run
+
+SCRIPTS = sorted((ROOT / "runs" / "hpc").glob("*.s*"))
+ON_TWO_RANKS = f'exec "{ROOT / ".ci" / "mpirun"}" 2 "$@"'
+# Stops the first run as a batch system does that runs out of time, after three steps.
+OUT_OF_TIME = """
+[ -e "{0}/stopped" ] && exec "$@"
+"$@" &
+until [ "$(wc -l < "{0}/out/history.csv" 2>/dev/null || echo 0)" -ge 4 ]; do sleep 0.05; done
+touch "{0}/stopped"
+kill -TERM $!
+wait $!
+"""
+
+
+def submit(folder, script, *words, srun=ON_TWO_RANKS, **variables):
+    """Run a batch script as a batch system does; return the finished process."""
+    stand_ins = folder / "bin"
+    stand_ins.mkdir(exist_ok=True)
+    for name, text in {"srun": srun, "sbatch": 'exec bash "$@"'}.items():
+        (stand_ins / name).write_text(f"#!/bin/bash\n{text}\n")
+        (stand_ins / name).chmod(0o755)
+    path = f"{stand_ins}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "HOME": str(folder), **variables}
+    environment.setdefault("NUMBA_CACHE_DIR", str(ROOT / "pdpetsc" / "__pycache__"))
+    return subprocess.run(
+        ["bash", f"runs/hpc/{script}", *map(str, words)],
+        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+
+
+def summary(folder):
+    """Return what a run left."""
+    return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_scripts_have_no_syntax_error_and_ask_for_a_warning_before_the_end(script):
+    subprocess.run(["bash", "-n", str(script)], check=True)
+    if script.suffix == ".slurm":
+        assert "#SBATCH --signal=TERM@" in script.read_text()
+
+
+def test_a_job_runs_the_case_on_all_ranks(tmp_path):
+    finished = submit(tmp_path, "job.slurm", "runs/beams/clamped.py", "steps=1", "-o", tmp_path / "out")
+    assert finished.returncode == 0, finished.stderr
+    found = summary(tmp_path / "out")
+    assert found["ranks"] == 2
+    assert 0.0 < found["results"]["error"] < 0.1
+
+
+def test_a_job_on_several_nodes_takes_kernels_from_their_disks(tmp_path):
+    variables = {"SLURM_JOB_NUM_NODES": "2", "SLURM_JOB_ID": "7", "TMPDIR": str(tmp_path / "local")}
+    srun = 'while [[ "$1" == --ntasks* ]]; do shift; done; exec "$@"'
+    words = "runs/beams/clamped.py", "steps=1", "-o", tmp_path / "out"
+    finished = submit(tmp_path, "job.slurm", *words, srun=srun, **variables)
+    assert finished.returncode == 0, finished.stderr
+    assert list((tmp_path / "local" / "pdpetsc-7" / "kernels").rglob("*.nbi"))
+
+
+def test_an_array_runs_a_line_of_parameters_in_each_task(tmp_path):
+    lines = tmp_path / "lines.txt"
+    lines.write_text("ny=3 steps=1\nny=5 steps=2\n")
+    for task, steps in ((1, 1), (2, 2)):
+        words = lines, "runs/beams/clamped.py", "-o", tmp_path / "study", "-snes_rtol", "1e-8"
+        finished = submit(tmp_path, "array.slurm", *words, srun='exec "$@"', SLURM_ARRAY_TASK_ID=str(task))
+        assert finished.returncode == 0, finished.stderr
+        assert len(summary(tmp_path / "study" / str(task))["steps"]) == steps
+    finished = submit(tmp_path, "array.slurm", *words, SLURM_ARRAY_TASK_ID="3")
+    assert finished.returncode == 2
+    assert "has no line 3" in finished.stderr
+
+
+def test_a_chain_goes_on_where_time_ran_out(tmp_path):
+    words = "runs/beams/clamped.py", "steps=40"
+    srun = OUT_OF_TIME.format(tmp_path)
+    finished = submit(tmp_path, "chain.slurm", tmp_path / "out", *words, srun=srun)
+    assert finished.returncode == 0, finished.stderr
+    assert "Stopped by a signal" in finished.stderr
+    found = summary(tmp_path / "out")
+    assert found["status"] == "converged"
+    assert 1 < len(found["steps"]) < 40
+    history = (tmp_path / "out" / "history.csv").read_text().splitlines()
+    assert len(history) == 41 or len(history) == 42
+
+
+def test_the_log_has_a_stage_for_everything_that_takes_time(tmp_path):
+    words = "dim=2", "n=12", "-pd_jacobian", "matfree", "-log_view"
+    found = run("runs/bench/box.py", *words, output=tmp_path / "out")
+    assert found.returncode == 0, found.stderr
+    for name in ("search", "set-up", "residual", "tangent", "preconditioner", "output"):
+        assert f":{name}:" in found.stdout.replace(" ", ""), name
+
+
+SIZES = """
+import sys, tracemalloc
+import petsc4py
+petsc4py.init(["sizes", "-pd_jacobian", "matfree"])
+import numpy as np
+import pdpetsc as pd
+from pdpetsc.build import make_cloud, make_model, rehearse
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.discrete.pieces import refuse_rigid_motion
+from pdpetsc.loading import Loading
+from pdpetsc.scene.solver import Newton
+from pdpetsc.solve.defaults import default_options
+from pdpetsc.solve.jacobian import assembler, choose
+from pdpetsc.solve.petsc import options
+from pdpetsc.solve.static import StaticSolver
+comm = world()
+sys.path.insert(0, "runs/bench")
+from box import case
+scene = case(dim=2, n=20)
+import dataclasses
+strip = pd.Lattice([0.0, 0.0], [60.0 * comm.size, 8.0], 1.0)
+held = pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)
+pulled = pd.Displacement(pd.region.Slab("x", low=60.0 * comm.size - 1.0), x=0.1)
+scene = dataclasses.replace(scene, particles=strip, conditions=[held, pulled])
+rehearse(comm, scene, 2)
+rehearse(comm, scene, 2, near=True)
+sites = {}
+def look():
+    for found in tracemalloc.take_snapshot().statistics("lineno"):
+        site = f"{found.traceback[0].filename.split('pdpetsc/')[-1]}:{found.traceback[0].lineno}"
+        sites[site] = max(sites.get(site, 0), found.size)
+tracemalloc.start()
+cloud = make_cloud(comm, scene); look()
+families = find_families(cloud); look()
+model = make_model(scene, cloud, families); look()
+loading = Loading(model, scene.conditions, 1.0)
+refuse_rigid_motion(cloud, families, loading.fixed); look()
+choice = choose(model, {}, Newton())
+with options({}, default_options(model, {}, Newton(), choice)):
+    solver = StaticSolver(model, loading, assembler(model, choice), lambda: False); look()
+    u, result = solver.solve(np.zeros((cloud.n_owned, 2)), 1.0); look()
+    assert result.converged
+    solver.destroy()
+if comm.rank == 1:
+    import json
+    print(json.dumps({"particles": cloud.n_global, "owned": cloud.n_owned, "sites": sites}))
+"""
+
+
+def test_no_array_of_a_rank_grows_with_the_whole(tmp_path):
+    """A strip twice as long on twice as many ranks: what a rank in its middle holds, by the line that allocated it."""
+    script = tmp_path / "sizes.py"
+    script.write_text(SIZES)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    found = []
+    for ranks in (3, 6):
+        words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, str(script)]
+        finished = subprocess.run(
+            words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True
+        )
+        found.append(json.loads(finished.stdout.splitlines()[-1]))
+    small, large = found
+    assert large["particles"] == 2 * small["particles"]
+    assert large["owned"] == small["owned"]
+    grown = {
+        site: (small["sites"].get(site, 0), size)
+        for site, size in large["sites"].items()
+        if size > 4096 and size > 1.3 * small["sites"].get(site, 0)
+    }
+    assert not grown
+    assert max(small["sites"].values()) > 8 * small["particles"]

@@ -80,7 +80,6 @@ def draw_field(
         axes.plot(x[order, 0], values[order], ".-")
         axes.set(xlabel="x", ylabel=label)
     else:
-        axes.set_aspect("equal", adjustable="datalim" if dim == 2 else "box")
         limits = np.percentile(values, [0.5, 99.5])
         scatter: Any = axes.scatter
         drawn = scatter(
@@ -89,8 +88,21 @@ def draw_field(
         )  # fmt: skip
         figure.colorbar(drawn, label=label, shrink=0.8)
         axes.set(xlabel="x", ylabel="y")
+        if dim == 3:
+            _true_to_scale(axes, y)
+        else:
+            axes.set_aspect("equal", adjustable="datalim")
     axes.set_title(title)
     figure.savefig(path, dpi=130)
+
+
+def _true_to_scale(axes: Any, y: Float) -> None:
+    """Give 3D axes the proportions of the body, and thin sides few ticks."""
+    extent = np.maximum(np.ptp(y, axis=0), 1e-3 * np.ptp(y))
+    axes.set_box_aspect(extent, zoom=1.3)
+    axes.set(zlabel="z")
+    for axis, share in zip("xyz", extent / extent.max(), strict=True):
+        axes.locator_params(axis=axis, nbins=max(1, round(6 * share)))
 
 
 def _component(values: Float, name: str) -> Float:

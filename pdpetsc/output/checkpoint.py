@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, is_root, total
+from pdpetsc.discrete.communicator import Comm, agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
@@ -34,14 +38,16 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> 
     model, u = solution.model, solution.unknowns
     cloud = model.cloud
     identity = _identity(cloud)
-    bonds = _gathered_bonds(model)
-    size = sum(keys.nbytes + states.nbytes for keys, states in bonds)
+    keys, states = _damaged_bonds(model)
+    counts = cloud.comm.gather(len(keys)) or []
     with agreed(cloud.comm):
         if is_root(cloud.comm):
+            size = sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
             reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8 + size)
     failure: OutputError | None = None
     virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
+    damaged = [_one_by_one(cloud.comm, keys, counts), _one_by_one(cloud.comm, states, counts)]
     if is_root(cloud.comm):
         try:
             with replacing(path) as aside, h5py.File(aside, "w") as file:
@@ -49,15 +55,17 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> 
                 file.attrs["pace"] = np.asarray(solution.pace, dtype=float)
                 file.attrs.update(identity=identity, virtual=virtual)
                 file.attrs["damage"] = _law(model)
-                if bonds:
-                    file["bonds/keys"] = np.concatenate([keys for keys, _ in bonds])
-                    file["bonds/states"] = np.concatenate([states for _, states in bonds])
                 dataset = file.create_dataset("u", (cloud.n_global, cloud.dim), np.float64)
                 for rows, part in parts:
                     dataset[rows] = part
+                for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
+                    if model.failure is not None:
+                        dataset = file.create_dataset(f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
+                        for rows, part in of_ranks:
+                            dataset[rows] = part
         except (OutputError, RuntimeError) as error:
             failure = OutputError(str(error))
-    for _ in parts:  # other ranks send here, and after a failure root still has to receive
+    for _ in itertools.chain(parts, *damaged):  # other ranks send here, and after a failure root still has to receive
         pass
     with agreed(cloud.comm):
         if failure is not None:
@@ -114,11 +122,27 @@ def _identity(cloud: Cloud) -> Float:
     return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums])
 
 
-def _gathered_bonds(model: Model) -> list[tuple[GlobalIndex, Float]]:
-    """Return keys and states of the damaged bonds of every rank on rank 0, nothing elsewhere (collective)."""
+def _damaged_bonds(model: Model) -> tuple[GlobalIndex, Float]:
+    """Return keys and states of the damaged bonds of this rank (not collective)."""
     if model.failure is None:
-        return []
-    return model.cloud.comm.gather(model.failure.damaged()) or []
+        return np.empty((0, 3), dtype=np.int64), np.empty((0, 2))
+    return model.failure.damaged()
+
+
+def _one_by_one(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Yield on rank 0 the rows of all ranks, one rank at a time; nothing elsewhere. Exhaust it on every rank."""
+    values = np.ascontiguousarray(values)
+    if not is_root(comm):
+        comm.Send(values, dest=0, tag=8)
+        return
+    first = 0
+    for rank, count in enumerate(counts):
+        part = values
+        if rank > 0:
+            part = np.empty((count, *values.shape[1:]), dtype=values.dtype)
+            comm.Recv(part, source=rank, tag=8)
+        yield slice(first, first + count), part
+        first += count
 
 
 def _law(model: Model) -> str:

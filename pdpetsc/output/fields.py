@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import OutputError
-from pdpetsc.output.files import InCreationOrder, replacing, reserve
+from pdpetsc.output.files import InCreationOrder, parallel, replacing, reserve
 from pdpetsc.solution import Field, Solution
 
 # Room for the headers of a group or dataset [bytes].
@@ -24,9 +24,9 @@ _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 class FieldWriter:
     """Writes fields of all particles, in the order of creation on any rank count.
 
-    Vectors and tensors have three dimensions on disk whatever the body has. Rank 0 writes the parts of the others one
-    after another, so any build of h5py serves and no rank holds a whole field. The file is closed between steps: what
-    was written stays readable whatever happens later.
+    Vectors and tensors have three dimensions on disk whatever the body has. Every rank writes its part of the ids where
+    h5py has parallel HDF5; with any other build rank 0 writes the parts one after another. No rank holds a whole field.
+    The file is closed between steps: what was written stays readable whatever happens later.
 
     Parameters
     ----------
@@ -86,9 +86,35 @@ class FieldWriter:
             if is_root(comm):
                 rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in padded.values())
                 reserve(self._path, n * rows + HEADERS * (1 + len(padded)))
-        failure: OSError | None = None
+        write = self._at_once if parallel(comm) else self._in_turn
+        failure = write(group, padded, t)
+        with agreed(comm):
+            if failure is not None:
+                raise OutputError(f"Cannot write {group} to {self._path}: {failure}.")
+        return {name: int(np.prod(array.shape[1:])) for name, array in padded.items()}
+
+    def _at_once(self, group: str, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
+        """Write with parallel HDF5, every rank its part of the ids; return what went wrong."""
+        comm, starts = self._cloud.comm, self._order.starts
+        mine = slice(int(starts[comm.rank]), int(starts[comm.rank + 1]))
+        try:
+            with h5py.File(self._path, "a", driver="mpio", comm=comm) as file:
+                for name, array in values.items():
+                    shape = (self._cloud.n_global, *array.shape[1:])
+                    dataset = file.create_dataset(f"{group}/{name}", shape, array.dtype)
+                    with dataset.collective:
+                        dataset[mine] = self._order.rows(array)
+                file[group].attrs["t"] = t
+        except (OSError, RuntimeError) as error:
+            return error
+        return None
+
+    def _in_turn(self, group: str, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
+        """Write on rank 0, the parts of the others one after another; return what went wrong."""
+        n = self._cloud.n_global
+        failure: Exception | None = None
         file = None
-        for name, array in padded.items():
+        for name, array in values.items():
             dataset = None
             for rows_of, part in self._order.parts_on_root(array):
                 # Root goes on receiving after a failure, so that no rank is left in a send.
@@ -100,18 +126,15 @@ class FieldWriter:
                     if dataset is not None and failure is None:
                         dataset[rows_of] = part
                 except (OSError, RuntimeError) as error:
-                    failure = OSError(str(error))
-        with agreed(comm):
-            try:
-                if file is not None:
-                    if failure is None:
-                        file[group].attrs["t"] = t
-                    file.close()
-            except (OSError, RuntimeError) as error:
-                failure = OSError(str(error))
-            if failure is not None:
-                raise OutputError(f"Cannot write {group} to {self._path}: {failure}.")
-        return {name: int(np.prod(array.shape[1:])) for name, array in padded.items()}
+                    failure = error
+        try:
+            if file is not None:
+                if failure is None:
+                    file[group].attrs["t"] = t
+                file.close()
+        except (OSError, RuntimeError) as error:
+            failure = error
+        return failure
 
     def _markup(self) -> str:
         n, h5 = self._cloud.n_global, self._path.name

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,6 +69,11 @@ def reserve(path: Path, size: int) -> None:
                 f"{path} cannot grow by {size / 2**20:.1f} MiB ({error.strerror}); results are complete up to the step "
                 f"before."
             ) from error
+
+
+def parallel(comm: Comm) -> bool:
+    """Return whether several ranks can write to one HDF5 file at once (not collective)."""
+    return bool(comm.size > 1 and h5py.get_config().mpi)
 
 
 def prepare_folder(comm: Comm, folder: Path) -> None:

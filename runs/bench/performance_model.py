@@ -5,10 +5,11 @@ The model, for a cube of n^3 particles on P ranks and one iteration of conjugate
     T = (c_op + c_cycle) N/P + messages alpha + bytes / beta + R log2(P) alpha
 
 with three applications of the operator (of the iteration, of the residual on the finest level and of the smoother after
-the correction), each with two exchanges of ghosts; a rank of side a = (N/P)^(1/3) has (a + 2 h)^3 - a^3 ghosts from 26 ranks; the levels of GAMG
-below add their own messages; R reductions. c_op and c_cycle, the seconds a particle of both, are measured on one rank.
-Ghosts, ranks they are from, exchanges and reductions are then counted on 2, 4 and 8 ranks and set beside the model's;
-alpha and beta are those of a usual network.
+the correction), each with two exchanges of ghosts; a rank of side a = (N/P)^(1/3) has (a + 2 h)^3 - a^3 ghosts from 26
+ranks; the levels of GAMG below add their own messages; R reductions. c_op and c_cycle, the seconds a particle of both,
+are measured on one rank. Ghosts, ranks they are from, exchanges and reductions are then counted on 2, 4 and 8 ranks and
+set beside the model's; alpha and beta are those of a usual network. Neither the imbalance of parts nor the direct solve
+on the coarsest level is in it.
 """
 
 import json

@@ -1,0 +1,91 @@
+"""Every benchmark: python runs/bench/all.py [--quick] [--record] [folder].
+
+``--quick`` takes under three minutes and prints what was measured as ratios of two measurements of the same run, which
+do not depend on how fast the machine is, beside those recorded in ``recorded.json``; ``--record`` writes them there.
+Without it the studies follow, half an hour in all, with tables and pictures in the folder.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+from scaling import measure  # noqa: E402
+
+RECORDED = HERE / "recorded.json"
+REPEATS = 3
+# A ratio this far from the recorded one is marked.
+FAR = 1.5
+STUDIES = (
+    ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"], ["relaxation.py"],
+    ["robustness.py"], ["performance_model.py"], ["footprint.py"], ["scaling.py", "{folder}/scaling"],
+    ["../beams/speed.py", "{folder}/speed"],
+)  # fmt: skip
+
+
+def quick(folder):
+    """Return the ratios, by what they are of."""
+    common = {"repeats": REPEATS}
+    plane = measure(folder, 1, dim=2, n=201, horizon=3.015, **common)
+    direct = measure(folder, 1, ["-pc_type", "cholesky"], dim=2, n=201, horizon=3.015, jacobian="assembled")
+    assembled = measure(folder, 1, ["-pc_type", "gamg"], dim=2, n=201, horizon=3.015, jacobian="assembled")
+    sub_horizons = measure(folder, 1, dim=2, n=201, horizon=3.015, scheme="sub_horizons", G=0.0, **common)
+    small = measure(folder, 1, dim=3, n=16, horizon=3.015, **common)
+    solid = measure(folder, 1, dim=3, n=30, horizon=3.015, **common)
+    two = measure(folder, 2, dim=3, n=30, horizon=3.015, **common)
+    broken = measure(folder, 1, dim=2, n=100, horizon=3.015, broken=0.3)
+    applied = sub_horizons["seconds"]["operator"] / plane["seconds"]["operator"]
+    growth = (solid["scratch"] / solid["particles"]) / (small["scratch"] / small["particles"])
+    return {
+        "2D 40401, horizon 3.015: MUMPS Cholesky / without a matrix": direct["scratch"] / plane["scratch"],
+        "2D 40401, horizon 3.015: assembled GAMG / without a matrix": assembled["scratch"] / plane["scratch"],
+        "2D 40401: memory, MUMPS / without a matrix": direct["peak_MiB"] / plane["peak_MiB"],
+        "2D 40401: operator, sub-horizons / Silling": applied,
+        "2D 40401: set-up of the preconditioner / one iteration": plane["seconds"]["preconditioner"]
+        * plane["linear_iterations"]
+        / plane["seconds"]["iterations"],
+        "3D 27000, horizon 3.015: cycle / operator": solid["seconds"]["cycle"] / solid["seconds"]["operator"],
+        "3D, horizon 3.015: seconds a particle, 27000 / 4096": growth,
+        "3D 27000, horizon 3.015: one rank / two ranks": solid["scratch"] / two["scratch"],
+        "iterations, 2D 40401": plane["linear_iterations"],
+        "iterations, 2D 40401 sub-horizons": sub_horizons["linear_iterations"],
+        "iterations, 2D 10000 with 30 % broken bonds": broken["linear_iterations"],
+        "iterations, 3D 27000": solid["linear_iterations"],
+    }, {"2D 40401": plane["scratch"], "3D 27000": solid["scratch"], "3D 27000 on two ranks": two["scratch"]}
+
+
+def report(ratios, recorded):
+    """Print a table of current against recorded ratios."""
+    print(f"{'':64} {'now':>8} {'recorded':>9}")
+    for name, value in ratios.items():
+        old = recorded.get(name)
+        far = old is not None and not 1.0 / FAR <= value / old <= FAR
+        print(f"{name:64} {value:8.2f} {'-' if old is None else f'{old:9.2f}'}{'  <- far' if far else ''}")
+
+
+def main():
+    words = [word for word in sys.argv[1:] if not word.startswith("--")]
+    folder = Path(words[0] if words else "out/bench")
+    before = time.perf_counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        ratios, seconds = quick(Path(scratch))
+    recorded = json.loads(RECORDED.read_text()) if RECORDED.exists() else {}
+    report(ratios, recorded)
+    print("one solve from scratch: " + ", ".join(f"{name} {value:.2f} s" for name, value in seconds.items()))
+    print(f"{time.perf_counter() - before:.0f} s", flush=True)
+    if "--record" in sys.argv:
+        RECORDED.write_text(json.dumps(ratios, indent=2) + "\n")
+    if "--quick" in sys.argv:
+        return
+    for script, *arguments in STUDIES:
+        print(f"== {script}", flush=True)
+        given = [word.format(folder=folder) for word in arguments]
+        subprocess.run([sys.executable, str(HERE / script), *given], check=False)
+
+
+if __name__ == "__main__":
+    main()

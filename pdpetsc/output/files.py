@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, agreed, exchange, is_root
+from pdpetsc.discrete.communicator import Comm, agreed, exchange, is_root, total
 from pdpetsc.errors import CaseError, OutputError
 
 # Room that stays free on the disk, for the small files that end a run.
@@ -71,9 +71,12 @@ def reserve(path: Path, size: int) -> None:
             ) from error
 
 
-def parallel(comm: Comm) -> bool:
-    """Return whether several ranks can write to one HDF5 file at once (not collective)."""
-    return bool(comm.size > 1 and h5py.get_config().mpi)
+def on_several_nodes(comm: Comm) -> bool:
+    """Return whether ranks are on more than one machine (collective)."""
+    here = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    alone = here.size == comm.size
+    here.Free()
+    return int(total(comm, int(not alone))) > 0
 
 
 def prepare_folder(comm: Comm, folder: Path) -> None:

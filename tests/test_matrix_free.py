@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.model import NearAssembler
 from pdpetsc.solve.jacobian import choose
@@ -133,3 +134,12 @@ def test_forces_are_the_same_with_the_exchange_behind_the_work(rng):
         whole = np.zeros_like(du)
         tangent.forces(du, whole, model.families.everyone)
         assert np.allclose(tangent(du), whole, atol=1e-13 * np.abs(whole).max()), name
+
+
+def test_particles_in_random_order_are_put_near_their_neighbours(rng):
+    x = np.stack(np.meshgrid(np.arange(40.0), np.arange(40.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    shuffled = x[rng.permutation(len(x))]
+    cloud = distribute(world(), shuffled, np.ones(len(x)), {}, 1.5)
+    assert np.array_equal(cloud.x, shuffled[cloud.gid])
+    assert np.linalg.norm(np.diff(cloud.x, axis=0), axis=1).mean() < 3.0
+    assert np.array_equal(distribute(world(), x, np.ones(len(x)), {}, 1.5).gid, np.arange(len(x)))

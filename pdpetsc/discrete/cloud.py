@@ -21,6 +21,8 @@ from pdpetsc.scene.cell import Cell
 # Bonds exactly as long as the horizon belong to the family whatever the rounding of the positions.
 HORIZON_TOLERANCE = 1e-9
 COINCIDENT = 1e-6
+# Particles one after another that lie this many horizons apart in the mean are not where their neighbours are.
+FAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def distribute(
     if cell is not None:
         refuse_outside(comm, cell, x)
     (x, volume, gid, flags), _ = exchange(comm, bisect(comm, x), [x, volume, gid, np.ascontiguousarray(flags)])
-    order = np.argsort(gid)
+    order = _near_in_memory(x, gid, horizon)
     x, volume, gid, flags = x[order], volume[order], gid[order], flags[order]
     n_owned = len(x)
     first = offset(comm, n_owned)
@@ -186,6 +188,19 @@ def distribute(
         place=np.concatenate([np.zeros(n_owned, dtype=np.int64), number - len(offsets) // 2]),
         n_places=len(offsets),
     )
+
+
+def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:
+    """Return the order of own particles: that of creation, or by cells where that jumps about the body.
+
+    Loops over families read their members from memory; particles in random order cost them up to twice the time.
+    """
+    order = np.argsort(gid)
+    if len(x) < 2 or np.linalg.norm(np.diff(x[order], axis=0), axis=1).mean() <= FAR * horizon:
+        return order
+    sides = np.argsort(np.ptp(x, axis=0))
+    cells = np.floor((x - x.min(axis=0)) / horizon).astype(np.int64)
+    return np.lexsort((gid, *(cells[:, axis] for axis in sides)))
 
 
 def _candidates(

@@ -204,7 +204,7 @@ def refuse_flat(comm: Comm, gid: GlobalIndex, what: str) -> None:
     count = int(total(comm, len(gid)))
     if count == 0:
         return
-    ids = sorted(int(i) for part in comm.allgather(gid[:NAMED_IDS]) for i in part)[:NAMED_IDS]
+    ids = sorted(int(i) for part in comm.allgather(np.sort(gid)[:NAMED_IDS]) for i in part)[:NAMED_IDS]
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
     raise FlatFamilies(
         f"{count} particles have a family too small or too flat for {what} (ids {listed}); widen the horizon or add "

@@ -56,7 +56,7 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
         defaults["pc_gamg_reuse_interpolation"] = "true"
         if choice.matrix_free:
             defaults |= {"pc_gamg_use_sa_esteig": "false", "mg_levels_ksp_max_it": 1}
-            defaults["mg_levels_esteig_ksp_max_it"] = 6
+            defaults |= {"mg_levels_esteig_ksp_max_it": 6, "pc_gamg_esteig_ksp_max_it": 5}
     return defaults
 
 

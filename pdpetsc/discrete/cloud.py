@@ -200,7 +200,7 @@ def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:
         return order
     sides = np.argsort(np.ptp(x, axis=0))
     cells = np.floor((x - x.min(axis=0)) / horizon).astype(np.int64)
-    return np.lexsort((gid, *(cells[:, axis] for axis in sides)))
+    return np.asarray(np.lexsort((gid, *(cells[:, axis] for axis in sides))))
 
 
 def _candidates(

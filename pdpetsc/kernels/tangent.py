@@ -13,14 +13,18 @@ from pdpetsc.kernels.compile import compiled
 
 
 @lru_cache
-def gradient_times_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``times(particles, points_of, point_ptr, members, g, h, volume, A, u, f)``: adds ``H^T (W A) G u``.
+def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
+    """Return ``times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f)``.
 
-    One pass over the points of the given particles: gradient, stress and its forces while the stencil is in cache.
+    Adds ``H^T (W A) G u`` in one pass over the points of the given particles: gradient, stress and its forces while the
+    stencil is in cache. Where ``controlled``, a compile-time constant, also the forces of
+    ``sum_j s_ij |eta_ij - H_i xi_ij|^2 / 2`` for the same gradient ``H_i``, with ``s_ij xi_ij = K_i g_ij``: that on ``j``
+    is ``(W A H - H K) g_ij + s_ij eta_ij``. There is one point per particle then, over its whole family; ``stiffness``
+    and ``K`` are not read otherwise.
     """
 
     @compiled
-    def times(particles, points_of, point_ptr, members, g, h, volume, A, u, f):  # type: ignore[no-untyped-def]
+    def times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f):  # type: ignore[no-untyped-def]
         gradient = np.empty((dim, dim))
         stress = np.empty((dim, dim))
         centre = np.empty(dim)
@@ -36,73 +40,29 @@ def gradient_times_kernel(dim: int) -> Callable[..., Any]:
                         for n in range(dim):
                             gradient[m, n] += eta * g[t, n]
                 for a in range(dim):
+                    centre[a] = 0.0
                     for b in range(dim):
                         value = 0.0
                         for m in range(dim):
                             for n in range(dim):
                                 value += A[p, a, b, m, n] * gradient[m, n]
-                        stress[a, b] = volume[p] * value
-                centre[:] = 0.0
+                        value *= volume[p]
+                        if controlled:
+                            for n in range(dim):
+                                value -= gradient[a, n] * K[p, n, b]
+                        stress[a, b] = value
                 for t in range(first + 1, point_ptr[p + 1]):
                     k = members[t]
                     for m in range(dim):
                         force = 0.0
+                        if controlled:
+                            force = stiffness[t - p - 1] * (u[k, m] - u[i, m])
                         for n in range(dim):
                             force += stress[m, n] * h[t, n]
                         f[k, m] += force
                         centre[m] -= force
                 for m in range(dim):
                     f[i, m] += centre[m]
-
-    return times
-
-
-@lru_cache
-def stabilised_times_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``times(particles, point_ptr, members, g, volume, A, stiffness, K, u, f)``, with a control of the same H.
-
-    The energy of ``G^T (W A) G`` and ``sum_j s_ij |eta_ij - H_i xi_ij|^2 / 2``, where ``H_i`` is the gradient itself
-    with ``s_ij xi_ij = K_i g_ij``: the force on ``j`` is ``(W A H - H K) g_ij + s_ij eta_ij``. One point per particle,
-    over its whole family.
-    """
-
-    @compiled
-    def times(particles, point_ptr, members, g, volume, A, stiffness, K, u, f):  # type: ignore[no-untyped-def]
-        H = np.empty((dim, dim))
-        stress = np.empty((dim, dim))
-        centre = np.empty(dim)
-        for q in range(particles.size):
-            i = particles[q]
-            first = point_ptr[i]
-            H[:] = 0.0
-            for t in range(first + 1, point_ptr[i + 1]):
-                k = members[t]
-                for m in range(dim):
-                    eta = u[k, m] - u[i, m]
-                    for n in range(dim):
-                        H[m, n] += eta * g[t, n]
-            for a in range(dim):
-                centre[a] = 0.0
-                for b in range(dim):
-                    value = 0.0
-                    for m in range(dim):
-                        for n in range(dim):
-                            value += A[i, a, b, m, n] * H[m, n]
-                    value *= volume[i]
-                    for n in range(dim):
-                        value -= H[a, n] * K[i, n, b]
-                    stress[a, b] = value
-            for t in range(first + 1, point_ptr[i + 1]):
-                k = members[t]
-                s = stiffness[t - i - 1]
-                for m in range(dim):
-                    force = s * (u[k, m] - u[i, m])
-                    for n in range(dim):
-                        force += stress[m, n] * g[t, n]
-                    f[k, m] += force
-                    centre[m] -= force
-            for m in range(dim):
-                f[i, m] += centre[m]
 
     return times
 

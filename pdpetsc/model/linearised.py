@@ -13,7 +13,6 @@ from pdpetsc.kernels.tangent import (
     bond_times_kernel,
     gradient_times_kernel,
     outer_times_kernel,
-    stabilised_times_kernel,
 )
 
 if TYPE_CHECKING:
@@ -21,6 +20,9 @@ if TYPE_CHECKING:
     from pdpetsc.model.bonds import BondModel
     from pdpetsc.model.correspondence import CorrespondenceModel
     from pdpetsc.model.damaged import DamagedCorrespondenceModel
+
+# In place of stiffness and shape tensors of a control that does not share the pass.
+NOTHING = np.empty(0), np.empty((0, 0, 0))
 
 
 class Linearised(ABC):
@@ -64,16 +66,11 @@ class GradientTangent(Linearised):
         """Add those of moduli and control, in one pass where they share the gradient."""
         operator, control = self.model.operator, self.model.control
         shared = self.model.shared_control if self._h is operator.g else None
-        if shared is not None:
-            stabilised_times_kernel(self.model.dim)(
-                particles, operator.point_ptr, operator.members, operator.g, operator.volume, self._A, *shared, du, f
-            )
-            return
-        gradient_times_kernel(self.model.dim)(
+        gradient_times_kernel(self.model.dim, int(shared is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
-            self._A, du, f,
+            self._A, *(shared or NOTHING), du, f,
         )  # fmt: skip
-        if control is not None:
+        if control is not None and shared is None:
             control.force(du, f, particles)
 
     def stiffness(self) -> Float:

@@ -15,7 +15,7 @@ from pdpetsc.kernels.pattern import transpose
 from pdpetsc.kernels.tangent import gradient_times_kernel
 from pdpetsc.model.assembler import Assembler
 from pdpetsc.model.base import Model
-from pdpetsc.model.linearised import Linearised
+from pdpetsc.model.linearised import NOTHING, Linearised
 from pdpetsc.stabilisation.non_uniform import NonUniform
 
 # Bonds are near up to this multiple of the length of the dim-th shortest one of either end.
@@ -110,7 +110,17 @@ class NearTangent(Linearised):
         """Add those of the near families."""
         near = self._near
         gradient_times_kernel(self.model.dim)(
-            particles, near.points_of, near.point_ptr, near.members, near.g, near.g, near.volume, self._D, du, f
+            particles,
+            near.points_of,
+            near.point_ptr,
+            near.members,
+            near.g,
+            near.g,
+            near.volume,
+            self._D,
+            *NOTHING,
+            du,
+            f,
         )
         self._control.force(du, f, particles)
 

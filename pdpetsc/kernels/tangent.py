@@ -17,10 +17,10 @@ def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
     """Return ``times(particles, points_of, point_ptr, members, g, h, volume, A, stiffness, K, u, f)``.
 
     Adds ``H^T (W A) G u`` in one pass over the points of the given particles: gradient, stress and its forces while the
-    stencil is in cache. Where ``controlled``, a compile-time constant, also the forces of
-    ``sum_j s_ij |eta_ij - H_i xi_ij|^2 / 2`` for the same gradient ``H_i``, with ``s_ij xi_ij = K_i g_ij``: that on ``j``
-    is ``(W A H - H K) g_ij + s_ij eta_ij``. There is one point per particle then, over its whole family; ``stiffness``
-    and ``K`` are not read otherwise.
+    stencil is in cache. Where ``controlled``, a compile-time constant, also the forces of a control with the energy
+    ``sum_j s_ij |eta_ij - H_i xi_ij|^2 / 2`` for the same gradient ``H_i`` and ``s_ij xi_ij = K_i g_ij``: the force on
+    ``j`` is ``(W A H - H K) g_ij + s_ij eta_ij``. There is one point per particle then, over its whole family;
+    ``stiffness`` and ``K`` are not read otherwise.
     """
 
     @compiled

@@ -1,0 +1,64 @@
+"""Benchmarks run, and say the same of iterations and memory on any machine; their times are not tested."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.commands import ROOT, results
+
+
+def bench(*words):
+    """Run a script of the benchmarks; return what it printed."""
+    script, *others = words
+    command = [sys.executable, str(ROOT / "runs" / "bench" / script), *map(str, others)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=600).stdout
+
+
+def measured(tmp_path, *words):
+    """Return what the benchmark of one linear solve measured."""
+    bench("linear.py", *words, f"json={tmp_path / 'found.json'}")
+    return json.loads((tmp_path / "found.json").read_text())
+
+
+@pytest.mark.parametrize("horizon", ("1.015", "2.015", "3.015"))
+def test_iterations_do_not_depend_on_horizon_or_size(horizon, tmp_path):
+    small = measured(tmp_path, "n=30", f"horizon={horizon}")
+    large = measured(tmp_path, "n=90", f"horizon={horizon}")
+    assert large["reason"] > 0
+    assert large["linear_iterations"] <= 30
+    assert large["linear_iterations"] <= 1.5 * small["linear_iterations"]
+
+
+def test_iterations_with_a_third_of_the_bonds_broken(tmp_path):
+    found = measured(tmp_path, "n=60", "broken=0.3")
+    assert found["solver"].startswith("ksp gmres")
+    assert found["reason"] > 0
+    assert found["linear_iterations"] <= 30
+
+
+@pytest.mark.long
+def test_a_solid_takes_as_many_iterations_at_any_size(tmp_path):
+    counts = [measured(tmp_path, "dim=3", f"n={n}", "horizon=3.015")["linear_iterations"] for n in (12, 30)]
+    assert max(counts) <= 30
+    assert counts[1] <= 1.5 * counts[0]
+
+
+@pytest.mark.long
+def test_counts_of_the_performance_model(tmp_path):
+    said = bench("performance_model.py", 16).splitlines()
+    rows = [line.split() for line in said if line.split()[:1] in (["2"], ["4"], ["8"]) and len(line.split()) == 10]
+    assert len(rows) == 3
+    for row in rows:
+        assert 0.85 < float(row[3]) < 1.15
+        assert row[4] == row[5]
+        assert float(row[7]) < 7.0
+
+
+@pytest.mark.long
+def test_the_tensile_bar_from_a_mesh(tmp_path):
+    words = f"mesh={tmp_path / 'bar.vtu'}", "steps=1"
+    found = results("runs/dog_bone/dog_bone.py", *words, ranks=2, output=tmp_path / "out")
+    assert found["particles"] == 12625
+    assert found["results"]["over_narrow_bar"] == pytest.approx(1.1655, rel=1e-3)

@@ -133,13 +133,17 @@ class BondTangent(Linearised):
         a, B = (none, none) if model.a is None or model.B is None else (model.a, model.B)
         self._data = model.families.indptr, model.families.neighbours, model.cloud.x, self._u
         self._state = model.tangent(e), model.tension(e), a, B
+        self._secant = model.secant(e)
 
     def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add those of all bonds of the particles."""
         bond_times_kernel(self.model.dim, self.model.finite)(particles, *self._data, *self._state, du, f)
 
     def stiffness(self) -> Float:
-        """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family."""
+        """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
+
+        Bonds that soften count with their secant, which is not negative.
+        """
         D = np.empty((self.model.cloud.n_owned, *(self.model.dim,) * 4))
-        bond_moduli_kernel(self.model.dim, self.model.finite)(*self._data, *self._state, D)
+        bond_moduli_kernel(self.model.dim, self.model.finite)(*self._data, self._secant, *self._state[1:], D)
         return D

@@ -90,7 +90,7 @@ class NearAssembler(Assembler):
         model, dim, stencils = self.model, self.model.dim, self._stencils
         modulus = np.einsum("piikk->p", D) / dim**2
         sums = total(model.cloud.comm, [modulus.sum(), float(len(modulus))])
-        modulus = np.maximum(modulus, LEAST * float(sums[0] / sums[1]))
+        modulus = np.maximum(modulus, max(LEAST * float(sums[0] / sums[1]), float(np.finfo(float).tiny)))
         K = stencils.shape_tensors(model.cloud.x)
         size = np.einsum("pii->p", K)
         factor = CONTROL * modulus / np.where(size > 0.0, size, 1.0)
@@ -109,19 +109,8 @@ class NearTangent(Linearised):
     def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add those of the near families."""
         near = self._near
-        gradient_times_kernel(self.model.dim)(
-            particles,
-            near.points_of,
-            near.point_ptr,
-            near.members,
-            near.g,
-            near.g,
-            near.volume,
-            self._D,
-            *NOTHING,
-            du,
-            f,
-        )
+        stencils = near.points_of, near.point_ptr, near.members, near.g, near.g, near.volume
+        gradient_times_kernel(self.model.dim)(particles, *stencils, self._D, *NOTHING, du, f)
         self._control.force(du, f, particles)
 
     def stiffness(self) -> Float:

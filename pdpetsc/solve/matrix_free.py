@@ -66,7 +66,9 @@ class MatrixFreeTangent(Tangent):
             kept, self._effort = self._near.tangent, None
             self._strength = kept.strength()
             self.diagonal = self._matrix.diagonal
-        self._product.tangent, self._product.damping = kept, damping
+        # The assembler does not keep the moduli of another displacement.
+        self._near.tangent = self._product.tangent = kept
+        self._product.damping = damping
         self._version, self._damped = version, damped
         self.mat.stateIncrease()
 
@@ -134,4 +136,4 @@ class _Product:
             product = product + self.damping[:, None] * self._masked
         result = y.array_w.reshape(self._free.shape)
         np.multiply(product, self._free, out=result)
-        np.add(result, self._scale * values, out=result, where=self._fixed)
+        np.multiply(values, self._scale, out=result, where=self._fixed)

@@ -22,7 +22,7 @@ def measured(tmp_path, *words):
     return json.loads((tmp_path / "found.json").read_text())
 
 
-@pytest.mark.parametrize("horizon", ("1.015", "2.015", "3.015"))
+@pytest.mark.parametrize("horizon", [pytest.param(h, marks=pytest.mark.long) for h in ("1.015", "2.015")] + ["3.015"])
 def test_iterations_do_not_depend_on_horizon_or_size(horizon, tmp_path):
     small = measured(tmp_path, "n=30", f"horizon={horizon}")
     large = measured(tmp_path, "n=90", f"horizon={horizon}")

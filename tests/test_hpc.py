@@ -154,6 +154,7 @@ if comm.rank == 1:
 """
 
 
+@pytest.mark.long
 def test_no_array_of_a_rank_grows_with_the_whole(tmp_path):
     """A strip twice as long on twice as many ranks: what a rank in its middle holds, by the line that allocated it."""
     script = tmp_path / "sizes.py"

@@ -84,7 +84,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+LONG = ("damage",)
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in LONG else ()) for n in CASES])
 def test_results_are_those_of_the_assembled_tangent_on_1_and_2_ranks(name, tmp_path):
     case, *words = CASES[name]
     assembled = results(case, *words, output=tmp_path / "assembled")

@@ -1,6 +1,7 @@
 """Benchmarks run, and say the same of iterations and memory on any machine; their times are not tested."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -13,7 +14,12 @@ def bench(*words):
     """Run a script of the benchmarks; return what it printed."""
     script, *others = words
     command = [sys.executable, str(ROOT / "runs" / "bench" / script), *map(str, others)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=600).stdout
+    # The environment as it was before MPI started in this process, which mpirun would refuse.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True, timeout=600
+    )
+    return finished.stdout
 
 
 def measured(tmp_path, *words):
@@ -51,7 +57,7 @@ def test_counts_of_the_performance_model(tmp_path):
     rows = [line.split() for line in said if line.split()[:1] in (["2"], ["4"], ["8"]) and len(line.split()) == 10]
     assert len(rows) == 3
     for row in rows:
-        assert 0.85 < float(row[3]) < 1.15
+        assert 0.97 < float(row[3]) < 1.03
         assert row[4] == row[5]
         assert float(row[7]) < 7.0
 

@@ -5,11 +5,11 @@ The model, for a cube of n^3 particles on P ranks and one iteration of conjugate
     T = (c_op + c_cycle) N/P + messages alpha + bytes / beta + R log2(P) alpha
 
 with three applications of the operator (of the iteration, of the residual on the finest level and of the smoother after
-the correction), each with two exchanges of ghosts; a rank of side a = (N/P)^(1/3) has (a + 2 h)^3 - a^3 ghosts from 26
-ranks; the levels of GAMG below add their own messages; R reductions. c_op and c_cycle, the seconds a particle of both,
-are measured on one rank. Ghosts, ranks they are from, exchanges and reductions are then counted on 2, 4 and 8 ranks and
-set beside the model's; alpha and beta are those of a usual network. Neither the imbalance of parts nor the direct solve
-on the coarsest level is in it.
+the correction), each with two exchanges of ghosts; a rank has ghosts within the horizon of its faces, edges and
+corners, from 26 ranks in the middle of the body; the levels of GAMG below add their own messages; R reductions. c_op and
+c_cycle, the seconds a particle of both, are measured on one rank. Ghosts, ranks they are from, exchanges and reductions
+are then counted on 2, 4 and 8 ranks and set beside the model's; alpha and beta are those of a usual network. Neither the
+imbalance of parts nor the direct solve on the coarsest level is in it.
 """
 
 import json
@@ -35,15 +35,22 @@ def boxes(ranks):
     return np.array(parts)
 
 
+def within(horizon, dim):
+    """Return how many lattice points with positive coordinates lie within the horizon of the origin."""
+    axes = np.meshgrid(*[np.arange(1, int(horizon) + 1)] * dim)
+    return int((sum(axis**2 for axis in axes) <= horizon**2).sum())
+
+
 def halo(n, horizon, ranks):
-    """Return the ghosts of the rank with most and the ranks it has them from."""
+    """Return the ghosts of the rank with most, beyond its faces, edges and corners, and the ranks it has them from."""
     parts = boxes(ranks)
-    reach = np.floor(horizon)
     sides = n / parts
     # A part in the middle has neighbours on both sides of an axis, one of two parts on one side.
-    open_sides = np.minimum(parts - 1, 2)
-    ghosts = np.prod(sides + open_sides * np.minimum(reach, sides)) - np.prod(sides)
-    return float(ghosts), int(np.prod(open_sides + 1) - 1)
+    a = np.minimum(parts - 1, 2)
+    faces = sum(a[d] * sides[(d + 1) % 3] * sides[(d + 2) % 3] for d in range(3))
+    edges = sum(a[(d + 1) % 3] * a[(d + 2) % 3] * sides[d] for d in range(3))
+    ghosts = within(horizon, 1) * faces + within(horizon, 2) * edges + within(horizon, 3) * np.prod(a)
+    return float(ghosts), int(np.prod(a + 1) - 1)
 
 
 def iteration(n, horizon, ranks, c_op, c_cycle):

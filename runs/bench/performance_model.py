@@ -6,10 +6,10 @@ The model, for a cube of n^3 particles on P ranks and one iteration of conjugate
 
 with three applications of the operator (of the iteration, of the residual on the finest level and of the smoother after
 the correction), each with two exchanges of ghosts; a rank has ghosts within the horizon of its faces, edges and
-corners, from 26 ranks in the middle of the body; the levels of GAMG below add their own messages; R reductions. c_op and
-c_cycle, the seconds a particle of both, are measured on one rank. Ghosts, ranks they are from, exchanges and reductions
-are then counted on 2, 4 and 8 ranks and set beside the model's; alpha and beta are those of a usual network. Neither the
-imbalance of parts nor the direct solve on the coarsest level is in it.
+corners, from 26 ranks in the middle of the body; the levels of GAMG below add their own messages; R reductions.
+c_op and c_cycle, the seconds a particle of both, are measured on one rank. Ghosts, ranks they are from, exchanges and
+reductions are then counted on 2, 4 and 8 ranks and set beside the model's; alpha and beta are those of a usual network.
+Neither the imbalance of parts nor the direct solve on the coarsest level is in it.
 """
 
 import json

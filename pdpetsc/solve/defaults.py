@@ -29,7 +29,8 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
     tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice the time each.
     GAMG keeps its aggregates while Newton goes on.
     Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
-    Along a path the residual with its constraint is the gradient of nothing, and full steps are taken.
+    Along a path the residual with its constraint is the gradient of nothing, and full steps are taken. There and with
+    damage linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges (Eisenstat-Walker).
     """
     database = PETSc.Options()
     pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
@@ -49,7 +50,7 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
         }
         return defaults if model.failure is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    if not model.linear and model.failure is None:
+    if not (model.linear or model.failure is not None or isinstance(solver, PathFollowing)):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}

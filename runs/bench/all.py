@@ -2,7 +2,7 @@
 
 ``--quick`` takes under three minutes and prints what was measured as ratios of two measurements of the same run, which
 do not depend on how fast the machine is, beside those recorded in ``recorded.json``; ``--record`` writes them there.
-Without it the studies follow, half an hour in all, with tables and pictures in the folder.
+Without it the studies follow, which take an hour or more, with tables and pictures in the folder.
 """
 
 import json

@@ -139,7 +139,7 @@ class _Run:
             refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
         choice = choose(model, self.options, case.solver)
-        defaults = default_options(model, self.options, case.solver, choice)
+        defaults = default_options(model, case.solver, choice)
         with stop_on_signals(comm) as stop, petsc_options(self.options, defaults):
             solver = self._solver(model, loading, choice, stop)
             self.summary["solver"] = solver.description()
@@ -158,7 +158,8 @@ class _Run:
                 rehearse(self.comm, self.case, model.dim, near=True)
         with self._timed("pattern"):
             filled = assembler(model, choice)
-            self.report.say(words(choice, filled))
+            predicted = predicted_bytes(filled.pattern, model.dim)
+            self.report.say(words(choice, predicted))
         with self._timed("allocation"):
             solver: StaticSolver | EventSolver | PathSolver
             if isinstance(chosen, EventDriven):
@@ -167,7 +168,6 @@ class _Run:
                 solver = PathSolver(model, loading, filled, chosen, stop)
             else:
                 solver = StaticSolver(model, loading, filled, stop)
-        predicted = predicted_bytes(filled.pattern, model.dim)
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
         self.summary["allocated"].append("matrix of nearest neighbours" if choice.matrix_free else "tangent matrix")
         return solver

@@ -143,7 +143,7 @@ model = make_model(scene, cloud, families); look()
 loading = Loading(model, scene.conditions, 1.0)
 refuse_rigid_motion(cloud, families, loading.fixed); look()
 choice = choose(model, {}, Newton())
-with options({}, default_options(model, {}, Newton(), choice)):
+with options({}, default_options(model, Newton(), choice)):
     solver = StaticSolver(model, loading, assembler(model, choice), lambda: False); look()
     u, result = solver.solve(np.zeros((cloud.n_owned, 2)), 1.0); look()
     assert result.converged

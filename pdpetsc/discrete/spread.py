@@ -10,6 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.halo import Finish
 from pdpetsc.kernels.pattern import families_with_ghosts
 
 # Adds the forces of the families of some own particles: displacements (n_local, dim), forces (n_local, dim), particles.
@@ -44,18 +45,42 @@ class Spread:
 
     def __call__(self, u: Float, work: Work) -> Float:
         """Return the forces on the unknowns (n_rows, dim) for the unknowns ``u``; the next call may overwrite them."""
-        cloud, v, f = self._cloud, self._u, self._f
-        n, images = cloud.n_owned, cloud.images
-        v[:n] = u[:n]
-        arrived = cloud.halo.start_forward(v)
+        v, f = self._u, self._f
+        arrived = start_displacements(self._cloud, u, v)
         f[:] = 0.0
         work(v, f, self._first)
         arrived()
-        if images is not None:
-            v[n:] += cloud.offset @ images.strain(u[n:])
         work(v, f, self._border)
-        virtual = None if images is None else images.force(cloud.offset, f[n:])
-        home = cloud.halo.start_reverse(f)
+        home = start_forces(self._cloud, f)
         work(v, f, self._last)
+        return home()
+
+
+def start_displacements(cloud: Cloud, u: Float, v: Float) -> Finish:
+    """Write unknowns (n_rows, dim) into own rows of ``v`` (n_local, dim); what is returned completes the others."""
+    n = cloud.n_owned
+    v[:n] = u[:n]
+    arrived = cloud.halo.start_forward(v)
+
+    def finish() -> None:
+        arrived()
+        if cloud.images is not None:
+            v[n:] += cloud.offset @ cloud.images.strain(u[n:])
+
+    return finish
+
+
+def start_forces(cloud: Cloud, f: Float) -> Callable[[], Float]:
+    """Send forces on ghosts home; what is returned adds them and returns those on the unknowns (n_rows, dim).
+
+    ``f`` (n_local, dim) is complete on ghosts, may still grow on own rows, and is overwritten.
+    """
+    n = cloud.n_owned
+    virtual = None if cloud.images is None else cloud.images.force(cloud.offset, f[n:])
+    home = cloud.halo.start_reverse(f)
+
+    def finish() -> Float:
         home()
         return f[:n] if virtual is None else np.concatenate([f[:n], virtual])
+
+    return finish

@@ -95,6 +95,12 @@ class GradientOperator:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses."""
         divergence_kernel(f.shape[1])(self.point_ptr, self.members, self.g, self.volume, P, f)
 
+    def sum_over_points(self, values: Float) -> Float:
+        """Return the sum over the points of each particle, (n_owned, ...)."""
+        if self.n_points == len(self.points_of) - 1:
+            return values
+        return np.asarray(np.add.reduceat(values, self.points_of[:-1]))
+
     def mean_over_points(self, values: Float, n_owned: int) -> Float:
         """Return the mean over the points of each particle, (n_owned, ...)."""
         count = np.bincount(self.owner, minlength=n_owned)

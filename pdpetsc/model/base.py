@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.spread import Spread
+from pdpetsc.discrete.spread import Spread, start_displacements, start_forces
 from pdpetsc.kernels.bonds import bond_force_kernel, elongation_kernel
 from pdpetsc.model.assembler import Assembler
 from pdpetsc.model.failure import BondFailure
@@ -34,8 +35,6 @@ class Model(ABC):
         Horizons over which particles are coupled.
     version, breaks : int
         Grow whenever the constants of the forces change, as they do when bonds fail; and whenever bonds break or mend.
-    spread : Spread
-        Applies work on families.
     failure : BondFailure or None
         State of the bonds where they can fail.
     finite : int
@@ -61,8 +60,12 @@ class Model(ABC):
     def __init__(self, cloud: Cloud, families: Families) -> None:
         self.cloud = cloud
         self.families = families
-        self.spread = Spread(cloud, families)
         self._u = np.zeros((cloud.n_local, cloud.dim))
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Return what applies work on families (not collective)."""
+        return Spread(self.cloud, self.families)
 
     @property
     def dim(self) -> int:
@@ -71,22 +74,12 @@ class Model(ABC):
 
     def with_ghosts(self, u: Float) -> Float:
         """Return the displacements of all local particles (n_local, dim); the array is reused by the next call."""
-        cloud = self.cloud
-        self._u[: cloud.n_owned] = u[: cloud.n_owned]
-        cloud.halo.forward(self._u)
-        if cloud.images is not None:
-            self._u[cloud.n_owned :] += cloud.offset @ cloud.images.strain(u[cloud.n_owned :])
+        start_displacements(self.cloud, u, self._u)()
         return self._u
 
     def gather(self, f: Float) -> Float:
         """Return the forces on the unknowns (n_rows, dim) from those on local particles (n_local, dim), overwritten."""
-        cloud = self.cloud
-        if cloud.images is None:
-            cloud.halo.reverse(f)
-            return f[: cloud.n_owned]
-        virtual = cloud.images.force(cloud.offset, f[cloud.n_owned :])
-        cloud.halo.reverse(f)
-        return np.concatenate([f[: cloud.n_owned], virtual])
+        return start_forces(self.cloud, f)()
 
     @property
     @abstractmethod

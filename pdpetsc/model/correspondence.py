@@ -144,7 +144,8 @@ class CorrespondenceModel(Model):
 
     def linearised(self, u: Float) -> Linearised:
         """Return the tangent ``G^T W A G + K_control`` with the moduli A at u."""
-        return GradientTangent(self, u)
+        A = self.moduli(self.deformation(self.with_ghosts(u)))
+        return GradientTangent(self, A, self.operator.g, self.shared_control)
 
     @cached_property
     def shared_control(self) -> tuple[Float, Float] | None:

@@ -108,20 +108,19 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
         return DamagedTangent(self, u)
 
-    def softening(self, u: Float) -> tuple[GlobalIndex, Float, Float]:
-        """Return numbers, forces and directions of the bonds whose integrity falls at ``u``: ``v (x) m`` of each.
+    def softening(self, u_local: Float, F: Float, slope: Float) -> tuple[GlobalIndex, Float, Float]:
+        """Return numbers, forces and directions of the bonds whose integrity falls: ``v (x) m`` of each.
 
+        Displacements with ghosts, the deformation there and ``dT/de`` (n_bonds,) are given (not collective).
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end, ``m = dT/de n``.
         """
-        u_local = self.with_ghosts(u)
-        _, slope = self.failure.at(self.elongation(u_local))
         bonds = np.flatnonzero(slope)
         falling = np.zeros(len(slope), dtype=bool)
         falling[bonds] = True
         operator = self.operator
         entries = np.flatnonzero((self.bond_of_entry >= 0) & np.append(falling, False)[self.bond_of_entry])
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
-        P = self.stress(self.deformation(u_local))
+        P = self.stress(F)
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         v = sum_by(self.bond_of_entry[entries], force, len(slope))[bonds]
         centres, neighbours = self.families.centres[bonds], self.families.neighbours[bonds]

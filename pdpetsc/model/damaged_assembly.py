@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.pattern import build_pattern
 from pdpetsc.gradient.base import whole_families
 from pdpetsc.kernels.bonds import outer_rows_kernel
@@ -35,11 +35,14 @@ class DamagedAssembler(CorrespondenceAssembler):
         model, pattern, dim = self.model, self.pattern, self.model.dim
         self._transpose()
         u_local = model.with_ghosts(u)
-        A = model.moduli(model.deformation(u_local))
-        self._h = model.scaled_weights(model.failure.at(model.elongation(u_local))[0])
+        F = model.deformation(u_local)
+        A = model.moduli(F)
+        T, slope = model.failure.at(model.elongation(u_local))
+        self._h = model.scaled_weights(T)
         self._rows(pattern.owned, A, diag, off)
         self._rows(pattern.ghost, A, self._ghost, off)
-        self._add_softening(u, diag, off)
+        if model.failure.softens:
+            self._add_softening(model.softening(u_local, F, slope), diag, off)
         pattern.complete(self._ghost, diag, off, dim)
         if model.control is not None:
             if self._control is None or self._controlled is not model.control:
@@ -51,11 +54,9 @@ class DamagedAssembler(CorrespondenceAssembler):
         """Return the scaled weights."""
         return self._h
 
-    def _add_softening(self, u: Float, diag: Float, off: Float) -> None:
+    def _add_softening(self, falling: tuple[GlobalIndex, Float, Float], diag: Float, off: Float) -> None:
         model, pattern = self.model, self.pattern
-        if not model.failure.softens:
-            return
-        bonds, v, m = model.softening(u)
+        bonds, v, m = falling
         ends = np.stack([model.families.centres[bonds], model.families.neighbours[bonds]], axis=1).ravel()
         by_particle = transpose(2 * np.arange(len(bonds) + 1, dtype=np.int64), ends, model.cloud.n_local)
         kernel = outer_rows_kernel(model.dim)

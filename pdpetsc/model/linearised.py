@@ -57,37 +57,32 @@ class GradientTangent(Linearised):
 
     model: CorrespondenceModel
 
-    def __init__(self, model: CorrespondenceModel, u: Float) -> None:
+    def __init__(
+        self, model: CorrespondenceModel, A: Float, h: Float, shared: tuple[Float, Float] | None = None
+    ) -> None:
+        # Moduli and force weights; ``shared`` is a control that takes the same pass.
         self.model = model
-        self._A = model.moduli(model.deformation(model.with_ghosts(u)))
-        self._h = model.operator.g
+        self._A, self._h, self._shared = A, h, shared
 
     def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add those of moduli and control, in one pass where they share the gradient."""
         operator, control = self.model.operator, self.model.control
-        shared = self.model.shared_control if self._h is operator.g else None
-        gradient_times_kernel(self.model.dim, int(shared is not None))(
+        gradient_times_kernel(self.model.dim, int(self._shared is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
-            self._A, *(shared or NOTHING), du, f,
+            self._A, *(self._shared or NOTHING), du, f,
         )  # fmt: skip
-        if control is not None and shared is None:
+        if control is not None and self._shared is None:
             control.force(du, f, particles)
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle."""
         operator = self.model.operator
-        weighted = operator.volume[:, None, None, None, None] * self._A
-        if operator.n_points == self.model.cloud.n_owned:
-            return np.asarray(weighted)
-        return np.asarray(np.add.reduceat(weighted, operator.points_of[:-1]))
+        return operator.sum_over_points(operator.volume[:, None, None, None, None] * self._A)
 
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` without forming it."""
         operator = self.model.operator
-        trace = operator.volume * np.einsum("pikik->p", self._A)
-        if operator.n_points == self.model.cloud.n_owned:
-            return np.asarray(trace)
-        return np.asarray(np.add.reduceat(trace, operator.points_of[:-1]))
+        return operator.sum_over_points(operator.volume * np.einsum("pikik->p", self._A))
 
 
 class DamagedTangent(GradientTangent):
@@ -96,12 +91,13 @@ class DamagedTangent(GradientTangent):
     model: DamagedCorrespondenceModel
 
     def __init__(self, model: DamagedCorrespondenceModel, u: Float) -> None:
-        super().__init__(model, u)
-        self._T = model.failure.at(model.elongation(model.with_ghosts(u)))[0]
-        self._h = model.scaled_weights(self._T)
+        u_local = model.with_ghosts(u)
+        F = model.deformation(u_local)
+        self._T, slope = model.failure.at(model.elongation(u_local))
+        super().__init__(model, model.moduli(F), model.scaled_weights(self._T))
         self._ptr = None
         if model.failure.softens:
-            bonds, self._v, self._w = model.softening(u)
+            bonds, self._v, self._w = model.softening(u_local, F, slope)
             self._neighbours = model.families.neighbours[bonds]
             self._ptr = np.searchsorted(bonds, model.families.indptr)
 

@@ -8,7 +8,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import build_pattern
-from pdpetsc.gradient.base import GradientOperator, Stencils, flat, stencil_weights, whole_families
+from pdpetsc.gradient.base import GradientOperator, flat, stencil_weights, whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
 from pdpetsc.kernels.pattern import transpose
@@ -22,6 +22,8 @@ from pdpetsc.stabilisation.non_uniform import NonUniform
 REACH = 1.25
 # A near family is widened in these steps while its shape tensor is thinner than this.
 WIDER, THIN, WIDENINGS = 1.3, 0.1, 12
+# Eigenvalues of a shape tensor below this share of the largest count as zero.
+LACKING = 1e-3
 # Stiffness of the zero-energy control over the modulus of the body, and the least of it over the mean one.
 CONTROL, LEAST = 0.5, 1e-6
 
@@ -43,8 +45,6 @@ class NearAssembler(Assembler):
     ----------
     tangent : Linearised
         The tangent of the body where the matrix was last filled.
-    n_near : int
-        Near bonds of this rank.
 
     Notes
     -----
@@ -54,11 +54,15 @@ class NearAssembler(Assembler):
     def __init__(self, model: Model) -> None:
         self.model = model
         families = near_families(model)
-        self.n_near = len(families.neighbours)
         self._families = families
-        weight = model.cloud.volume[families.neighbours]
-        self._stencils = whole_families(model.cloud, families, weight)
-        self._operator = _gradient(model, self._stencils)
+        stencils = whole_families(model.cloud, families, model.cloud.volume[families.neighbours])
+        K = stencils.shape_tensors(model.cloud.x)
+        self._size = np.einsum("pii->p", K)
+        # In directions that a family lacks its gradient is zero.
+        self._K_inverse = np.linalg.pinv(K, rcond=LACKING, hermitian=True)
+        g = stencil_weights(stencils, model.cloud.x, self._K_inverse)
+        one = np.ones(model.cloud.n_owned)
+        self._operator = GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, one)
         self.pattern = build_pattern(model.cloud, self._operator.point_ptr, self._operator.members)
         self._transposed = transpose(self._operator.point_ptr, self._operator.members, model.cloud.n_local)
         self._ghost = np.empty(model.dim**2 * int(self.pattern.ghost.diag_ptr[-1]))
@@ -87,16 +91,13 @@ class NearAssembler(Assembler):
 
     def _control(self, D: Float) -> NonUniform:
         """Return the control with a stiffness like that of the body (collective)."""
-        model, dim, stencils = self.model, self.model.dim, self._stencils
+        model, dim = self.model, self.model.dim
         modulus = np.einsum("piikk->p", D) / dim**2
         sums = total(model.cloud.comm, [modulus.sum(), float(len(modulus))])
         modulus = np.maximum(modulus, max(LEAST * float(sums[0] / sums[1]), float(np.finfo(float).tiny)))
-        K = stencils.shape_tensors(model.cloud.x)
-        size = np.einsum("pii->p", K)
-        factor = CONTROL * modulus / np.where(size > 0.0, size, 1.0)
+        factor = CONTROL * modulus / np.where(self._size > 0.0, self._size, 1.0)
         stiffness = factor[self._families.centres] * model.cloud.volume[self._families.neighbours]
-        K_inverse = _inverse(K) / factor[:, None, None]
-        return NonUniform(model.cloud, self._families, stiffness, K_inverse)
+        return NonUniform(model.cloud, self._families, stiffness, self._K_inverse / factor[:, None, None])
 
 
 class NearTangent(Linearised):
@@ -153,13 +154,3 @@ def _counts(families: Families, chosen: Mask) -> GlobalIndex:
     """Return how many bonds of every family are chosen (n_owned,)."""
     before = np.concatenate([[0], np.cumsum(chosen, dtype=np.int64)])
     return np.asarray(np.diff(before[families.indptr]))
-
-
-def _gradient(model: Model, stencils: Stencils) -> GradientOperator:
-    """Return the gradient over near families with unit volumes; in directions that a family lacks it is zero."""
-    g = stencil_weights(stencils, model.cloud.x, _inverse(stencils.shape_tensors(model.cloud.x)))
-    return GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, np.ones(len(stencils.owner)))
-
-
-def _inverse(K: Float) -> Float:
-    return np.asarray(np.linalg.pinv(K, rcond=1e-3, hermitian=True))

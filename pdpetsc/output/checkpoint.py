@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, agreed, is_root, total
+from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
-from pdpetsc.output.files import InCreationOrder, replacing, reserve
+from pdpetsc.output.files import InCreationOrder, rank_by_rank, replacing, reserve
 from pdpetsc.solution import Solution
 
 FORMAT = 4
@@ -47,7 +44,7 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> 
     failure: OutputError | None = None
     virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
-    damaged = [_one_by_one(cloud.comm, keys, counts), _one_by_one(cloud.comm, states, counts)]
+    damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
     if is_root(cloud.comm):
         try:
             with replacing(path) as aside, h5py.File(aside, "w") as file:
@@ -127,22 +124,6 @@ def _damaged_bonds(model: Model) -> tuple[GlobalIndex, Float]:
     if model.failure is None:
         return np.empty((0, 3), dtype=np.int64), np.empty((0, 2))
     return model.failure.damaged()
-
-
-def _one_by_one(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Yield on rank 0 the rows of all ranks, one rank at a time; nothing elsewhere. Exhaust it on every rank."""
-    values = np.ascontiguousarray(values)
-    if not is_root(comm):
-        comm.Send(values, dest=0, tag=8)
-        return
-    first = 0
-    for rank, count in enumerate(counts):
-        part = values
-        if rank > 0:
-            part = np.empty((count, *values.shape[1:]), dtype=values.dtype)
-            comm.Recv(part, source=rank, tag=8)
-        yield slice(first, first + count), part
-        first += count
 
 
 def _law(model: Model) -> str:

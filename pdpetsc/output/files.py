@@ -92,6 +92,25 @@ def prepare_folder(comm: Comm, folder: Path) -> None:
                 raise CaseError(f"Cannot write to the output folder {folder}: {error.strerror or error}.") from None
 
 
+def rank_by_rank(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Yield on rank 0 the rows of all ranks, ``counts`` of each, one rank at a time; nothing elsewhere.
+
+    Exhaust it on every rank. Rank 0 never holds more than two parts.
+    """
+    mine = np.ascontiguousarray(values)
+    if not is_root(comm):
+        comm.Send(mine, dest=0, tag=7)
+        return
+    first = 0
+    for rank, count in enumerate(counts):
+        part = mine
+        if rank > 0:
+            part = np.empty((count, *mine.shape[1:]), dtype=mine.dtype)
+            comm.Recv(part, source=rank, tag=7)
+        yield slice(first, first + count), part
+        first += count
+
+
 class InCreationOrder:
     """Rearranges rows of own particles so that rank ``r`` holds the ``r``-th part of the global ids, in order.
 
@@ -119,17 +138,7 @@ class InCreationOrder:
 
         Exhaust it on every rank. Rank 0 never holds more than two parts.
         """
-        comm = self._cloud.comm
-        part = np.ascontiguousarray(self.rows(values))
-        if not is_root(comm):
-            comm.Send(part, dest=0, tag=7)
-            return
-        yield slice(0, int(self.starts[1])), part
-        for rank in range(1, comm.size):
-            here = slice(int(self.starts[rank]), int(self.starts[rank + 1]))
-            received = np.empty((here.stop - here.start, *part.shape[1:]), dtype=part.dtype)
-            comm.Recv(received, source=rank, tag=7)
-            yield here, received
+        return rank_by_rank(self._cloud.comm, self.rows(values), np.diff(self.starts).tolist())
 
     def from_parts(self, part: NDArray[Any]) -> NDArray[Any]:
         """Return the rows of the own particles from this rank's part in creation order: the inverse of ``rows``."""

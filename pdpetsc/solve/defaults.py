@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
-from petsc4py import PETSc
-
 from pdpetsc.discrete.communicator import total
 from pdpetsc.model import Model
 from pdpetsc.scene.solver import AnySolver, PathFollowing
@@ -16,8 +11,8 @@ from pdpetsc.solve.jacobian import Choice
 LOOSE = 1e-3
 
 
-def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, choice: Choice) -> dict[str, object]:
-    """Return pdpetsc's solver options for a model; ``chosen`` and the command line override each of them.
+def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str, object]:
+    """Return pdpetsc's solver options for a model; those of the case and the command line override each.
 
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
     algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
@@ -32,8 +27,6 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
     Along a path the residual with its constraint is the gradient of nothing, and full steps are taken. There and with
     damage linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges (Eisenstat-Walker).
     """
-    database = PETSc.Options()
-    pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
         "snes_linesearch_type": "basic" if model.linear or isinstance(solver, PathFollowing) else "cp",
@@ -52,7 +45,7 @@ def default_options(model: Model, chosen: Mapping[str, Any], solver: AnySolver, 
     defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if not (model.linear or model.failure is not None or isinstance(solver, PathFollowing)):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
-    if pc in ("", "gamg"):
+    if choice.pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
         defaults["pc_gamg_reuse_interpolation"] = "true"
         if choice.matrix_free:

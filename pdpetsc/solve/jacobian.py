@@ -14,8 +14,8 @@ from pdpetsc.arrays import Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.model import Assembler, Model, NearAssembler
-from pdpetsc.scene.solver import AnySolver, EventDriven
-from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes
+from pdpetsc.scene.solver import AnySolver, DynamicRelaxation, EventDriven
+from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.matrix_free import MatrixFreeTangent
 from pdpetsc.solve.tangent import Tangent
 
@@ -34,14 +34,17 @@ class Choice:
 
     Attributes
     ----------
+    pc : str
+        The preconditioner that options name, empty where none.
     direct : bool
         Whether a factorisation is the solver.
     matrix_free : bool
         Whether the tangent is applied without a matrix.
     estimate : int
-        About what its assembled matrix takes, over all ranks [bytes].
+        About what its assembled matrix takes, over all ranks [bytes]; 0 where nothing was to choose.
     """
 
+    pc: str
     direct: bool
     matrix_free: bool
     estimate: int
@@ -71,14 +74,15 @@ def choose(model: Model, chosen: Mapping[str, Any], solver: AnySolver) -> Choice
         raise CaseError(f"-pd_jacobian takes assembled, matfree or auto, not {word!r}.")
     if word == "matfree" and isinstance(solver, EventDriven):
         raise CaseError("The event-driven solver factors its matrix; leave -pd_jacobian at assembled or auto.")
-    blocks = _blocks(model)
-    size = model.dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
     small = model.cloud.n_global * model.dim <= DIRECT_UNKNOWNS[model.dim]
-    factors = pc in ("lu", "cholesky")
-    needs = isinstance(solver, EventDriven) or factors or (not pc and small)
+    direct = pc in ("lu", "cholesky") or (not pc and small)
+    if word == "assembled" or isinstance(solver, EventDriven | DynamicRelaxation) or (word == "auto" and direct):
+        return Choice(pc, direct, False, 0)
+    blocks = _blocks(model)
     narrow = blocks <= WIDE * NEAR_BLOCKS[model.dim] * model.cloud.n_global
-    matrix_free = word == "matfree" or (word == "auto" and not needs and not narrow)
-    return Choice(not matrix_free and (factors or (not pc and small)), matrix_free, int(blocks * size))
+    matrix_free = word == "matfree" or not narrow
+    size = model.dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
+    return Choice(pc, direct and not matrix_free, matrix_free, int(blocks * size))
 
 
 def assembler(model: Model, choice: Choice) -> Assembler:
@@ -93,9 +97,8 @@ def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> Tangent:
     return TangentMatrix(filled, fixed, scale)
 
 
-def words(choice: Choice, filled: Assembler) -> str:
-    """Return what is about to be allocated (collective)."""
-    predicted = predicted_bytes(filled.pattern, filled.model.dim)
+def words(choice: Choice, predicted: int) -> str:
+    """Return what is about to be allocated, of which the matrix takes ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
         return (
             f"tangent: without a matrix, preconditioned by nearest neighbours, {predicted / 2**20:.1f} MiB predicted "

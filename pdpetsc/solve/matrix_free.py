@@ -56,18 +56,17 @@ class MatrixFreeTangent(Tangent):
         version, damped = self._model.version, damping is not None
         if self._model.linear and self.holds(damped):
             return
-        kept = None
-        if self._does_well(effort) and damped == self._damped and self._model.failure is None:
-            kept = self._not_stiffer(self._model.linearised(u))
-        if kept is None:
+        keep = self._does_well(effort) and damped == self._damped and self._model.failure is None
+        tangent = self._model.linearised(u) if keep else None
+        if tangent is None or self._stiffer(tangent):
             self._matrix.forget()
             with stage(PRECONDITIONER):
                 self._matrix.update(u, damping)
-            kept, self._effort = self._near.tangent, None
-            self._strength = kept.strength()
+            tangent, self._effort = self._near.tangent, None
+            self._strength = tangent.strength()
             self.diagonal = self._matrix.diagonal
         # The assembler does not keep the moduli of another displacement.
-        self._near.tangent = self._product.tangent = kept
+        self._near.tangent = self._product.tangent = tangent
         self._product.damping = damping
         self._version, self._damped = version, damped
         self.mat.stateIncrease()
@@ -80,10 +79,10 @@ class MatrixFreeTangent(Tangent):
             self._effort = effort
         return effort <= HARDER * self._effort
 
-    def _not_stiffer(self, tangent: Linearised) -> Linearised | None:
-        """Return a tangent if no particle is much stiffer in it than when the bounds of the smoother were estimated."""
+    def _stiffer(self, tangent: Linearised) -> bool:
+        """Return whether a particle is much stiffer than when the bounds of the smoother were estimated."""
         ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
-        return tangent if largest(self._model.cloud.comm, ratio) <= STIFFER else None
+        return largest(self._model.cloud.comm, ratio) > STIFFER
 
     def renew(self) -> bool:
         """Choose nearest neighbours anew where bonds have broken or mended."""

@@ -41,7 +41,7 @@ def measure(scene, updates):
     model = make_model(scene, cloud, find_families(cloud))
     loading = Loading(model, scene.conditions, scene.particles.thickness)
     choice = choose(model, {}, EventDriven())
-    with options({}, default_options(model, {}, EventDriven(), choice)):
+    with options({}, default_options(model, EventDriven(), choice)):
         solver = EventSolver(
             model, loading, model.assembler(), EventDriven(updates), stiffness_scale(model), lambda: False
         )

@@ -72,7 +72,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     loading = Loading(model, scene.conditions, 1.0)
     chosen = {"pd_jacobian": jacobian}
     choice = choose(model, chosen, Newton())
-    with options(chosen, default_options(model, chosen, Newton(), choice)):
+    with options(chosen, default_options(model, Newton(), choice)):
         with clock("pattern"):
             filled = assembler(model, choice)
         with clock("allocation"):
@@ -107,9 +107,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
             "linear_iterations": ksp.getIterationNumber(),
             "reason": ksp.getConvergedReason(),
             "seconds": clock.spent,
-            "scratch": sum(
-                clock.spent[k] for k in ("pattern", "allocation", "assembly", "preconditioner", "iterations")
-            ),
+            "scratch": sum(clock.spent[name] for name in SCRATCH),
             "matrix_MiB": tangent.bytes / 2**20,
             "peak_MiB": memory / 2**10,
         }

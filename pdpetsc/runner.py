@@ -31,7 +31,7 @@ from pdpetsc.scene.solver import DynamicRelaxation, EventDriven, PathFollowing
 from pdpetsc.signals import stop_on_signals
 from pdpetsc.solution import Field, Solution, displacement
 from pdpetsc.solve.base import StepResult, StepSolver
-from pdpetsc.solve.defaults import default_options, stiffness_scale
+from pdpetsc.solve.defaults import default_options
 from pdpetsc.solve.events import EventSolver
 from pdpetsc.solve.following import PathSolver
 from pdpetsc.solve.jacobian import Choice, assembler, choose, words
@@ -163,7 +163,7 @@ class _Run:
         with self._timed("allocation"):
             solver: StaticSolver | EventSolver | PathSolver
             if isinstance(chosen, EventDriven):
-                solver = EventSolver(model, loading, filled, chosen, stiffness_scale(model), stop)
+                solver = EventSolver(model, loading, filled, chosen, stop)
             elif isinstance(chosen, PathFollowing):
                 solver = PathSolver(model, loading, filled, chosen, stop)
             else:

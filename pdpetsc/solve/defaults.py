@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pdpetsc.discrete.communicator import total
 from pdpetsc.model import Model
 from pdpetsc.scene.solver import AnySolver, PathFollowing
 from pdpetsc.solve.jacobian import Choice
@@ -23,6 +22,8 @@ def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str
     softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds estimated with the
     tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice the time each.
     GAMG keeps its aggregates while Newton goes on.
+    Every absolute tolerance is zero: a number with a unit says nothing of how good an answer is. That of ``cp`` would
+    end a solve as converged where force and step are small numbers, whatever the residual is.
     Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
     Along a path the residual with its constraint is the gradient of nothing, and full steps are taken. There and with
     damage linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges (Eisenstat-Walker).
@@ -31,6 +32,9 @@ def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str
         "snes_type": "newtonls",
         "snes_linesearch_type": "basic" if model.linear or isinstance(solver, PathFollowing) else "cp",
         "snes_linesearch_max_it": 10,
+        "snes_linesearch_atol": 0.0,
+        "snes_atol": 0.0,
+        "ksp_atol": 0.0,
         "snes_rtol": 1e-10,
         "snes_max_it": 30,
     }
@@ -52,11 +56,3 @@ def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str
             defaults |= {"pc_gamg_use_sa_esteig": "false", "mg_levels_ksp_max_it": 1}
             defaults |= {"mg_levels_esteig_ksp_max_it": 6, "pc_gamg_esteig_ksp_max_it": 5}
     return defaults
-
-
-def stiffness_scale(model: Model) -> float:
-    """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials."""
-    cloud = model.cloud
-    return (
-        model.kappa * float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global / cloud.horizon**2
-    )

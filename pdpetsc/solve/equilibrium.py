@@ -13,14 +13,16 @@ from pdpetsc.errors import CaseError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult
-from pdpetsc.solve.defaults import stiffness_scale
 from pdpetsc.solve.jacobian import make_tangent
+from pdpetsc.solve.scales import nearest_distances, scales_of
 from pdpetsc.solve.stages import RESIDUAL, TANGENT, stage
 
 # The residual cannot fall below about this multiple of the round-off of K u.
 FLOOR = 20.0
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
+# A norm that is computed once more, in another order of the sums, may differ by this factor.
+SLACK = 1.0 + 1e-6
 HALVINGS = 40
 # A step with no more iterations may be followed by a longer one.
 EASY_ITERATIONS = 6
@@ -29,7 +31,7 @@ DAMPING = 1e-8
 
 
 class Equilibrium:
-    """``r(u) = f_int(u) - f_ext`` where free, ``scale (u - prescribed)`` where prescribed, and its tangent.
+    """``r(u) = f_int(u) - f_ext`` where free, ``stiffness (u - prescribed)`` where prescribed, and its tangent.
 
     Parameters
     ----------
@@ -42,8 +44,8 @@ class Equilibrium:
         Degrees of freedom that are not prescribed.
     prescribed, external : (n_rows, dim) float64
         The present conditions [length], [force]; set by the solver.
-    scale : float
-        Diagonal of prescribed rows [force / length].
+    scales : Scales
+        What displacements, forces and the tangent are over in PETSc.
     tangent : Tangent
         At the displacement it was last filled for.
     norms : list of float
@@ -62,11 +64,11 @@ class Equilibrium:
         cloud = model.cloud
         self.model = model
         self.free = ~loading.fixed
-        spacing = cloud.volume[: cloud.n_owned, None] ** (1.0 / model.dim)
+        spacing = nearest_distances(model)[:, None]
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
-        self.scale = stiffness_scale(model)
-        self.tangent = make_tangent(assembler, loading.fixed, self.scale)
+        self.scales = scales_of(model, spacing)
+        self.tangent = make_tangent(assembler, loading.fixed, self.scales.stiffness)
         self.prescribed = np.zeros(loading.fixed.shape)
         self.external = np.zeros(loading.fixed.shape)
         self.norms: list[float] = []
@@ -95,7 +97,7 @@ class Equilibrium:
         if self.damping is not None:
             residual += self.damping[:, None] * (values - self._anchor)
         self._reaction = np.where(self.free, 0.0, residual)
-        return np.where(self.free, residual, self.scale * (values - self.prescribed))
+        return np.where(self.free, residual, self.scales.stiffness * (values - self.prescribed))
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
         """Make the tangent that at ``x``; ``effort`` is what the last linear solve took (``Tangent.update``)."""
@@ -120,11 +122,34 @@ class Equilibrium:
         return part
 
     def verdict(self, x: Float, iteration: int, residual: float, rtol: float) -> int | None:
-        """Return PETSc's reason to end where a residual norm counts as zero or is no number, else None."""
+        """Return PETSc's reason to end where a residual norm [force] counts as zero or is no number, else None."""
         reason = PETSc.SNES.ConvergedReason
         self.norms.append(residual)
         if not np.isfinite(residual):
             return int(reason.DIVERGED_FNORM_NAN)
+        tolerance, floor = self._tolerance(x, rtol)
+        if residual <= tolerance:
+            self.reason = "residual below tolerance"
+            return int(reason.CONVERGED_FNORM_RELATIVE)
+        if iteration > 0 and residual <= floor and residual > STAGNATION * self.norms[-2]:
+            self.reason = "residual at the round-off floor"
+            return int(reason.CONVERGED_FNORM_ABS)
+        return None
+
+    def judge(self, x: Float, rtol: float) -> bool:
+        """Return whether ``x`` is in equilibrium, whatever the reason for which a solve has ended.
+
+        The residual is computed here: a reason of PETSc may rest on a number that is not relative to anything, and the
+        norm that it keeps may be that of another vector, as of a preconditioned residual.
+        """
+        residual = self.residual(x)
+        if residual is None:
+            return False
+        norm = float(np.sqrt(total(self.model.cloud.comm, (residual**2).sum())))
+        return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol))
+
+    def _tolerance(self, x: Float, rtol: float) -> tuple[float, float]:
+        """Return below which norm a residual counts as zero, and the norm of its round-off [force]."""
         values = self.at_prescribed(x)
         diagonal = self.tangent.diagonal.reshape(values.shape)
         round_off = np.where(self.free, diagonal * (np.abs(values) + self.spacing), 0.0)
@@ -132,14 +157,7 @@ class Equilibrium:
             self.model.cloud.comm, [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
         )
         self.reference = float(np.sqrt(max(squares[0], squares[1])))
-        floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
-        if residual <= rtol * self.reference or residual == 0.0:
-            self.reason = "residual below tolerance"
-            return int(reason.CONVERGED_FNORM_RELATIVE)
-        if iteration > 0 and residual <= floor and residual > STAGNATION * self.norms[-2]:
-            self.reason = "residual at the round-off floor"
-            return int(reason.CONVERGED_FNORM_ABS)
-        return None
+        return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
 
     def interrupted(self) -> int:
         """Return PETSc's reason to end for a solve that a signal stops (not collective)."""
@@ -156,12 +174,18 @@ class Equilibrium:
         self._hold_loose_particles(u)
         return self.tangent.renew()
 
-    def result(self, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
-        """Return how the solve went, for PETSc's reasons to end of SNES and KSP (not collective)."""
+    def result(self, converged: bool, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
+        """Return how the solve went, with PETSc's reasons to end of SNES and KSP (not collective).
+
+        ``converged`` is whether the residual counts as zero (``judge``).
+        """
         iterations = max(len(self.norms) - 1, 0)
+        words = self.reason or _words(reason, linear_reason)
+        if reason > 0 and not converged:
+            words = f"PETSc ended with {_words(reason, linear_reason)}, but the residual is above the tolerance"
         return StepResult(
-            converged=reason > 0,
-            reason=self.reason or _words(reason, linear_reason),
+            converged=converged,
+            reason=words,
             norms=list(self.norms),
             reference=self.reference,
             iterations=iterations,
@@ -179,7 +203,7 @@ class Equilibrium:
         self._anchor, self.damping = u, None
         if self.model.has_history and float(total(self.model.cloud.comm, np.count_nonzero(lost))):
             self.damping = np.zeros(len(self.free))
-            self.damping[: len(lost)] = np.where(lost > 0.0, DAMPING * self.scale, 0.0)
+            self.damping[: len(lost)] = np.where(lost > 0.0, DAMPING * self.scales.stiffness, 0.0)
 
     def move_springs(self, u: Float) -> None:
         """Let the springs of loose particles have no force at ``u`` (not collective)."""

@@ -49,8 +49,6 @@ class EventSolver(Solver):
         The body and its conditions.
     options : EventDriven
         What the case declares.
-    scale : float
-        Diagonal of prescribed rows [force / length].
     stop : callable
         Asked at every event, collectively; True ends the run (a signal arrived).
 
@@ -68,9 +66,8 @@ class EventSolver(Solver):
     advice = "perturb the positions, so that fewer bonds fail at once"
 
     def __init__(
-        self, model: Model, loading: Loading, assembler: Assembler, options: EventDriven, scale: float,
-        stop: Callable[[], bool],
-    ) -> None:  # fmt: skip
+        self, model: Model, loading: Loading, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]
+    ) -> None:
         # Events change the integrity; between them it stays.
         model.freeze(True)
         _refuse(model, loading)
@@ -81,7 +78,7 @@ class EventSolver(Solver):
         self._pairs: Pairs | None = None
         if isinstance(model, BondModel) and model.failure is not None:
             self._pairs = make_pairs(model)
-        self.solver = InelasticForces(model, loading, assembler, self._pairs, scale)
+        self.solver = InelasticForces(model, loading, assembler, self._pairs)
         unknowns = model.cloud.n_global * model.dim
         automatic = int(np.clip(UPDATES * np.sqrt(unknowns), FEWEST, MOST))
         self._updates = options.updates or automatic

@@ -77,6 +77,7 @@ class PathSolver(StepSolver):
         if self._opening is None and model.failure is None:
             raise CaseError("Path following by bond stretches needs bonds that can fail; give damage, or an Opening.")
         self._equilibrium = Equilibrium(model, loading, assembler)
+        self._scales = self._equilibrium.scales
         self._force = 1.0
         self._highest = 0.0
         self._target = 0.0
@@ -166,21 +167,24 @@ class PathSolver(StepSolver):
         """Find equilibrium where the control has grown by ``t`` since the last converged step, from ``u``."""
         sought, of = self._equilibrium, self._constraint
         self._target = t
-        self._force = max(sought.reference, sought.scale * float(np.finfo(float).eps)) / self._options.control.step
+        self._force = (
+            max(sought.reference, self._scales.force * float(np.finfo(float).eps)) / self._options.control.step
+        )
         if sought.begin(u):
             self._bordered.renew()
         self._bordered.iterations = 0
-        self._bordered.put(self._x, u, self.load)
+        self._bordered.put(self._x, u / self._scales.length, self.load)
         self.snes.solve(None, self._x)
         if sought.damping is not None and self.snes.getConvergedReason() > 0:
             # Once more from where it came to rest: the damping has no force there.
-            sought.move_springs(self._displacement(self._x).copy())
+            sought.move_springs(self._displacement(self._x))
             self.snes.solve(None, self._x)
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
-        self.load = load if reason > 0 else of.load0
-        result = sought.result(reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
-        return sought.at_prescribed(values).copy(), result
+        converged = reason > 0 and sought.reason != "" and sought.judge(values, self._rtol)
+        self.load = load if converged else of.load0
+        result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
+        return sought.at_prescribed(values), result
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
         """Let the control grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
@@ -248,7 +252,11 @@ class PathSolver(StepSolver):
         sought = self._equilibrium
         values, load = self._bordered.split(x)
         sought.prescribed, sought.external = load * self._whole[0], load * self._whole[1]
-        return values, load
+        return values * self._scales.length, load
+
+    @property
+    def _rtol(self) -> float:
+        return float(self.snes.getTolerances()[0])
 
     def _displacement(self, x: PETSc.Vec) -> Float:
         return self._equilibrium.at_prescribed(self._take(x)[0])
@@ -262,20 +270,22 @@ class PathSolver(StepSolver):
             r.set(np.inf)
             return
         grown = self._constraint.grown(self.model.cloud.comm, sought.at_prescribed(values), load)
-        self._bordered.put(r, residual, self._force * (grown - self._target))
+        force = self._scales.force
+        self._bordered.put(r, residual / force, self._force / force * (grown - self._target))
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        sought, row, free = self._equilibrium, self._constraint, self._equilibrium.free
+        sought, row, free, scales = self._equilibrium, self._constraint, self._equilibrium.free, self._scales
         u = self._displacement(x)
         sought.assemble(u)
         whole, external = self._whole
         held = np.where(free, 0.0, whole)
         column = self.model.tangent_times(u, held) - external
         along = row.share + float(total(self.model.cloud.comm, float((row.of * held).sum())))
+        share = self._force / scales.force
         self._bordered.border(
-            np.where(free, column, -sought.scale * whole),
-            self._force * np.where(free, row.of, 0.0),
-            self._force * along,
+            np.where(free, column, -scales.stiffness * whole) / scales.force,
+            share * scales.length * np.where(free, row.of, 0.0),
+            share * along,
         )
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -294,6 +304,5 @@ class PathSolver(StepSolver):
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         if self._stop():
             return self._equilibrium.interrupted()
-        return self._equilibrium.verdict(
-            self._take(snes.getSolution())[0], iteration, norms[2], float(snes.getTolerances()[0])
-        )
+        values, _ = self._take(snes.getSolution())
+        return self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)

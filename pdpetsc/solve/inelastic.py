@@ -12,6 +12,10 @@ from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.pairs import Key, Pairs
+from pdpetsc.solve.scales import nearest_distances, scales_of
+
+# A linear solve whose residual is above this share of its right-hand side has failed, whatever the solver says.
+SOLVED = 1e-6
 
 
 class InelasticForces:
@@ -27,8 +31,6 @@ class InelasticForces:
         The linear body and its conditions, proportional to the step time.
     pairs : Pairs or None
         Its bonds where they can fail.
-    scale : float
-        Diagonal of prescribed rows [force / length].
 
     Attributes
     ----------
@@ -48,15 +50,17 @@ class InelasticForces:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    def __init__(self, model: Model, loading: Loading, assembler: Assembler, pairs: Pairs | None, scale: float) -> None:
+    def __init__(self, model: Model, loading: Loading, assembler: Assembler, pairs: Pairs | None) -> None:
         self._model = model
         self._pairs = pairs
         self._free = ~loading.fixed
         self._prescribed = loading.prescribed(1.0)
         self._external = loading.forces(1.0)
-        self.matrix = TangentMatrix(assembler, loading.fixed, scale)
+        self._scales = scales_of(model, nearest_distances(model))
+        self.matrix = TangentMatrix(assembler, loading.fixed, self._scales.stiffness)
         self._x = self.matrix.mat.createVecRight()
         self._b = self._x.duplicate()
+        self._r = self._x.duplicate()
         self.ksp = PETSc.KSP().create(comm=model.cloud.comm)
         self.ksp.setOperators(self.matrix.mat)
         self.ksp.setFromOptions()
@@ -110,18 +114,26 @@ class InelasticForces:
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
         self.ksp.destroy()
+        self._r.destroy()
         self._b.destroy()
         self._x.destroy()
         self.matrix.destroy()
 
     def _solve(self, load: Float) -> Float:
-        self._b.array = np.where(self._free, load, 0.0).ravel()
+        self._b.array = np.where(self._free, load, 0.0).ravel() / self._scales.force
         self.ksp.solve(self._b, self._x)
-        u: Float = np.where(self._free, self._x.array.reshape(self._free.shape), 0.0)
-        finite = int(total(self._model.cloud.comm, int(not np.isfinite(u).all()))) == 0
-        if self.ksp.getConvergedReason() < 0 or not finite:
+        u: Float = np.where(self._free, self._scales.length * self._x.array.reshape(self._free.shape), 0.0)
+        if self.ksp.getConvergedReason() < 0 or not self._solved():
             raise SolveError(
                 "The linear solver failed: a piece of the body has come free, or choose a direct one with "
                 "-pc_type cholesky."
             )
         return u
+
+    def _solved(self) -> bool:
+        """Return whether the last solution is one: a factor of a singular matrix gives numbers all the same."""
+        size = self._b.norm()
+        self.matrix.mat.mult(self._x, self._r)
+        self._r.aypx(-1.0, self._b)
+        left = self._r.norm()
+        return bool(np.isfinite(left) and left <= SOLVED * size)

@@ -91,7 +91,7 @@ def assembler(model: Model, choice: Choice) -> Assembler:
 
 
 def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> Tangent:
-    """Return the tangent whose matrix an assembler fills (collective)."""
+    """Return the tangent over ``scale`` [force / length] whose matrix an assembler fills (collective)."""
     if isinstance(filled, NearAssembler):
         return MatrixFreeTangent(filled, fixed, scale)
     return TangentMatrix(filled, fixed, scale)

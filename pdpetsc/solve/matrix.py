@@ -30,8 +30,8 @@ def predicted_bytes(pattern: Pattern, dim: int) -> int:
 class TangentMatrix(Tangent):
     """An AIJ matrix of block size ``dim`` that the model's assembler fills in place.
 
-    Rows and columns of prescribed degrees of freedom hold only ``scale`` on the diagonal, so that the matrix stays
-    symmetric.
+    It holds ``K / scale``. Rows and columns of prescribed degrees of freedom hold only 1 on the diagonal, so that the
+    matrix stays symmetric.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class TangentMatrix(Tangent):
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        Diagonal of prescribed rows [force / length].
+        The stiffness that is 1 in the matrix [force / length].
 
     Notes
     -----
@@ -79,9 +79,11 @@ class TangentMatrix(Tangent):
             self.diagonal = diag[self._diagonal]
             if damping is not None:
                 diag[self._diagonal] += np.repeat(damping, self._assembler.model.dim)
+            diag *= 1.0 / self._scale
+            off *= 1.0 / self._scale
             diag[self._zero_diag] = 0.0
             off[self._zero_off] = 0.0
-            diag[self._diagonal[self._fixed]] = self._scale
+            diag[self._diagonal[self._fixed]] = 1.0
         self.mat.assemble()
         self.mat.stateIncrease()
         self._filled, self._damped = version, damping is not None

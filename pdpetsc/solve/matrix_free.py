@@ -21,7 +21,7 @@ STIFFER = 1.05
 class MatrixFreeTangent(Tangent):
     """A Mat of type python that applies ``K(u)`` family by family, and an AIJ matrix of nearest neighbours.
 
-    Rows and columns of prescribed degrees of freedom hold only ``scale`` on the diagonal, in both.
+    Both are over ``scale``, and rows and columns of prescribed degrees of freedom hold only 1 on the diagonal.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class MatrixFreeTangent(Tangent):
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
-        Diagonal of prescribed rows [force / length].
+        The stiffness that is 1 in both [force / length].
     """
 
     def __init__(self, near: NearAssembler, fixed: Mask, scale: float) -> None:
@@ -120,7 +120,8 @@ class _Product:
     """The tangent times a vector, with the rows of prescribed degrees of freedom."""
 
     def __init__(self, fixed: Mask, scale: float) -> None:
-        self._fixed, self._free, self._scale = fixed, ~fixed, scale
+        self._fixed, self._free = fixed, ~fixed
+        self._weight = self._free / scale
         self._masked = np.zeros(fixed.shape)
         self.tangent: Linearised | None = None
         self.damping: Float | None = None
@@ -134,5 +135,5 @@ class _Product:
         if self.damping is not None:
             product = product + self.damping[:, None] * self._masked
         result = y.array_w.reshape(self._free.shape)
-        np.multiply(product, self._free, out=result)
-        np.multiply(values, self._scale, out=result, where=self._fixed)
+        np.multiply(product, self._weight, out=result)
+        np.copyto(result, values, where=self._fixed)

@@ -45,6 +45,7 @@ class StaticSolver(StepSolver):
         self.loading = loading
         self._stop = stop
         self._equilibrium = Equilibrium(model, loading, assembler)
+        self._scales = self._equilibrium.scales
         tangent = self._equilibrium.tangent
         self._x = tangent.preconditioner.createVecRight()
         self._r = self._x.duplicate()
@@ -84,15 +85,16 @@ class StaticSolver(StepSolver):
         linear += self._iterate(start)
         if sought.damping is not None and self.snes.getConvergedReason() > 0:
             # Once more from where it came to rest: the damping has no force there.
-            rest = sought.at_prescribed(self._x.array).copy()
+            rest = sought.at_prescribed(self._displacement(self._x))
             sought.move_springs(rest)
             linear += self._iterate(rest)
-        reason = self.snes.getConvergedReason()
-        result = sought.result(reason, self.snes.getKSP().getConvergedReason(), linear)
-        if reason <= 0:
+        reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
+        converged = reason > 0 and sought.judge(found, self._rtol)
+        result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
+        if not converged:
             sought.prescribed = old_prescribed
             sought.tangent.forget()
-        return sought.at_prescribed(self._x.array).copy(), result
+        return sought.at_prescribed(found), result
 
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
@@ -104,14 +106,29 @@ class StaticSolver(StepSolver):
     def _iterate(self, start: Float) -> int:
         """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""
         linear = self._run(start)
-        if self.snes.getConvergedReason() < 0 and line_search(self.snes) == SECANTS and not self._stop():
+        if self._failed() and line_search(self.snes) == SECANTS and not self._stop():
             self._equilibrium.reason = ""
             with full_steps(self.snes):
                 linear += self._run(start)
         return linear
 
+    def _failed(self) -> bool:
+        """Return whether SNES has ended where there is no equilibrium, whatever its reason."""
+        if self.snes.getConvergedReason() < 0:
+            return True
+        judged = self._equilibrium.reason != ""
+        return not judged and not self._equilibrium.judge(self._displacement(self._x), self._rtol)
+
+    @property
+    def _rtol(self) -> float:
+        return float(self.snes.getTolerances()[0])
+
+    def _displacement(self, x: PETSc.Vec) -> Float:
+        """Return unknowns of PETSc as a displacement [length]."""
+        return np.asarray(x.array_r * self._scales.length)
+
     def _run(self, start: Float) -> int:
-        self._x.array = start.ravel()
+        self._x.array = start.ravel() / self._scales.length
         self.snes.solve(None, self._x)
         if self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
             start_anew(self.snes.getKSP())
@@ -131,28 +148,28 @@ class StaticSolver(StepSolver):
         if not sought.tangent.holds(sought.damping is not None):
             sought.tangent.update(u, sought.damping, effort(self.snes.getKSP()))
         b = sought.external - force - self.model.tangent_times(u, jump)
-        self._r.array = np.where(free, b, 0.0).ravel()
+        self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
         ksp = self.snes.getKSP()
         ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
         ksp.solve(self._r, self._x)
-        change = self._x.array.reshape(u.shape) + jump
+        change = self._displacement(self._x).reshape(u.shape) + jump
         finite = np.isfinite(float(total(self.model.cloud.comm, float(change.sum()))))
         return u + (change if finite else jump), ksp.getIterationNumber()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        residual = self._equilibrium.residual(x.array_r)
+        residual = self._equilibrium.residual(self._displacement(x))
         if residual is None:
             set_domain_error(snes)
             r.set(np.inf)
             return
-        r.array = residual.ravel()
+        r.array = residual.ravel() / self._scales.force
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._equilibrium.assemble(x.array_r, effort(snes.getKSP()))
+        self._equilibrium.assemble(self._displacement(x), effort(snes.getKSP()))
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
-        here, step = x.array_r, y.array_r
+        here, step = self._displacement(x), self._displacement(y)
         part = self._equilibrium.admissible_part(lambda p: self._equilibrium.at_prescribed(here - p * step))
         if part < 1.0:
             y.scale(part)
@@ -160,5 +177,5 @@ class StaticSolver(StepSolver):
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         if self._stop():
             return self._equilibrium.interrupted()
-        rtol = float(snes.getTolerances()[0])
-        return self._equilibrium.verdict(snes.getSolution().array_r, iteration, norms[2], rtol)
+        values = self._displacement(snes.getSolution())
+        return self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)

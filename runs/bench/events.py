@@ -26,7 +26,7 @@ from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.loading import Loading  # noqa: E402
 from pdpetsc.scene.solver import EventDriven  # noqa: E402
-from pdpetsc.solve.defaults import default_options, stiffness_scale  # noqa: E402
+from pdpetsc.solve.defaults import default_options  # noqa: E402
 from pdpetsc.solve.events import EventSolver  # noqa: E402
 from pdpetsc.solve.jacobian import choose  # noqa: E402
 from pdpetsc.solve.petsc import options  # noqa: E402
@@ -42,9 +42,7 @@ def measure(scene, updates):
     loading = Loading(model, scene.conditions, scene.particles.thickness)
     choice = choose(model, {}, EventDriven())
     with options({}, default_options(model, EventDriven(), choice)):
-        solver = EventSolver(
-            model, loading, model.assembler(), EventDriven(updates), stiffness_scale(model), lambda: False
-        )
+        solver = EventSolver(model, loading, model.assembler(), EventDriven(updates), lambda: False)
         spent, before = [], time.perf_counter()
         for _, _ in zip(range(EVENTS), solver.march(), strict=False):
             now = time.perf_counter()

@@ -27,9 +27,10 @@ from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa
 from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.loading import Loading  # noqa: E402
 from pdpetsc.scene.solver import Newton  # noqa: E402
-from pdpetsc.solve.defaults import default_options, stiffness_scale  # noqa: E402
+from pdpetsc.solve.defaults import default_options  # noqa: E402
 from pdpetsc.solve.jacobian import assembler, choose, make_tangent  # noqa: E402
 from pdpetsc.solve.petsc import linear_solver, options  # noqa: E402
+from pdpetsc.solve.scales import stiffness_scale  # noqa: E402
 
 RTOL = 1e-8
 APPLIED = 5

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.cloud import Cloud, from_parts
 from pdpetsc.discrete.communicator import agreed, largest, smallest, total
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.model import Model
 from pdpetsc.scene.conditions import (
     BodyForce,
@@ -22,10 +22,15 @@ from pdpetsc.scene.conditions import (
     Traction,
     Value,
 )
+from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import Region, View
 
-# A consistent traction that adds up to less than this share of traction times face is not that of one face.
-WHOLE_FACE = 0.5
+# A consistent traction whose forces add up to a share of traction times face outside of these is not that of one face.
+WHOLE_FACE = (0.5, 2.0)
+# That share is round-off where it differs from 1 by less.
+EXACT = 1e-9
+# Step times at which loads are looked at for the record.
+SHOWN = (1.0, 0.75, 0.5, 0.25)
 # Step times at which conditions are compared with their proportional values, and how closely.
 PROBES = (0.0, 0.3, 0.7)
 PROPORTIONAL = 1e-12
@@ -63,8 +68,8 @@ class Loading:
         The body.
     conditions : sequence of Condition
         Declared conditions.
-    thickness : float
-        Out-of-plane thickness [length] or cross-section [length^2] contained in the volumes.
+    particles : Particles
+        As declared; they tell thickness and faces.
 
     Attributes
     ----------
@@ -77,23 +82,26 @@ class Loading:
     Raises
     ------
     CaseError
-        A region selects nothing, a degree of freedom is prescribed twice, or a component is wrong.
+        A region selects nothing, a degree of freedom is prescribed twice, a component is wrong, or a traction acts on a
+        face whose area is not known.
 
     Notes
     -----
-    Construction, ``forces`` and ``select`` are collective; ``prescribed`` is not.
+    Construction and every method are collective.
     """
 
-    def __init__(self, model: Model, conditions: Sequence[Condition], thickness: float) -> None:
+    def __init__(self, model: Model, conditions: Sequence[Condition], particles: Particles) -> None:
         self._model = model
+        self._particles = particles
+        self._resultants: list[tuple[str, float, Float]] = []
         self._x = model.cloud.x[: model.cloud.n_owned]
         self.fixed: Mask = np.zeros((model.cloud.n_rows, model.dim), dtype=bool)
-        self.cell_volume = _cell_volume(model.cloud, thickness)
+        self.cell_volume = _cell_volume(model.cloud, particles.thickness)
         self._means: list[_Mean] = []
         self._virtual()
         self._prescribed: list[_Applied] = []
         self._forces: list[_Applied] = []
-        self._consistent: list[tuple[Traction, Float, Mask]] = []
+        self._consistent: list[tuple[Traction, Float, Float]] = []
         for number, condition in enumerate(conditions):
             name = f"{type(condition).__name__} condition {number + 1}"
             if isinstance(condition, MeanStrain | MeanStress):
@@ -106,32 +114,67 @@ class Loading:
             where = np.flatnonzero(mask)
             if isinstance(condition, Displacement):
                 self._prescribe(condition, components, where, name)
-            elif isinstance(condition, Traction) and condition.distribution == "consistent":
+                continue
+            before = len(self._forces), len(self._consistent)
+            if isinstance(condition, Traction):
                 assert normal is not None
-                self._consistent.append((condition, normal, _reach(model, mask)))
-                self._check_face(condition, normal, where, thickness, name)
+                face = self._face(condition, normal, where, name)
+            if isinstance(condition, Traction) and condition.distribution == "consistent":
+                assert normal is not None
+                self._consistent.append((condition, normal, self._share(normal, mask, face, name)))
             else:
-                scale = _scale(condition, model.cloud, where, thickness)
+                scale = face if isinstance(condition, Traction) else _scale(condition, model.cloud, where)
                 self._forces += [_Applied(condition, axis, value, where, scale) for axis, value in components]
+            self._note(name, self._forces[before[0] :], self._consistent[before[1] :])
+        try:
+            self.prescribed(1.0)
+        except SolveError as error:
+            raise CaseError(str(error)) from error
 
     def prescribed(self, t: float) -> Float:
-        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free."""
+        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free (collective)."""
         u = np.zeros(self.fixed.shape)
-        for applied in self._prescribed:
-            u[applied.where, applied.axis] = applied.at(self._x, t)
+        with agreed(self._model.cloud.comm):
+            for applied in self._prescribed:
+                u[applied.where, applied.axis] = applied.at(self._x, t)
         self._add_means(u, MeanStrain, t)
         return u
 
     def forces(self, t: float) -> Float:
         """Return the external forces at step time ``t`` (n_rows, dim) [force] (collective)."""
-        f = np.zeros(self.fixed.shape)
-        n = len(self._x)
-        for applied in self._forces:
-            f[applied.where, applied.axis] += applied.at(self._x, t)
-        for traction, normal, reached in self._consistent:
-            f[:n] += self._consistent_forces(traction, normal, t) * reached[:, None]
+        f = self._sum(self._forces, self._consistent, t)
         self._add_means(f, MeanStress, t)
         return f
+
+    @property
+    def resultants(self) -> list[tuple[str, float, Float]]:
+        """Return name, step time and sum of the forces (dim,) [force] of every load, at a step time when it acts.
+
+        Notes
+        -----
+        Not collective.
+        """
+        return self._resultants
+
+    def _sum(self, forces: Sequence[_Applied], consistent: Sequence[tuple[Traction, Float, Float]], t: float) -> Float:
+        """Return the sum of loads at step time ``t`` (n_rows, dim) [force]."""
+        f = np.zeros(self.fixed.shape)
+        with agreed(self._model.cloud.comm):
+            for applied in forces:
+                f[applied.where, applied.axis] += applied.at(self._x, t)
+            stresses = [self._stresses(traction, normal, t) for traction, normal, _ in consistent]
+        for P, (_, _, share) in zip(stresses, consistent, strict=True):
+            f[: len(self._x)] += self._model.uniform_stress_force(P)[: len(self._x)] * share[:, None]
+        return f
+
+    def _note(self, name: str, forces: Sequence[_Applied], consistent: Sequence[tuple[Traction, Float, Float]]) -> None:
+        """Note the resultant of a load."""
+        try:
+            sums = [total(self._model.cloud.comm, self._sum(forces, consistent, t).sum(axis=0)) for t in SHOWN]
+        except SolveError as error:
+            raise CaseError(str(error)) from error
+        acting = next((number for number, force in enumerate(sums) if force.any()), 0)
+        self._resultants.append((name, SHOWN[acting], sums[acting]))
 
     def refuse_what_is_not_proportional(self, who: str) -> None:
         """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective)."""
@@ -207,25 +250,51 @@ class Loading:
                 self.fixed[where, axis] = True
                 self._prescribed.append(_Applied(condition, axis, value, where, np.ones(len(where))))
 
-    def _consistent_forces(self, traction: Traction, normal: Float, t: float) -> Float:
+    def _stresses(self, traction: Traction, normal: Float, t: float) -> Float:
+        """Return the stresses ``t (x) n`` (n_owned, dim, dim) of a consistent traction (not collective)."""
         P = np.zeros((len(self._x), self._model.dim, self._model.dim))
         for axis, value in traction.components(self._model.dim):
             P[:, axis, :] = traction.value(value, self._x, t)[:, None] * normal
-        return self._model.uniform_stress_force(P)[: len(self._x)]
+        return P
 
-    def _check_face(self, traction: Traction, normal: Float, where: GlobalIndex, thickness: float, name: str) -> None:
-        """Refuse a face whose neighbourhood reaches another one: there the forces of the two cancel."""
+    def _face(self, traction: Traction, normal: Float, where: GlobalIndex, name: str) -> Float:
+        """Return the free face of each particle of a traction's region (len(where),) [area]."""
+        cloud = self._model.cloud
+        if traction.area is not None:
+            share = cloud.volume[where] ** ((cloud.dim - 1) / cloud.dim)
+            return np.asarray(traction.area * share / float(total(cloud.comm, float(share.sum()))))
+        with agreed(cloud.comm):
+            try:
+                part = self._particles.faces(cloud.comm.rank, cloud.comm.size, normal)
+            except CaseError as error:
+                raise CaseError(f"{name}: {str(error)[:1].lower()}{str(error)[1:]}") from None
+        face = from_parts(cloud, part)[where]
+        if not float(total(cloud.comm, float(face.sum()))) > 0.0:
+            raise CaseError(
+                f"The region of {name} has no free face with normal {np.round(normal, 6).tolist()}; select the outer "
+                f"particles of the face, and let the normal point out of the body."
+            )
+        return np.asarray(face)
+
+    def _share(self, normal: Float, mask: Mask, face: Float, name: str) -> Float:
+        """Return what the forces of a uniform stress are multiplied with to be those of a traction (n_owned,) [-].
+
+        Where the weights of the gradient satisfy the divergence theorem that is 1 near the face; else it lets the sum
+        be traction times face. A face whose neighbourhood reaches another one is refused: there the forces of the two
+        cancel.
+        """
         model = self._model
         P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
-        reached = _reach(model, np.isin(np.arange(len(self._x)), where))
+        reached = _reach(model, mask)
         along = model.uniform_stress_force(P)[: len(self._x)] @ normal
-        face = _faces(model.cloud, where, thickness)
         found, wanted = total(model.cloud.comm, [along[reached].sum(), face.sum()])
-        if found < WHOLE_FACE * wanted:
+        if not WHOLE_FACE[0] * wanted <= found <= WHOLE_FACE[1] * wanted:
             raise CaseError(
                 f"{name} on a face of {wanted:.4g} adds up to {found:.4g} per unit stress: its region is not the outer "
                 f'layer of a face with that normal, or another face is within two horizons; use distribution="layer".'
             )
+        factor = float(wanted / found)
+        return np.where(reached, 1.0 if abs(factor - 1.0) < EXACT else factor, 0.0)
 
 
 def select(cloud: Cloud, region: Region, name: str) -> Mask:
@@ -255,19 +324,8 @@ def _cell_volume(cloud: Cloud, thickness: float) -> float:
     return float(np.prod(cell.lengths)) * (thickness if cell.dim < 3 else 1.0)
 
 
-def _faces(cloud: Cloud, where: GlobalIndex, thickness: float) -> Float:
-    """Return the face of each particle, ``(V / thickness)^((dim - 1) / dim)`` times the thickness [area]."""
-    volume, dim = cloud.volume[where], cloud.dim
-    if dim == 1:
-        return np.full(len(where), thickness)
-    depth = thickness if dim == 2 else 1.0
-    return np.asarray((volume / depth) ** ((dim - 1) / dim) * depth)
-
-
-def _scale(condition: Force | BodyForce | Traction, cloud: Cloud, where: GlobalIndex, thickness: float) -> Float:
-    """Return the factor from declared value to force on each particle."""
-    if isinstance(condition, Traction):
-        return _faces(cloud, where, thickness)
+def _scale(condition: Force | BodyForce | Traction, cloud: Cloud, where: GlobalIndex) -> Float:
+    """Return the factor from declared value to force on each particle (collective)."""
     volume = cloud.volume[where]
     if isinstance(condition, Force):
         return np.asarray(volume / float(total(cloud.comm, volume.sum())))

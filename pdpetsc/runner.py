@@ -135,9 +135,10 @@ class _Run:
             families = find_families(cloud, case.cracks)
         with self._timed("model"):
             model = make_model(case, cloud, families)
-            loading = Loading(model, case.conditions, case.particles.thickness)
+            loading = Loading(model, case.conditions, case.particles)
             refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
+        self._report_loads(loading)
         choice = choose(model, self.options, case.solver)
         defaults = default_options(model, case.solver, choice)
         with stop_on_signals(comm) as stop, petsc_options(self.options, defaults):
@@ -283,6 +284,13 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": model.note}
         if model.note:
             self.report.say(f"scheme: {model.note}")
+
+    def _report_loads(self, loading: Loading) -> None:
+        self.summary["loads"] = [
+            {"condition": name, "t": t, "resultant": force.tolist()} for name, t, force in loading.resultants
+        ]
+        for name, t, force in loading.resultants:
+            self.report.say(f"{name}: resultant {' '.join(f'{f:.6g}' for f in force)} at step time {t:g}")
 
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:

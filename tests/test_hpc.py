@@ -140,7 +140,7 @@ tracemalloc.start()
 cloud = make_cloud(comm, scene); look()
 families = find_families(cloud); look()
 model = make_model(scene, cloud, families); look()
-loading = Loading(model, scene.conditions, 1.0)
+loading = Loading(model, scene.conditions, scene.particles)
 refuse_rigid_motion(cloud, families, loading.fixed); look()
 choice = choose(model, {}, Newton())
 with options({}, default_options(model, Newton(), choice)):

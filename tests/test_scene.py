@@ -37,7 +37,7 @@ def loaded(conditions, n=6, spacing=0.5, thickness=2.0, horizon=2.015, material=
         cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [material or pd.Hencky(10.0, 0.3)],
         np.zeros(cloud.n_owned, dtype=np.int32), None,
     )  # fmt: skip
-    return Loading(model, conditions, thickness), model
+    return Loading(model, conditions, lattice), model
 
 
 # --- particles

@@ -190,6 +190,29 @@ def distribute(
     )
 
 
+def from_parts(cloud: Cloud, part: NDArray[Any]) -> NDArray[Any]:
+    """Return the rows of the own particles from those of the part that this rank created, in its order.
+
+    Parameters
+    ----------
+    part : (n, ...)
+        One row per particle of ``Particles.chunk(rank, size)``.
+
+    Notes
+    -----
+    Collective.
+    """
+    comm, gid = cloud.comm, cloud.gid[: cloud.n_owned]
+    first = offset(comm, len(part))
+    starts = np.array(comm.allgather(first), dtype=np.int64)
+    creator = np.searchsorted(starts, gid, side="right") - 1
+    (asked,), counts = exchange(comm, creator, [gid])
+    (answer,), _ = exchange(comm, np.repeat(np.arange(comm.size), counts), [part[asked - first]])
+    rows = np.empty_like(answer)
+    rows[np.argsort(creator, kind="stable")] = answer
+    return rows
+
+
 def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:
     """Return the order of own particles: that of creation, or by cells where that jumps about the body.
 

@@ -10,11 +10,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.scene.region import Region
-from pdpetsc.scene.schedule import Ramp, Schedule
+from pdpetsc.scene.schedule import Hold, Ramp, Schedule
 
-# A number, multiplied with the schedule, or a function of positions (n, dim) and step time that returns (n,) values.
+# A number, multiplied with the schedule, or a function of positions (n, dim) and step time that returns (n,) values,
+# multiplied with the schedule where one is given.
 Value: TypeAlias = float | Callable[[Float, float], Float]
 
 
@@ -24,7 +25,7 @@ class _Vector:
     x: Value | None = None
     y: Value | None = None
     z: Value | None = None
-    schedule: Schedule = field(default_factory=Ramp)
+    schedule: Schedule | None = None
 
     def components(self, dim: int) -> list[tuple[int, Value]]:
         """Return the declared components as (axis, value).
@@ -46,11 +47,38 @@ class _Vector:
         return given
 
     def value(self, component: Value, x: Float, t: float) -> Float:
-        """Return the values of one component at positions ``x`` and step time ``t``, (n,)."""
-        if callable(component):
-            values = np.asarray(component(x, t), dtype=float)
-            return np.array(np.broadcast_to(values, len(x)))
-        return np.full(len(x), component * self.schedule(t))
+        """Return the values of one component at positions ``x`` and step time ``t``, (n,).
+
+        Numbers follow the schedule, by default the ramp; functions are taken as they are, times the schedule where one
+        is given.
+
+        Raises
+        ------
+        SolveError
+            A function or the schedule fails or does not return numbers.
+        """
+        schedule = self.schedule or (Hold() if callable(component) else Ramp())
+        factor = self._numbers(lambda: schedule(t), (), f"the schedule of a {type(self).__name__} condition", t)
+        if not callable(component):
+            return np.full(len(x), component * factor)
+        what = f"the value of a {type(self).__name__} condition"
+        return np.asarray(factor * self._numbers(lambda: component(x, t), (len(x),), what, t))
+
+    def _numbers(self, call: Callable[[], object], shape: tuple[int, ...], what: str, t: float) -> Float:
+        """Return what a function of the case gives, as finite numbers of a shape."""
+        try:
+            values = np.broadcast_to(np.asarray(call(), dtype=float), shape)
+        except SolveError:
+            raise
+        except Exception as error:
+            raise SolveError(f"At step time {t:.6g} {what} fails with {type(error).__name__}: {error}.") from error
+        bad = np.flatnonzero(~np.isfinite(values.ravel()))
+        if len(bad):
+            raise SolveError(
+                f"At step time {t:.6g} {what} is {values.ravel()[bad[0]]} for {len(bad)} of {values.size} particles; "
+                f"it must return a number for each."
+            )
+        return values
 
 
 @dataclass(frozen=True)
@@ -77,13 +105,18 @@ class Traction(_Vector):
     normal : sequence of float
         Outward normal of the face; its length does not matter.
     distribution : {"layer", "consistent"}
-        ``layer`` puts ``t`` times the particle's face on every particle of the region. ``consistent`` applies
-        ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform stress ``t (x) n`` in equilibrium: a
-        uniform traction then gives a uniform gradient. It reaches two horizons into the body.
+        ``layer`` puts ``t`` times the free face of the particle on every particle of the region; particles without a
+        free face get none. ``consistent`` applies ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform
+        stress ``t (x) n`` in equilibrium: a uniform traction then gives a uniform gradient. It reaches two horizons
+        into the body. Both add up to the traction times the area of the face.
+    area : float, optional
+        Area of the face [area; length times thickness in 2D, cross-section in 1D], for particles that do not know their
+        faces: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
     """
 
     normal: Sequence[float] = ()
     distribution: Literal["layer", "consistent"] = "layer"
+    area: float | None = field(default=None, kw_only=True)
 
     def unit_normal(self, dim: int) -> Float:
         """Return the outward unit normal (dim,)."""
@@ -93,6 +126,8 @@ class Traction(_Vector):
             raise CaseError(f"A Traction needs an outward normal of {dim} numbers, not {list(np.ravel(normal))}.")
         if self.distribution not in ("layer", "consistent"):
             raise CaseError(f'A Traction takes distribution="layer" or "consistent", not {self.distribution!r}.')
+        if self.area is not None and not (math.isfinite(self.area) and self.area > 0.0):
+            raise CaseError(f"The area of the face of a Traction is positive, not {self.area}.")
         return normal / length
 
 
@@ -102,6 +137,7 @@ def Pressure(
     normal: Sequence[float],
     distribution: Literal["layer", "consistent"] = "layer",
     schedule: Schedule | None = None,
+    area: float | None = None,
 ) -> Traction:
     """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``."""
     n = np.asarray(normal, dtype=float)
@@ -109,7 +145,7 @@ def Pressure(
     if not (length > 0.0 and math.isfinite(length)):
         raise CaseError(f"A Pressure needs an outward normal, not {list(np.ravel(n))}.")
     x, y, z = [float(-value * c / length) for c in n] + [None] * (3 - len(n))
-    return Traction(region, x, y, z, schedule or Ramp(), normal=tuple(normal), distribution=distribution)
+    return Traction(region, x, y, z, schedule, normal=tuple(normal), distribution=distribution, area=area)
 
 
 @dataclass(frozen=True)

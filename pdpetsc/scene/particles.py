@@ -8,13 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region, View
 
 WHOLE_CELLS = 1e-6
+# Numbers of a lattice that differ by less, relatively, are the same.
+ALONG = 1e-6
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,19 @@ class Particles(ABC):
         CaseError
             The source is missing or malformed.
         """
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the free face of each particle of a part, seen along an outward unit normal (n,) [area].
+
+        The sum of ``max(0, a_f . n)`` over the free facets with outward area vectors ``a_f``; length times thickness in
+        2D, the cross-section in 1D.
+
+        Raises
+        ------
+        CaseError
+            The particles do not know their faces.
+        """
+        raise CaseError(f"{type(self).__name__} does not know the faces of its particles; give the area of the face.")
 
 
 @dataclass(frozen=True)
@@ -107,19 +122,45 @@ class Lattice(Particles):
         index = np.arange(part * total // parts, (part + 1) * total // parts)
         cell = np.stack(np.unravel_index(index, counts), axis=1) - before
         x = low + (cell + 0.5) * self.spacing
-        sets = {"real": np.all((cell >= 0) & (cell < real), axis=1)}
-        sets["fictitious"] = ~sets["real"]
-        for side in self.fictitious:
-            axis = "xyz".index(side[1])
-            sets[f"fictitious {side}"] = cell[:, axis] < 0 if side[0] == "-" else cell[:, axis] >= real[axis]
+        sets = self._sets(x, np.all((cell >= 0) & (cell < real), axis=1))
+        kept = self._kept(x, sets)
+        volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
+        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()})
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the free face of each particle of a part, seen along a normal: cells without a neighbour there."""
+        x = self.chunk(part, parts).x
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
+        last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
+        side = _cell_sides(np.full(self.dim, self.spacing), self.thickness)
+        area = np.zeros(len(x))
+        for axis in np.flatnonzero(np.abs(normal) > ALONG):
+            beyond = x + np.sign(normal[axis]) * self.spacing * np.eye(self.dim)[axis]
+            inside = np.all((beyond > first) & (beyond < last), axis=1)
+            real = np.all((beyond > low) & (beyond < high), axis=1)
+            inside[inside] = self._kept(beyond[inside], self._sets(beyond[inside], real[inside]))
+            area += np.where(inside, 0.0, abs(normal[axis]) * side[axis])
+        return area
+
+    def _kept(self, x: Float, sets: Mapping[str, Mask]) -> Mask:
+        """Return which cells have a particle."""
         view = View(x, sets, minimum=_refuse_nearest)
         kept = np.ones(len(x), dtype=bool)
         if self.keep is not None:
             kept &= self.keep.mask(view)
         if self.cut is not None:
             kept &= ~self.cut.mask(view)
-        volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
-        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()})
+        return kept
+
+    def _sets(self, x: Float, real: Mask) -> dict[str, Mask]:
+        """Return the named sets of cells at ``x``, of which some are ``real``."""
+        sets = {"real": real, "fictitious": ~real}
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        for side in self.fictitious:
+            axis = "xyz".index(side[1])
+            sets[f"fictitious {side}"] = x[:, axis] < low[axis] if side[0] == "-" else x[:, axis] > high[axis]
+        return sets
 
     def _layers(self, side: str) -> int:
         return int(self.fictitious.get(side, 0.0) / self.spacing * (1.0 + WHOLE_CELLS))
@@ -167,6 +208,65 @@ class Arrays(Particles):
             sets[name] = flags[rows]
         volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
         return Chunk(x[rows], np.array(volume[rows]), sets)
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the free face of each particle of a part, seen along a normal, where they fill the cells of a lattice.
+
+        Raises
+        ------
+        CaseError
+            The positions or the volumes are not those of equal cells.
+        """
+        x = np.asarray(self.x, dtype=float)
+        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
+        cell, sizes = _cells(x, volume, self.thickness)
+        taken = {tuple(index) for index in cell.tolist()}
+        side = _cell_sides(sizes, self.thickness)
+        rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
+        area = np.zeros(len(cell[rows]))
+        for axis in np.flatnonzero(np.abs(normal) > ALONG):
+            step = (np.sign(normal[axis]) * np.eye(x.shape[1])[axis]).astype(np.int64)
+            free = np.array([tuple(index) not in taken for index in (cell[rows] + step).tolist()], dtype=bool)
+            area += np.where(free, abs(normal[axis]) * side[axis], 0.0)
+        return area
+
+
+def _cell_sides(sizes: Float, thickness: float) -> Float:
+    """Return the areas of the sides of a box cell across each axis (dim,) [area]."""
+    whole = float(np.prod(sizes)) * (thickness if len(sizes) < 3 else 1.0)
+    return np.asarray(whole / sizes)
+
+
+def _cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np.int64], Float]:
+    """Return the cell of each particle (n, dim) and the sizes of the equal cells (dim,) [length] of a lattice.
+
+    Raises
+    ------
+    CaseError
+        The particles are not a lattice.
+    """
+    n, dim = x.shape
+    cell, sizes = np.zeros((n, dim), dtype=np.int64), np.full(dim, np.nan)
+    regular = bool(np.all(np.abs(volume - volume[0]) <= ALONG * volume[0]))
+    for axis in range(dim):
+        offsets = x[:, axis] - x[:, axis].min()
+        levels = np.unique(offsets)
+        gaps = np.diff(levels)
+        apart = gaps[gaps > ALONG * offsets.max(initial=0.0)]
+        if len(apart):
+            sizes[axis] = apart.min()
+            cell[:, axis] = np.round(offsets / sizes[axis])
+            regular &= bool(np.all(np.abs(offsets - cell[:, axis] * sizes[axis]) <= ALONG * offsets.max()))
+    whole = volume[0] / (thickness if dim < 3 else 1.0)
+    flat = np.flatnonzero(np.isnan(sizes))
+    if len(flat) == 1:  # one layer of cells, whose depth follows from their volume
+        sizes[flat] = whole / np.nanprod(sizes)
+    if not regular or len(flat) > 1 or abs(np.prod(sizes) - whole) > ALONG * whole:
+        raise CaseError(
+            "The particles do not fill the cells of a lattice, so the area of their faces is not known; give the "
+            "Traction the area of its face."
+        )
+    return cell, sizes
 
 
 def _refuse_nearest(_: float) -> float:

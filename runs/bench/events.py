@@ -39,7 +39,7 @@ def measure(scene, updates):
     """Return seconds of each event and the number of factorisations."""
     cloud = make_cloud(world(), scene)
     model = make_model(scene, cloud, find_families(cloud))
-    loading = Loading(model, scene.conditions, scene.particles.thickness)
+    loading = Loading(model, scene.conditions, scene.particles)
     choice = choose(model, {}, EventDriven())
     with options({}, default_options(model, EventDriven(), choice)):
         solver = EventSolver(model, loading, model.assembler(), EventDriven(updates), lambda: False)

@@ -70,7 +70,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
         model = make_model(scene, cloud, families)
         if broken:
             failed_bonds(model, broken)
-    loading = Loading(model, scene.conditions, 1.0)
+    loading = Loading(model, scene.conditions, scene.particles)
     chosen = {"pd_jacobian": jacobian}
     choice = choose(model, chosen, Newton())
     with options(chosen, default_options(model, Newton(), choice)):

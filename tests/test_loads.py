@@ -1,0 +1,155 @@
+"""Loads add up to what was declared, whatever the cells are."""
+
+import json
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.scene import region
+
+E = 1000.0
+
+
+def grid(counts, sizes):
+    """Return the centres and the volume of the cells of a box."""
+    axes = [(np.arange(count) + 0.5) * size for count, size in zip(counts, sizes, strict=True)]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
+    return x, float(np.prod(sizes))
+
+
+def strip(particles, sizes, condition, scheme=None):
+    """Return a box that is held at x = 0 and loaded by a condition."""
+    return pd.Case(
+        particles=particles,
+        horizon=1.015 * max(sizes),
+        material=pd.LinearElastic(E=E),
+        scheme=scheme or pd.Correspondence(),
+        stabilisation=pd.Silling(),
+        conditions=[
+            pd.Displacement(region.Slab("x", high=sizes[0]), **dict.fromkeys("xyz"[: len(sizes)], 0.0)),
+            condition,
+        ],
+        history={"reaction": pd.Reaction("x")},
+        fields=[],
+    )
+
+
+def resultant(case, folder):
+    """Return the force that supports exert along x and the resultant of the load that the summary names."""
+    pd.run(case, output=folder, quiet=True)
+    summary = json.loads((folder / "summary.json").read_text())
+    history = np.genfromtxt(folder / "history.csv", delimiter=",", names=True)
+    return -history["reaction"][-1], summary["loads"][0]["resultant"][0]
+
+
+@pytest.mark.parametrize("distribution", ["layer", "consistent"])
+@pytest.mark.parametrize(
+    "counts, sizes",
+    [((12, 8), (1.0, 0.5)), ((12, 8), (0.5, 1.0)), ((10, 5, 6), (1.0, 1.0, 0.5)), ((10, 5, 6), (0.5, 1.0, 1.0))],
+)
+def test_a_traction_is_traction_times_area_on_cells_that_are_not_square(counts, sizes, distribution, tmp_path):
+    x, volume = grid(counts, sizes)
+    area = volume * len(x) / (counts[0] * sizes[0])
+    right = region.Slab("x", low=(counts[0] - 1) * sizes[0])
+    traction = pd.Traction(right, x=2.0, normal=(1.0, 0.0, 0.0)[: len(sizes)], distribution=distribution)
+    found, said = resultant(strip(pd.Arrays(x, volume), sizes, traction), tmp_path)
+    assert found == pytest.approx(2.0 * area, rel=1e-9)
+    assert said == pytest.approx(2.0 * area, rel=1e-12)
+
+
+def test_thickness_counts_once(tmp_path):
+    x, volume = grid((12, 6), (1.0, 0.5))
+    traction = pd.Traction(region.Slab("x", low=11.0), x=2.0, normal=(1.0, 0.0))
+    found, _ = resultant(strip(pd.Arrays(x, 0.1 * volume, thickness=0.1), (1.0, 0.5), traction), tmp_path)
+    assert found == pytest.approx(2.0 * 3.0 * 0.1, rel=1e-9)
+
+
+def test_only_free_faces_are_loaded():
+    lattice = pd.Lattice((0.0, 0.0), (6.0, 6.0), 1.0, cut=region.Sphere((3.0, 3.0), 1.2), fictitious={"-x": 2.0})
+    x = lattice.chunk(0, 1).x
+    area = lattice.faces(0, 1, np.array([1.0, 0.0]))
+    # The right side, and the two cells left of the hole that look into it.
+    assert area.sum() == pytest.approx(6.0 + 2.0)
+    assert np.all(x[area > 0.0, 0] > 1.0)
+    # The left side is that of the fictitious layer.
+    left = lattice.faces(0, 1, np.array([-1.0, 0.0]))
+    assert sorted(x[left > 0.0, 0]) == [-1.5] * 6 + [4.5] * 2
+    # A normal that is oblique sees the projection of both sides that look its way.
+    oblique = lattice.faces(0, 1, np.array([0.6, 0.8]))
+    assert oblique.sum() == pytest.approx(0.6 * 8.0 + 0.8 * (8.0 + 2.0))
+    parts = np.concatenate([lattice.faces(part, 5, np.array([0.6, 0.8])) for part in range(5)])
+    assert np.array_equal(parts, oblique)
+
+
+def test_a_lattice_of_arrays_has_the_faces_of_a_lattice(rng):
+    lattice = pd.Lattice((0.0, 1.0), (3.0, 4.0), 0.5, cut=region.Sphere((1.0, 2.0), 0.6), thickness=0.2)
+    chunk = lattice.chunk(0, 1)
+    order = rng.permutation(len(chunk.x))
+    arrays = pd.Arrays(chunk.x[order], chunk.volume[order], thickness=0.2)
+    for normal in ([1.0, 0.0], [0.0, -1.0], [-0.8, 0.6]):
+        normal = np.array(normal)
+        np.testing.assert_allclose(arrays.faces(0, 1, normal), lattice.faces(0, 1, normal)[order], rtol=1e-12)
+
+
+def test_two_layers_carry_the_load_of_one(tmp_path):
+    x, volume = grid((12, 6), (1.0, 1.0))
+    traction = pd.Traction(region.Slab("x", low=10.0), x=2.0, normal=(1.0, 0.0))
+    found, _ = resultant(strip(pd.Arrays(x, volume), (1.0, 1.0), traction), tmp_path)
+    assert found == pytest.approx(12.0, rel=1e-9)
+
+
+def test_a_face_of_which_nothing_is_known_is_refused(rng, tmp_path):
+    x, volume = grid((12, 6), (1.0, 1.0))
+    shaken = pd.Arrays(x + rng.uniform(-0.1, 0.1, x.shape), volume)
+    traction = pd.Traction(region.Slab("x", low=11.0), x=2.0, normal=(1.0, 0.0))
+    with pytest.raises(pd.CaseError, match="give the Traction the area of its face"):
+        resultant(strip(shaken, (1.2, 1.2), traction), tmp_path)
+    for distribution in ("layer", "consistent"):
+        given = pd.Traction(
+            region.Slab("x", low=10.8), x=2.0, normal=(1.0, 0.0), area=6.0, distribution=distribution
+        )  # fmt: skip
+        found, _ = resultant(strip(shaken, (1.2, 1.2), given), tmp_path)
+        assert found == pytest.approx(12.0, rel=1e-8)
+
+
+def test_a_region_without_a_free_face_is_refused(tmp_path):
+    x, volume = grid((12, 6), (1.0, 1.0))
+    inside = pd.Traction(region.Slab("x", 5.0, 6.0), x=2.0, normal=(1.0, 0.0))
+    with pytest.raises(pd.CaseError, match=r"no free face with normal \[1\.0, 0\.0\]"):
+        resultant(strip(pd.Arrays(x, volume), (1.0, 1.0), inside), tmp_path)
+
+
+def test_a_schedule_multiplies_a_function(tmp_path):
+    x, volume = grid((12, 6), (1.0, 1.0))
+    up_and_down = pd.Table([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])
+    load = pd.BodyForce(region.All(), x=lambda x, t: np.full(len(x), 3.0), schedule=up_and_down)
+    found, said = resultant(strip(pd.Arrays(x, volume), (1.0, 1.0), load), tmp_path)
+    assert found == pytest.approx(0.0, abs=1e-9)
+    assert said == pytest.approx(0.5 * 3.0 * 72.0)
+
+
+@pytest.mark.parametrize(
+    "function, sentence",
+    [
+        (lambda x, t: None, "fails with TypeError|is nan"),
+        (lambda x, t: np.full(len(x), np.nan), "is nan for 6 of 6 particles"),
+        (lambda x, t: np.zeros(3), "fails with ValueError"),
+        (lambda x, t: 1.0 / 0.0, "fails with ZeroDivisionError"),
+    ],
+)
+@pytest.mark.parametrize("kind", [pd.Displacement, pd.BodyForce])
+def test_a_function_that_gives_no_numbers_is_named(kind, function, sentence, tmp_path):
+    x, volume = grid((12, 6), (1.0, 1.0))
+    condition = kind(region.Slab("x", low=11.0), x=function)
+    with pytest.raises(pd.CaseError, match=f"the value of a {kind.__name__} condition {sentence}"):
+        pd.run(strip(pd.Arrays(x, volume), (1.0, 1.0), condition), output=tmp_path, quiet=True)
+
+
+def test_a_function_that_fails_on_the_way_leaves_what_was_computed(tmp_path):
+    x, volume = grid((12, 6), (1.0, 1.0))
+    pull = pd.Displacement(region.Slab("x", low=11.0), x=lambda x, t: np.full(len(x), np.nan if t == 0.75 else t))
+    case = strip(pd.Arrays(x, volume), (1.0, 1.0), pull)
+    with pytest.raises(pd.SolveError, match=r"At step time 0\.75 the value of a Displacement condition is nan"):
+        pd.run(pd.Case(**{**vars(case), "steps": pd.Steps(4)}), output=tmp_path, quiet=True)
+    assert len((tmp_path / "history.csv").read_text().splitlines()) == 4

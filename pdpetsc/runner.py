@@ -313,6 +313,7 @@ def _attempt(result: StepResult, unit: str) -> dict[str, Any]:
         "reason": result.reason,
         "norms": result.norms,
         "reference": result.reference,
+        "negative_pivots": result.negative_pivots,
         f"{unit.lower()}_iterations": result.iterations,
         "linear_iterations": result.linear_iterations,
     }

@@ -58,6 +58,7 @@ class Reporter:
         self.say(
             f"step {number:4d}  t = {t:<8.6g} {result.iterations:2d} {unit}{inner} iterations, residual {last:.1e}"
             f"{' (round-off floor)' if 'floor' in result.reason else ''}"
+            f"{f', UNSTABLE (negative pivots: {result.negative_pivots})' if result.negative_pivots else ''}"
             f"{f', {broken} bonds broke' if broken else ''}{f', damage held in {sweeps} sweeps' if sweeps else ''}"
         )
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
 
 from pdpetsc.errors import CaseError
+
+Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
 
 
 @dataclass(frozen=True)
@@ -20,17 +23,23 @@ class Steps:
     breaks : int, optional
         Bonds that break at once before equilibrium is sought again, the worst first. By default one, with those that
         tie with it, where bonds snap, and all that have lost their force where they soften.
+    unstable : {"warn", "shorten", "refuse"}
+        What becomes of an equilibrium whose tangent has negative pivots, as of a column loaded past its critical force,
+        where a factorisation tells. ``warn`` says so and goes on. ``shorten`` takes it as a step that failed, so that
+        the run ends within the smallest step of the critical load; ``refuse`` ends it there.
     """
 
     count: int = 1
     smallest: float | None = None
     breaks: int | None = None
+    unstable: Unstable = "warn"
 
     def __post_init__(self) -> None:
         if not (isinstance(self.count, int) and self.count >= 1):
             raise CaseError(f"Steps needs a positive whole number, not {self.count}.")
         if self.smallest is not None and not 0.0 < self.smallest <= 1.0 / self.count:
             raise CaseError(f"The smallest of {self.count} steps must lie in (0, 1/{self.count}], not {self.smallest}.")
+        _refuse_word(self.unstable)
 
     @property
     def first(self) -> float:
@@ -60,7 +69,7 @@ class AdaptiveSteps:
     ----------
     first, smallest, largest : float
         Step sizes as a share of the whole load.
-    breaks : int, optional
+    breaks, unstable
         As in ``Steps``.
     """
 
@@ -68,8 +77,10 @@ class AdaptiveSteps:
     smallest: float = 1e-4
     largest: float = 0.25
     breaks: int | None = None
+    unstable: Unstable = "warn"
 
     def __post_init__(self) -> None:
+        _refuse_word(self.unstable)
         if not 0.0 < self.smallest <= self.first <= self.largest <= 1.0:
             raise CaseError(
                 f"AdaptiveSteps needs 0 < smallest <= first <= largest <= 1, "
@@ -84,3 +95,10 @@ class AdaptiveSteps:
     def stops(self) -> list[float]:
         """Return the times that are met exactly."""
         return [1.0]
+
+
+def _refuse_word(unstable: str) -> None:
+    if unstable not in get_args(Unstable):
+        raise CaseError(
+            f"What becomes of unstable equilibria is one of {', '.join(get_args(Unstable))}, not {unstable!r}."
+        )

@@ -29,6 +29,9 @@ class StepResult:
         Krylov iterations of all Newton iterations.
     easy : bool
         Whether a longer load step is worth a try.
+    negative_pivots : int or None
+        Negative eigenvalues of the last tangent that was factored, 0 where equilibrium is stable under its loads; None
+        where there is no factor that tells.
     """
 
     converged: bool
@@ -38,6 +41,7 @@ class StepResult:
     iterations: int = 0
     linear_iterations: int = 0
     easy: bool = True
+    negative_pivots: int | None = None
 
 
 class Solver(ABC):

@@ -45,6 +45,9 @@ def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str
             "pc_factor_mat_solver_type": "mumps",
             "mat_mumps_icntl_14": 50,
         }
+        if model.symmetric and model.cloud.comm.size > 1:
+            # The last dense block is factored without ScaLAPACK, which does not count negative pivots.
+            defaults["mat_mumps_icntl_13"] = 1
         return defaults if model.failure is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if not (model.linear or model.failure is not None or isinstance(solver, PathFollowing)):

@@ -18,7 +18,7 @@ from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.bordered import Bordered
 from pdpetsc.solve.constraint import Constraint, opening_weights
 from pdpetsc.solve.equilibrium import Equilibrium, read_options
-from pdpetsc.solve.petsc import linear_solver, set_domain_error
+from pdpetsc.solve.petsc import linear_solver, negative_pivots, set_domain_error
 from pdpetsc.solve.steps import GENTLE, GROWTH, Converged, equilibrium, settle
 
 # Bonds whose stretch over the critical one is within this of the largest share the control, relatively.
@@ -184,6 +184,8 @@ class PathSolver(StepSolver):
         converged = reason > 0 and sought.reason != "" and sought.judge(values, self._rtol)
         self.load = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
+        if converged:
+            result = replace(result, negative_pivots=negative_pivots(self._bordered.ksp))
         return sought.at_prescribed(values), result
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:

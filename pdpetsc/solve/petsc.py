@@ -90,6 +90,26 @@ def set_up_failed(ksp: PETSc.KSP) -> bool:
     return failed.value != 0
 
 
+def negative_pivots(ksp: PETSc.KSP) -> int | None:
+    """Return how many pivots of a factorised symmetric matrix are negative: as many as it has negative eigenvalues.
+
+    None where there is no such factor, or its package does not count them (collective).
+    """
+    pc = ksp.getPC()
+    if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0:
+        return None
+    factor = pc.getFactorMatrix()
+    if pc.getFactorSolverType() == "mumps":
+        # PETSc's own question also wants to know the zero ones, for which MUMPS would have to look for null pivots.
+        whole = factor.getComm().size == 1 or factor.getMumpsIcntl(13) == 1
+        return int(factor.getMumpsInfog(12)) if whole else None
+    try:
+        negative, _, _ = factor.getInertia()
+    except PETSc.Error:
+        return None
+    return int(negative)
+
+
 def start_anew(ksp: PETSc.KSP) -> None:
     """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective).
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from petsc4py import PETSc
@@ -13,7 +14,15 @@ from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.equilibrium import Equilibrium, read_options
-from pdpetsc.solve.petsc import effort, full_steps, line_search, linear_solver, set_domain_error, start_anew
+from pdpetsc.solve.petsc import (
+    effort,
+    full_steps,
+    line_search,
+    linear_solver,
+    negative_pivots,
+    set_domain_error,
+    start_anew,
+)
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
@@ -91,7 +100,9 @@ class StaticSolver(StepSolver):
         reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
         converged = reason > 0 and sought.judge(found, self._rtol)
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
-        if not converged:
+        if converged:
+            result = replace(result, negative_pivots=negative_pivots(self.snes.getKSP()))
+        else:
             sought.prescribed = old_prescribed
             sought.tangent.forget()
         return sought.at_prescribed(found), result

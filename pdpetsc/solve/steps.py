@@ -89,6 +89,14 @@ def load_steps(
         ahead = next(s for s in stops if s > t + SAME_TIME)
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
         attempt, result, broken, sweeps = equilibrium(solver, steps.breaks, u, target, stop)
+        if result.converged and result.negative_pivots and steps.unstable != "warn":
+            result = replace(result, converged=False, reason=_unstable(result.negative_pivots))
+            if steps.unstable == "refuse":
+                solver.model.revert()
+                raise SolveError(
+                    f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
+                    f"the body to find the stable branch, or follow the path."
+                )
         if stop():
             solver.model.revert()
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
@@ -110,6 +118,10 @@ def load_steps(
                 f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "
                 f"{last:.3e} against {result.reference:.3e} after {result.iterations} iterations; {solver.advice}."
             )
+
+
+def _unstable(pivots: int) -> str:
+    return f"the equilibrium is unstable, with {pivots} negative pivot{'s' if pivots > 1 else ''}"
 
 
 def equilibrium(

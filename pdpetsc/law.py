@@ -57,6 +57,16 @@ class Law(ABC):
         self._kernels.energy(F, self.points, *self._inputs, psi)
         self._scale(psi)
 
+    def out_of_plane_stress(self, F: Float) -> Float:
+        """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 but in plane strain."""
+        if self.dim != 2 or self.material.plane == "stress":
+            return np.zeros(len(F))
+        return self._out_of_plane_stress(F) * (1.0 if self.factor is None else self.factor)
+
+    @abstractmethod
+    def _out_of_plane_stress(self, F: Float) -> Float:
+        """Return ``P_zz`` in plane strain without the factor (n,) [stress]."""
+
     @abstractmethod
     def commit(self, F: Float) -> None:
         """Take F as the converged state that the next step starts from."""
@@ -87,6 +97,10 @@ class ElasticLaw(Law):
 
     def __init__(self, material: ElasticMaterial, points: GlobalIndex, dim: int, factor: Float | None) -> None:
         super().__init__(material, material.kernels(dim), points, dim, factor)
+        self._out_of_plane = material.out_of_plane_stress
+
+    def _out_of_plane_stress(self, F: Float) -> Float:
+        return self._out_of_plane(F)
 
     def commit(self, F: Float) -> None:
         """Remember nothing: the stress depends on F alone."""
@@ -110,6 +124,10 @@ class HistoryLaw(Law):
         super().__init__(material, kernels, points, dim, factor, self._history)
         self._commit = kernels.commit
         self._plastic_strain = material.plastic_strain
+        self._out_of_plane = material.out_of_plane_stress
+
+    def _out_of_plane_stress(self, F: Float) -> Float:
+        return self._out_of_plane(F, self._history)
 
     def commit(self, F: Float) -> None:
         """Make the state at F the one that the next step starts from."""

@@ -119,6 +119,11 @@ class Solution:
             stress[a, b] = stress[b, a] = value
         return stress
 
+    @cached_property
+    def out_of_plane(self) -> tuple[Float, Float, Float]:
+        """Return stretch [-], P and Cauchy stress [stress] across a line or plane body, each (n_owned,)."""
+        return self.model.out_of_plane(self.unknowns)
+
     def select(self, region: Region) -> Any:
         """Return which own particles a region selects (n_owned,) bool."""
         return select(self.model.cloud, region, "a quantity of interest")
@@ -156,6 +161,29 @@ def first_piola_stress(solution: Solution) -> Float:
     return solution.model.first_piola_stress(solution.unknowns)
 
 
+def in_space(field: Field) -> Field:
+    """Return a field as files hold it: tensors of a line or plane body with what they are across it (n, 3, 3).
+
+    Others are as they are.
+    """
+    across = _ACROSS.get(field)
+    if across is None:
+        return field
+
+    def whole(solution: Solution) -> Float:
+        inside = field(solution)
+        dim = solution.model.dim
+        if dim == 3:
+            return inside
+        tensor = np.zeros((len(inside), 3, 3))
+        tensor[:, :dim, :dim] = inside
+        for axis in range(dim, 3):
+            tensor[:, axis, axis] = solution.out_of_plane[across]
+        return tensor
+
+    return whole
+
+
 def energy_density(solution: Solution) -> Float:
     """Return the strain energy density, the mean over the points of each particle (n_owned,) [energy / volume]."""
     return solution.model.energy_density(solution.unknowns)
@@ -179,3 +207,7 @@ def local_damage(solution: Solution) -> Float:
     Silling, Askari (2005), Eq. (29), with the bonds weighted by their stiffness.
     """
     return solution.model.local_damage()
+
+
+# Which of the numbers across a line or plane body completes a tensor.
+_ACROSS: dict[Field, int] = {deformation_gradient: 0, first_piola_stress: 1, stress: 2}

@@ -116,3 +116,31 @@ def test_plane_stress_and_bar_are_the_solid_with_free_sides(rng):
 def test_constants_out_of_range_are_refused(values):
     with pytest.raises(pd.CaseError, match="Hencky"):
         pd.Hencky(**values)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_stress_across_the_plane_is_that_of_the_solid(name, rng):
+    material = MATERIALS[name]
+    F = gradients(2, rng)
+    solid = np.tile(np.eye(3), (len(F), 1, 1))
+    solid[:, :2, :2] = F
+    P = evaluate(material.kernels(3).stress, solid, material.constants(3), (3, 3))
+    assert np.allclose(material.out_of_plane_stress(F), P[:, 2, 2], atol=1e-12 * material.E, rtol=1e-12)
+
+
+def test_plastic_stress_across_the_plane_is_that_of_the_solid(rng):
+    material = pd.J2(E=10.0, nu=0.3, yield_stress=0.3, hardening=1.0)
+    solid_history = material.initial_history(3, 20)
+    history = material.initial_history(2, 20)
+    kernels, solid_kernels = material.history_kernels(2), material.history_kernels(3)
+    every = np.arange(20)
+    for _ in range(4):
+        F = np.eye(2) + 0.1 * rng.standard_normal((20, 2, 2))
+        solid = np.tile(np.eye(3), (20, 1, 1))
+        solid[:, :2, :2] = F
+        P = np.empty((20, 3, 3))
+        solid_kernels.stress(solid, every, material.constants(3), solid_history, P)
+        assert np.allclose(material.out_of_plane_stress(F, history), P[:, 2, 2], atol=1e-10)
+        kernels.commit(F, every, material.constants(2), history)
+        solid_kernels.commit(solid, every, material.constants(3), solid_history)
+    assert material.plastic_strain(history).min() > 0.0

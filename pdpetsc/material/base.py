@@ -110,6 +110,17 @@ class Material(ABC):
 class ElasticMaterial(Material):
     """A material whose stress depends on F alone."""
 
+    def out_of_plane_stress(self, F: Float) -> Float:
+        """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
+        return self.lame(2)[0] * self.volumetric_strain(F)
+
+    @abstractmethod
+    def volumetric_strain(self, F: Float) -> Float:
+        """Return the trace of the strain measure of the law (n,) [-], whose other directions have no strain.
+
+        In plane strain ``P_zz`` is lambda times it, because the strain across the plane vanishes.
+        """
+
     @abstractmethod
     def kernels(self, dim: int) -> PointKernels:
         """Return the compiled loops for dimension ``dim``."""
@@ -126,6 +137,10 @@ class HistoryMaterial(Material):
     @abstractmethod
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the compiled loops for dimension ``dim``."""
+
+    @abstractmethod
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
 
     @abstractmethod
     def plastic_strain(self, history: Float) -> Float:

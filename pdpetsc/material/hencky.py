@@ -30,6 +30,10 @@ class Hencky(ElasticMaterial):
         """Return the compiled loops for dimension ``dim``."""
         return _kernels(dim)
 
+    def volumetric_strain(self, F: Float) -> Float:
+        """Return ``ln J``."""
+        return np.asarray(np.log(np.linalg.det(F)))
+
     def thickness_stretch(self, F: Float) -> Float:
         """Return ``exp(-c ln det F)``: the hidden logarithmic strain of the linear law."""
         stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])

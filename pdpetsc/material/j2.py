@@ -70,6 +70,12 @@ class J2(HistoryMaterial):
         """Return the compiled loops for dimension ``dim``."""
         return _kernels(dim)
 
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``tau_zz`` after the return (n,) [stress]: ``F_zz`` is 1."""
+        P = np.empty(len(F))
+        _out_of_plane(F, self.constants(2), history, P)
+        return P
+
     def plastic_strain(self, history: Float) -> Float:
         """Return the accumulated plastic strain alpha (n,) [-]."""
         return history[:, -1]
@@ -135,6 +141,17 @@ def _return(strain, alpha, constants, dim, tau, flow):  # type: ignore[no-untype
         strain[a] = mean + theta * (strain[a] - mean)
         tau[a] = lam * trace + 2.0 * mu * strain[a]
     return theta, theta_bar, d_alpha
+
+
+@compiled
+def _out_of_plane(F, constants, history, P):  # type: ignore[no-untyped-def]
+    """Write the stress across the plane of every point of a body in plane strain."""
+    E, C, N, n = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
+    stretch, strain, tau, flow = np.empty(2), np.empty(3), np.empty(3), np.empty(3)
+    for p in range(len(F)):
+        _trial(F[p], history[p], 2, E, C, stretch, N, n, strain)
+        _return(strain, history[p, 5], constants, 2, tau, flow)
+        P[p] = tau[2]
 
 
 @lru_cache

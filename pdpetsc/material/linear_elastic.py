@@ -26,6 +26,10 @@ class LinearElastic(ElasticMaterial):
         """Return the compiled loops for dimension ``dim``."""
         return _kernels(dim)
 
+    def volumetric_strain(self, F: Float) -> Float:
+        """Return ``tr eps``."""
+        return np.asarray(np.einsum("pii->p", F) - F.shape[-1])
+
     def thickness_stretch(self, F: Float) -> Float:
         """Return ``1 + eps_lateral``, twice for a bar, to first order."""
         dim = F.shape[-1]

@@ -39,6 +39,10 @@ class NeoHookean(ElasticMaterial):
         hidden = 2 if dim == 1 else int(dim == 2 and self.plane == "stress")
         return np.array([*self.lame(3), hidden])
 
+    def volumetric_strain(self, F: Float) -> Float:
+        """Return ``ln J``."""
+        return np.asarray(np.log(np.linalg.det(F)))
+
     def thickness_stretch(self, F: Float) -> Float:
         """Return ``b^h``."""
         lam, mu, hidden = self.constants(F.shape[-1])

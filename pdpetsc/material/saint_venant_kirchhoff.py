@@ -28,6 +28,10 @@ class SaintVenantKirchhoff(ElasticMaterial):
         """Return the compiled loops for dimension ``dim``."""
         return _kernels(dim)
 
+    def volumetric_strain(self, F: Float) -> Float:
+        """Return ``tr E``."""
+        return np.asarray(0.5 * (np.einsum("pij,pij->p", F, F) - F.shape[-1]))
+
     def thickness_stretch(self, F: Float) -> Float:
         """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, twice for a bar."""
         dim = F.shape[-1]

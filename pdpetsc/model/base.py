@@ -260,6 +260,13 @@ class Model(ABC):
         """Return the Cauchy stress of the own particles (n_owned, dim, dim) [stress]; P where the body is linear."""
 
     @abstractmethod
+    def out_of_plane(self, u: Float) -> tuple[Float, Float, Float]:
+        """Return what a line or plane body does across itself: stretch [-], P and Cauchy stress [stress], (n_owned,).
+
+        All three are those of one direction; a line has two equal ones.
+        """
+
+    @abstractmethod
     def energy_density(self, u: Float) -> Float:
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
 

@@ -218,6 +218,20 @@ class BondModel(Model):
         J = np.linalg.det(F) * stretch[self._material_of, np.arange(len(F))]
         return np.asarray(np.einsum("pik,pjk->pij", P, F) / J[:, None, None])
 
+    def out_of_plane(self, u: Float) -> tuple[Float, Float, Float]:
+        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,), of small strain across it.
+
+        In plane strain the stress is Poisson's ratio times the trace of that in the plane.
+        """
+        here = np.arange(self.cloud.n_owned)
+        F = self.deformation_gradient(u)
+        across = np.array([elastic.thickness_stretch(F) for elastic in self._elastic])[self._material_of, here]
+        strained = [elastic.nu if self.dim == 2 and elastic.plane == "strain" else 0.0 for elastic in self._elastic]
+        ratio = np.array(strained)[self._material_of]
+        P, sigma = self.first_piola_stress(u), self.cauchy_stress(u)
+        traces = [ratio * np.einsum("pii->p", stress) for stress in (P, sigma)]
+        return np.sqrt(across) if self.dim == 1 else across, traces[0], traces[1]
+
     def energy_density(self, u: Float) -> Float:
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
         e = self.elongation(self.with_ghosts(u))

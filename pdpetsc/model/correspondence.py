@@ -226,11 +226,24 @@ class CorrespondenceModel(Model):
 
     def first_piola_stress(self, u: Float) -> Float:
         """Return the mean of P over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self._mean(self.stress(self.deformation(self.with_ghosts(u))))
+        return self.mean_stress(self.stress(self.deformation(self.with_ghosts(u))))
 
     def cauchy_stress(self, u: Float) -> Float:
         """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self._mean(self.cauchy(self.deformation(self.with_ghosts(u))))
+        return self.mean_stress(self.cauchy(self.deformation(self.with_ghosts(u))))
+
+    def out_of_plane(self, u: Float) -> tuple[Float, Float, Float]:
+        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""
+        F = self.deformation(self.with_ghosts(u))
+        stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
+        for law in self.laws:
+            part = F[law.points]
+            across = law.material.thickness_stretch(part)
+            stretch[law.points] = np.sqrt(across) if self.dim == 1 else across
+            P[law.points] = law.out_of_plane_stress(part)
+            current = 1.0 if law.material.linear else stretch[law.points] / (np.linalg.det(part) * across)
+            sigma[law.points] = P[law.points] * current
+        return self._mean(stretch), self.mean_stress(P), self.mean_stress(sigma)
 
     def energy_density(self, u: Float) -> Float:
         """Return the mean of psi over the points of each own particle (n_owned,) [energy / volume]."""
@@ -242,6 +255,10 @@ class CorrespondenceModel(Model):
         for law in self.laws:
             alpha[law.points] = law.plastic_strain()
         return self._mean(alpha)
+
+    def mean_stress(self, stress: Float) -> Float:
+        """Return the stress of the own particles (n_owned, ...) from that of their points (not collective)."""
+        return self._mean(stress)
 
     def _mean(self, values: Float) -> Float:
         return self.operator.mean_over_points(values, self.cloud.n_owned)

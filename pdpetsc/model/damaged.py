@@ -149,20 +149,14 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         whole = np.bincount(centres, volume, n)
         return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
 
-    def first_piola_stress(self, u: Float) -> Float:
-        """Return the mean of ``T_p P_p`` over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self._scaled(self.stress(self.deformation(self.with_ghosts(u))))
-
-    def cauchy_stress(self, u: Float) -> Float:
-        """Return the mean of ``T_p sigma_p`` over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self._scaled(self.cauchy(self.deformation(self.with_ghosts(u))))
+    def mean_stress(self, stress: Float) -> Float:
+        """Return the mean of ``T_p`` times the stress over the points of each own particle (not collective)."""
+        T = self._at_points(self.failure.integrity)
+        return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
 
     def assembler(self) -> Assembler:
         """Return what fills the tangent matrix (collective)."""
         return DamagedAssembler(self)
-
-    def _scaled(self, stress: Float) -> Float:
-        return self._mean(stress * self._at_points(self.failure.integrity)[:, None, None])
 
     def _at_points(self, T: Float) -> Float:
         """Return the mean integrity of the bonds of every point (n_points,)."""

@@ -14,7 +14,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import OutputError
 from pdpetsc.output.files import InCreationOrder, on_several_nodes, replacing, reserve
-from pdpetsc.solution import Field, Solution
+from pdpetsc.solution import Field, Solution, in_space
 
 # Room for the headers of a group or dataset [bytes].
 HEADERS = 2**14
@@ -76,7 +76,7 @@ class FieldWriter:
 
     def write(self, solution: Solution) -> None:
         """Append one step."""
-        values = {field.__name__: field(solution) for field in self._fields}
+        values = {field.__name__: in_space(field)(solution) for field in self._fields}
         group = f"step_{solution.step:05d}"
         widths = self._store(group, values, solution.t)
         self._steps.append((solution.step, solution.t, widths))

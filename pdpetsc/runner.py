@@ -291,6 +291,13 @@ class _Run:
         ]
         for name, t, force in loading.resultants:
             self.report.say(f"{name}: resultant {' '.join(f'{f:.6g}' for f in force)} at step time {t:g}")
+        cut = loading.held_at_cut_families()
+        self.summary["held_at_cut_families"] = cut
+        if cut:
+            self.report.say(
+                f"note: {cut} particles are held at a face that cuts their families; stresses within two horizons of "
+                f"it are those of no continuum, hold a layer two horizons deep where they matter"
+            )
 
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:

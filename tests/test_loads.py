@@ -2,6 +2,7 @@
 
 import json
 
+import h5py
 import numpy as np
 import pytest
 
@@ -153,3 +154,33 @@ def test_a_function_that_fails_on_the_way_leaves_what_was_computed(tmp_path):
     with pytest.raises(pd.SolveError, match=r"At step time 0\.75 the value of a Displacement condition is nan"):
         pd.run(pd.Case(**{**vars(case), "steps": pd.Steps(4)}), output=tmp_path, quiet=True)
     assert len((tmp_path / "history.csv").read_text().splitlines()) == 4
+
+
+def test_supports_that_cut_families_are_counted(tmp_path):
+    """The outermost held column is named; one that is two horizons deep, with all its neighbours held, is not."""
+
+    def held(depth):
+        x, volume = grid((16, 6), (1.0, 1.0))
+        ends = [region.Slab("x", high=depth), region.Slab("x", low=16.0 - depth)]
+        return pd.Case(
+            particles=pd.Arrays(x, volume),
+            horizon=1.015,
+            material=pd.LinearElastic(E=E),
+            conditions=[
+                *(pd.Displacement(end, x=lambda x, t: 0.01 * t * x[:, 0]) for end in ends),
+                pd.Displacement(region.Nearest((0.5, 2.5)), y=0.0),
+            ],
+            fields=[pd.stress],
+        )
+
+    found = {}
+    for depth in (1.0, 3.0):
+        pd.run(held(depth), output=tmp_path, quiet=True)
+        summary = json.loads((tmp_path / "summary.json").read_text())
+        with h5py.File(tmp_path / "fields.h5") as file:
+            stress = np.asarray(file["step_00001/stress"])[:, 0].reshape(16, 6)
+        found[depth] = summary["held_at_cut_families"], stress[0, 2] / stress[8, 2], np.abs(stress[3:-3] / 10.0 - 1.0)
+    assert found[1.0][0] == 12
+    assert found[1.0][1] == pytest.approx(2.0 / 3.0, rel=1e-3)
+    assert found[3.0][0] == 0
+    assert found[3.0][2].max() < 1e-9

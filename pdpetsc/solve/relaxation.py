@@ -20,6 +20,8 @@ SAFETY = 0.9
 RENEWED = 2000
 # Norms are kept at this rate, and signals looked for.
 KEPT = 100
+# Where a body is unloaded, its residual is judged by this share of the largest forces that it has borne.
+UNLOADED = 1e-3
 
 
 class RelaxationSolver(StepSolver):
@@ -27,6 +29,8 @@ class RelaxationSolver(StepSolver):
 
     The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle, and never
     above 0.9 of the critical one, ``2 / omega_max``, with the largest frequency of ``M^-1 K`` from power iterations.
+    It is at rest where residual and change of displacement have fallen to the tolerance times their first values, and
+    the residual also to the tolerance times the norm of external forces and reactions.
     The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step with the
     diagonal stiffness that two successive residuals show.
 
@@ -57,6 +61,7 @@ class RelaxationSolver(StepSolver):
         whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
         self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])[:, None]
         self._courant = _courant_step(model)
+        self._largest = 0.0
 
     @property
     def matrix_bytes(self) -> int:
@@ -119,7 +124,9 @@ class RelaxationSolver(StepSolver):
             if not np.isfinite(sums[2]):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
             tolerance = self._options.tolerance
-            if np.sqrt(sums[4]) <= tolerance * density and moving <= tolerance * first_change:
+            self._largest = max(self._largest, reference)
+            balanced = np.sqrt(sums[2]) <= tolerance * max(reference, UNLOADED * self._largest)
+            if balanced and np.sqrt(sums[4]) <= tolerance * density and moving <= tolerance * first_change:
                 norms.append(float(np.sqrt(sums[2])))
                 return moved, StepResult(True, "at rest", norms, reference, iteration)
         norms.append(float(np.sqrt(sums[2])))

@@ -314,10 +314,7 @@ def test_directions_are_consistent(rng):
             bonds.append(S[m, : m + 1], E[m], k[m], 1.0, 1.0, -rng.uniform(0.0, 0.2) if m % 2 else 0.0)
         bonds.elongation[:] = 1.0
         bonds.failing = list(range(r))
-        try:
-            found = find_direction(bonds, [])
-        except pd.SolveError:
-            continue
+        found = find_direction(bonds, [])
         out = [m for m in range(r) if m not in found.failing]
         assert np.all(found.force[found.failing] < 0.0)
         assert np.all(found.elongation[out] <= 1e-9)

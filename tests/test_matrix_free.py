@@ -1,5 +1,9 @@
 """The tangent without a matrix: the matrix of nearest neighbours beside it, and runs with and without assembly."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -8,12 +12,11 @@ from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.model import NearAssembler
 from pdpetsc.solve.jacobian import choose
-from tests.commands import results, run
+from tests.commands import ROOT, results, run
 from tests.scenes import (
     DIMS,
     NOT_AFFINE,
     SCHEMES,
-    STABILISATIONS,
     bodies,
     body,
     bond_bodies,
@@ -127,16 +130,49 @@ def test_any_preconditioner_can_be_made_of_the_nearest_neighbours(tmp_path):
         assert f"pc {options[1]}" in found.stdout
 
 
-def test_forces_are_the_same_with_the_exchange_behind_the_work(rng):
-    """In parts, with ghosts in between, or all at once."""
-    assert world().size == 1
-    for name, scheme in SCHEMES.items():
-        model = body(2, scheme, STABILISATIONS["silling"], rng=rng)
-        du = rng.standard_normal(model.cloud.x.shape)
-        tangent = model.linearised(np.zeros_like(du))
-        whole = np.zeros_like(du)
-        tangent.forces(du, whole, model.families.everyone)
-        assert np.allclose(tangent(du), whole, atol=1e-13 * np.abs(whole).max()), name
+def test_forces_are_the_same_with_the_exchange_behind_the_work(tmp_path):
+    """In parts, with ghosts that arrive in between, or all at once after they have; on 2 and 3 ranks."""
+    script = tmp_path / "behind.py"
+    script.write_text(BEHIND)
+    for ranks in (2, 3):
+        words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, str(script)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        finished = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300, check=False)
+        assert finished.returncode == 0, finished.stderr
+        found = [line.split() for line in finished.stdout.splitlines() if line.startswith("scheme")]
+        assert {name for _, name, _, _ in found} == set(SCHEMES)
+        assert all(int(ghosts) > 0 and float(off) < 1e-13 for _, _, ghosts, off in found), found
+
+
+BEHIND = """
+import numpy as np
+import pdpetsc as pd
+from tests.scenes import SCHEMES
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import is_root, largest, total, world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.model import CorrespondenceModel
+chunk = pd.Lattice((0.0, 0.0), (9.0, 7.0), 1.0).chunk(world().rank, world().size)
+cloud = distribute(world(), chunk.x, chunk.volume, chunk.sets, 2.015)
+families = find_families(cloud)
+n = cloud.n_owned
+omega, material_of = np.ones(len(families.neighbours)), np.zeros(n, dtype=np.int32)
+material = [pd.Hencky(E=10.0, nu=0.3)]
+for name, scheme in SCHEMES.items():
+    model = CorrespondenceModel(cloud, families, omega, scheme, material, material_of, pd.Silling(0.5))
+    # The same numbers by global id on any rank count.
+    du = np.sin(1.0 + 12.9898 * cloud.gid[:n, None] + 78.233 * np.arange(2))
+    tangent = model.linearised(np.zeros_like(du))
+    behind = np.array(tangent(du))
+    local = np.array(model.with_ghosts(du))
+    f = np.zeros_like(local)
+    tangent.forces(local, f, model.families.everyone)
+    whole = np.array(model.gather(f))
+    off = largest(world(), float(np.abs(behind - whole).max())) / largest(world(), float(np.abs(whole).max()))
+    ghosts = int(total(world(), cloud.n_ghost))
+    if is_root(world()):
+        print("scheme", name, ghosts, off)
+"""
 
 
 def test_particles_in_random_order_are_put_near_their_neighbours(rng):

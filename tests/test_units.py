@@ -33,6 +33,13 @@ CASES = {
     "notched bar": ("localisation/notched_bar.py", "steps=4"),
     "notched beam along its path": ("fracture/notched_beam.py", "n=8", "horizon=2.015", "end=0.06"),
     "bond by bond": ("localisation/cell_2d.py", "n=6"),
+    "bond by bond in one dimension": ("localisation/periodic_cell.py", "n=20"),
+    "centre crack": ("fracture/centre_crack.py", "n=10", "law=linear", "solver=path"),
+    "edge crack": ("fracture/edge_crack.py", "n=8", "solver=path"),
+    "double cantilever": ("fracture/double_cantilever.py", "n=6", "opening=1", "solver=path"),
+    "L-shaped panel": ("fracture/l_panel.py", "n=10", "end=0.06"),
+    "box that can break": ("bench/box.py", "n=5", "breakable=true", "strain=0.02"),
+    "bonds in finite stretch": ("bonds/tension_bar.py", "dim=2", "n=6"),
 }
 # Above 1e20 and below 1e-20. Powers of two change no digit, so that not even round-off may differ.
 LARGE, SMALL = 2.0**67, 2.0**-67
@@ -74,7 +81,12 @@ def refuse_other_history(found, expected):
         np.testing.assert_allclose(*relative, rtol=1e-3, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", CASES)
+LONG = ("centre crack", "double cantilever")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name in LONG else name for name in CASES]
+)
 def test_newton_history_does_not_depend_on_units(name, tmp_path):
     case, options = declared(name)
     expected = steps_of(in_units(case, 1.0, 1.0), options, tmp_path / "plain")

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
@@ -82,7 +83,7 @@ class BondStiffness:
 
 
 @dataclass(frozen=True)
-class BondMaterial(ABC):
+class BondMaterial(Declared, ABC):
     """A material whose forces act along bonds.
 
     Parameters
@@ -104,6 +105,7 @@ class BondMaterial(ABC):
     kinematics: Literal["small", "finite"] = "small"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         name = type(self).__name__
         if self.kinematics not in ("small", "finite"):
             raise CaseError(f'{name} takes kinematics="small" or "finite", not {self.kinematics!r}.')

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
@@ -110,7 +111,7 @@ class GradientOperator:
 
 
 @dataclass(frozen=True)
-class Scheme(ABC):
+class Scheme(Declared, ABC):
     """A correspondence scheme."""
 
     @abstractmethod

@@ -49,6 +49,7 @@ class BondAssociated(Scheme):
     radius: float = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.radius) and self.radius > 0.0):
             raise CaseError(f"The radius of a bond's family is a positive number of horizons, not {self.radius}.")
 

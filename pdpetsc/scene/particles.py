@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region, View
 
@@ -26,7 +27,7 @@ class Chunk:
     sets: Mapping[str, Mask]
 
 
-class Particles(ABC):
+class Particles(Declared, ABC):
     """A cloud of particles that can be created in parts."""
 
     thickness: float

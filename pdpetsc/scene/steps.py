@@ -4,11 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
+
+# Steps are numbered with five digits in the files, and are to end some day.
+MOST_STEPS = 99_999
+# A shorter step is lost in the rounding of the step time.
+LEAST_STEP = 1e-8
+
+
+def refuse_breaks(breaks: int | None) -> None:
+    """Raise CaseError unless at least one bond may break at once."""
+    if breaks is not None and breaks < 1:
+        raise CaseError(f"breaks is a number of bonds from 1 on, not {breaks}.")
 
 
 @dataclass(frozen=True)
-class Steps:
+class Steps(Declared):
     """Equal load steps; one that does not converge is halved, and grown back after easy ones.
 
     Parameters
@@ -27,10 +39,15 @@ class Steps:
     breaks: int | None = None
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.count, int) and self.count >= 1):
-            raise CaseError(f"Steps needs a positive whole number, not {self.count}.")
-        if self.smallest is not None and not 0.0 < self.smallest <= 1.0 / self.count:
-            raise CaseError(f"The smallest of {self.count} steps must lie in (0, 1/{self.count}], not {self.smallest}.")
+        super().__post_init__()
+        if not 1 <= self.count <= MOST_STEPS:
+            raise CaseError(f"Steps takes between 1 and {MOST_STEPS} steps, not {self.count}.")
+        if self.smallest is not None and not LEAST_STEP <= self.smallest <= 1.0 / self.count:
+            raise CaseError(
+                f"The smallest of {self.count} steps must lie between {LEAST_STEP:g} and 1/{self.count}, "
+                f"not {self.smallest}."
+            )
+        refuse_breaks(self.breaks)
 
     @property
     def first(self) -> float:
@@ -53,7 +70,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class AdaptiveSteps:
+class AdaptiveSteps(Declared):
     """Load steps that grow by half after an easy step and are halved after a failure.
 
     Parameters
@@ -70,11 +87,13 @@ class AdaptiveSteps:
     breaks: int | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.smallest <= self.first <= self.largest <= 1.0:
+        super().__post_init__()
+        if not LEAST_STEP <= self.smallest <= self.first <= self.largest <= 1.0:
             raise CaseError(
-                f"AdaptiveSteps needs 0 < smallest <= first <= largest <= 1, "
+                f"AdaptiveSteps needs {LEAST_STEP:g} <= smallest <= first <= largest <= 1, "
                 f"not {self.smallest}, {self.first}, {self.largest}."
             )
+        refuse_breaks(self.breaks)
 
     @property
     def least(self) -> float:

@@ -13,6 +13,7 @@ from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, law_of
 from pdpetsc.damage import ConstantCritical, LinearSoftening
+from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
@@ -21,6 +22,7 @@ from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
 from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model, NearAssembler
+from pdpetsc.scene.influence import evaluate
 from pdpetsc.scene.particles import Chunk
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
@@ -29,7 +31,7 @@ from pdpetsc.solve.pairs import rehearse_pairs
 def make_cloud(comm: Comm, case: Case) -> Cloud:
     """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
     with agreed(comm):
-        chunk = case.particles.chunk(comm.rank, comm.size)
+        chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
         _refuse_bad_particles(chunk)
     if int(total(comm, len(chunk.x))) == 0:
         raise CaseError("The case has no particles.")
@@ -79,7 +81,8 @@ def _model(
     material_of: LocalIndex, factor: Float | None,
 ) -> Model:  # fmt: skip
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    omega: Float = case.influence(length / cloud.horizon)
+    with agreed(cloud.comm):
+        omega = evaluate(case.influence, length / cloud.horizon)
     if case.of_bonds:
         bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
         bond_materials = cast(Sequence[BondMaterial], materials)
@@ -129,7 +132,7 @@ def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial],
 
 
 def _factors(material: Graded, x: Float) -> Float:
-    values = np.asarray(material.factor(x), dtype=float)
+    values = numbers_from("factor of a graded material", material.factor, x)
     if values.shape != (len(x),):
         raise CaseError(
             f"The factor of a graded material must return one number per particle, not shape {values.shape}."

@@ -42,6 +42,32 @@ class Particles(Declared, ABC):
             The source is missing or malformed.
         """
 
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the area of the free faces of each particle of the part, projected along an outward unit normal.
+
+        The sum over the free facets f of ``max(0, a_f . n)`` with their outward vector areas ``a_f``.
+
+        Parameters
+        ----------
+        part, parts : int
+            As for ``chunk``.
+        normal : (dim,) float64
+            Outward unit normal.
+
+        Returns
+        -------
+        (n,) float64
+            [area; length times thickness in the plane; the cross-section on a line].
+
+        Raises
+        ------
+        CaseError
+            The particles do not know their faces.
+        """
+        raise CaseError(
+            f"Particles of {type(self).__name__} do not know their faces; give the Traction the area of its face."
+        )
+
 
 @dataclass(frozen=True)
 class Lattice(Particles):

@@ -242,16 +242,18 @@ def _without_constant(x: Float, at_least: int = 1) -> Float:
 def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tuple[Float, Float]:
     volumes, centroids = [], []
     for block in blocks:
-        volume, moment = volumes_and_moments(points, block)
-        box = np.prod(np.ptp(points[block.corners], axis=1), axis=1)
-        none = np.flatnonzero(~(np.abs(volume) > NO_VOLUME * box))
+        with np.errstate(all="ignore"):
+            volume, moment = volumes_and_moments(points, block)
+            box = np.prod(np.ptp(points[block.corners], axis=1), axis=1)
+            x = moment / volume[:, None]
+            none = np.flatnonzero(~((np.abs(volume) > NO_VOLUME * box) & np.isfinite(x).all(axis=1)))
         if len(none):
             raise CaseError(
                 f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "
                 f"{points[block.corners[none[0]]].mean(axis=0)}."
             )
         volumes.append(np.abs(volume))
-        centroids.append(moment / volume[:, None])
+        centroids.append(x)
     return np.concatenate(volumes), np.concatenate(centroids)
 
 

@@ -9,6 +9,7 @@ import contextlib
 import io
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from pdpetsc.scene.cells import CORNERS, Block, MeshData
 
 # A reader may take this long, and this much longer for every byte [s].
 START, PER_BYTE = 20.0, 2e-5
+# It may take this much memory, and this much more for every byte: one damaged number asks for more than there is.
+ROOM, ROOM_PER_BYTE = 2**30, 100
 # Nodes of cells that are hexahedra and quadrilaterals in another order.
 _REORDERED = {"pixel": ("quad", [0, 1, 3, 2]), "voxel": ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
 
@@ -50,15 +53,28 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
         )
     if not path.is_file():
         raise CaseError(f"Cannot read the mesh {path}: file not found.")
-    seconds = START + PER_BYTE * path.stat().st_size
+    size = path.stat().st_size
+    seconds = START + PER_BYTE * size
     try:
         # meshio ends the process on some files that it cannot read, and prints its warnings.
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()), within(seconds):
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+            warnings.catch_warnings(),
+            room(ROOM + ROOM_PER_BYTE * size),
+            within(seconds),
+        ):
+            # What numpy warns of it leaves out, and a mesh without its last numbers is another mesh.
+            warnings.filterwarnings("error", message="string or file could not be read to its end")
             mesh = FORMATS[word][1](path)
             _check(mesh)
             return mesh
     except _TooLong:
         raise CaseError(f"Cannot read the mesh {path} as {word}: it took more than {seconds:.0f} s.") from None
+    except MemoryError:
+        raise CaseError(
+            f"Cannot read the mesh {path} as {word}: its {size} bytes ask for far more memory than a mesh of that size."
+        ) from None
     except RecursionError:
         raise CaseError(f"Cannot read the mesh {path} as {word}: it is nested too deeply.") from None
     except (Exception, SystemExit) as error:
@@ -89,6 +105,28 @@ def within(seconds: float) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, handler)
         signal.setitimer(signal.ITIMER_REAL, *timer)
+
+
+@contextlib.contextmanager
+def room(size: int) -> Iterator[None]:
+    """Refuse memory beyond what the process has and ``size`` bytes more; without effect where that is not known."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        limit = pages * resource.getpagesize() + size
+    except (ImportError, OSError, ValueError):
+        yield
+        return
+    if soft != resource.RLIM_INFINITY and soft <= limit:
+        yield
+        return
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _check(mesh: MeshData) -> None:

@@ -17,6 +17,7 @@ from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
+from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
@@ -30,12 +31,24 @@ from pdpetsc.solve.pairs import rehearse_pairs
 
 def make_cloud(comm: Comm, case: Case) -> Cloud:
     """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
+    refuse_beyond_memory(comm, case.particles.estimate() / comm.size * PER_PARTICLE, "Making the particles")
     with agreed(comm):
         chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
         _refuse_bad_particles(chunk)
-    if int(total(comm, len(chunk.x))) == 0:
+    count = int(total(comm, len(chunk.x)))
+    if count == 0:
         raise CaseError("The case has no particles.")
+    _refuse_large_families(comm, case, chunk.x, count)
     return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell)
+
+
+def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None:
+    """Raise on all ranks where families are so large that they cannot be held (collective)."""
+    bonds = predicted_bonds(comm, x, case.horizon, case.cell)
+    family, dim = bonds / count, x.shape[1]
+    each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
+    what = f"A horizon of {case.horizon:g} gives {count} particles about {family:.4g} neighbours each, which"
+    refuse_beyond_memory(comm, bonds * each / comm.size, what)
 
 
 def make_model(case: Case, cloud: Cloud, families: Families) -> Model:

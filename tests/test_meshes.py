@@ -1,5 +1,6 @@
 """Particles from meshes and text clouds: formats, sets, faces, damaged files."""
 
+import contextlib
 import itertools
 import time
 
@@ -318,7 +319,7 @@ def test_headers_name_the_columns_of_text_clouds(tmp_path):
             assert volume.tolist() == [0.5, 0.25, 0.5]
             assert sets["block_2"].tolist() == [False, True, True]
         else:
-            with pytest.raises(pd.CaseError, match="block 0.5 in row 1"):
+            with pytest.raises(pd.CaseError, match=r"block 0\.5 in row 1"):
                 whole(pd.TextFile(path))
     path.write_text("# x y volume block\n0 0 0.5 1\n1 1 0.25 2\n")
     assert whole(pd.TextFile(path))[1].tolist() == [0.5, 0.25]
@@ -417,10 +418,8 @@ def test_damaged_meshes_end_as_meshes_or_as_sentences(tmp_path, rng, monkeypatch
 def test_a_reader_that_does_not_end_is_interrupted(tmp_path, monkeypatch):
     def endless(path):
         while True:
-            try:
+            with contextlib.suppress(Exception):
                 time.sleep(0.01)
-            except Exception:
-                pass
 
     monkeypatch.setitem(formats.FORMATS, "gmsh", ((".msh",), endless))
     monkeypatch.setattr(formats, "START", 0.2)

@@ -114,6 +114,10 @@ class GradientOperator:
 class Scheme(Declared, ABC):
     """A correspondence scheme."""
 
+    def memory(self, dim: int, family: float) -> float:
+        """Return what each bond takes at least while the operator is built, in families of a size [bytes]."""
+        return 40.0
+
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator for influence ``omega`` (n_bonds,) [-].

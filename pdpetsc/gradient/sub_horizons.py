@@ -47,6 +47,10 @@ class SubHorizons(Scheme):
         if self.sectors is not None and not 2 <= self.sectors <= MOST_SECTORS:
             raise CaseError(f"Sub-horizons are between 2 and {MOST_SECTORS} sectors, not {self.sectors}.")
 
+    def memory(self, dim: int, family: float) -> float:
+        """Return the shares of a bond in all sectors [bytes]."""
+        return 40.0 * (1 + (2**dim if self.sectors is None else self.sectors))
+
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where no sector of a family gives a gradient."""
         xi = families.bonds(cloud.x)

@@ -42,6 +42,10 @@ class Particles(Declared, ABC):
             The source is missing or malformed.
         """
 
+    def estimate(self) -> int:
+        """Return how many particles are made at most, before any is; 0 where that is not known."""
+        return 0
+
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the area of the free faces of each particle of the part, projected along an outward unit normal.
 
@@ -122,6 +126,14 @@ class Lattice(Particles):
     def dim(self) -> int:
         """Return the number of coordinates."""
         return len(np.atleast_1d(np.asarray(self.low, float)))
+
+    def estimate(self) -> int:
+        """Return the number of cells, cut out or not."""
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        real = ((high - low) / self.spacing).tolist()
+        return math.prod(
+            round(n) + self._layers("-" + axis) + self._layers("+" + axis) for axis, n in zip("xyz", real, strict=False)
+        )
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""

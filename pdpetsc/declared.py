@@ -118,6 +118,8 @@ def _hints(kind: Any) -> dict[str, Any]:
 def _fits(value: object, hint: Any) -> bool:
     """Return whether a value is of an annotated type; what this does not know fits."""
     origin, arguments = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return True
     if hint is None or hint is type(None):
         return value is None
     if hint is float:

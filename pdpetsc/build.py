@@ -13,14 +13,17 @@ from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, law_of
 from pdpetsc.damage import ConstantCritical, LinearSoftening
+from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
+from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.loading import select
 from pdpetsc.material import Graded, Material
 from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model, NearAssembler
+from pdpetsc.scene.influence import evaluate
 from pdpetsc.scene.particles import Chunk
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
@@ -28,16 +31,33 @@ from pdpetsc.solve.pairs import rehearse_pairs
 
 def make_cloud(comm: Comm, case: Case) -> Cloud:
     """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
+    refuse_beyond_memory(comm, case.particles.estimate() / comm.size * PER_PARTICLE, "Making the particles")
     with agreed(comm):
-        chunk = case.particles.chunk(comm.rank, comm.size)
+        chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
         _refuse_bad_particles(chunk)
-    if int(total(comm, len(chunk.x))) == 0:
+    count = int(total(comm, len(chunk.x)))
+    if count == 0:
         raise CaseError("The case has no particles.")
+    _refuse_large_families(comm, case, chunk.x, count)
     return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell)
+
+
+def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None:
+    """Raise on all ranks where families are so large that they cannot be held (collective)."""
+    bonds = predicted_bonds(comm, x, case.horizon, case.cell)
+    family, dim = bonds / count, x.shape[1]
+    each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
+    what = f"A horizon of {case.horizon:g} gives {count} particles about {family:.4g} neighbours each, which"
+    refuse_beyond_memory(comm, bonds * each / comm.size, what)
 
 
 def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     """Return the model of a case on a distributed cloud (collective)."""
+    if int(total(cloud.comm, len(families.neighbours))) == 0:
+        raise CaseError(
+            f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
+            f"cracks cut less."
+        )
     materials, material_of, factor = _materials(case, cloud)
     return _model(case, cloud, families, materials, material_of, factor)
 
@@ -79,7 +99,8 @@ def _model(
     material_of: LocalIndex, factor: Float | None,
 ) -> Model:  # fmt: skip
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    omega: Float = case.influence(length / cloud.horizon)
+    with agreed(cloud.comm):
+        omega = evaluate(case.influence, length / cloud.horizon)
     if case.of_bonds:
         bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
         bond_materials = cast(Sequence[BondMaterial], materials)
@@ -129,7 +150,7 @@ def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial],
 
 
 def _factors(material: Graded, x: Float) -> Float:
-    values = np.asarray(material.factor(x), dtype=float)
+    values = numbers_from("factor of a graded material", material.factor, x)
     if values.shape != (len(x),):
         raise CaseError(
             f"The factor of a graded material must return one number per particle, not shape {values.shape}."

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from pdpetsc.arrays import Float
 from pdpetsc.bond_based import BondMaterial
 from pdpetsc.damage import BondDamage
+from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, SubHorizons
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
-from pdpetsc.quantities import Quantity
+from pdpetsc.quantities import Quantity, refuse_component
 from pdpetsc.scene.cell import Cell
 from pdpetsc.scene.conditions import Condition
 from pdpetsc.scene.cracks import Crack
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import All, Region
-from pdpetsc.scene.solver import AnySolver, Newton
+from pdpetsc.scene.solver import AnySolver, Newton, Opening
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solution import Field, displacement, stress
+from pdpetsc.solution import Field, Solution, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
 
 AnyMaterial: TypeAlias = Material | BondMaterial | Graded
+# What stands between the columns of the history, and in quotes.
+_NOT_IN_NAMES = set(",;\"'")
+# What a table or file of a run has anyway.
+_COLUMNS, _ATTRIBUTES = {"step", "t"}, {"volume"}
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
 
 
@@ -34,8 +41,18 @@ def law_of(material: AnyMaterial) -> Material | BondMaterial:
     return material.material if isinstance(material, Graded) else material
 
 
+def _named(name: str, function: Field) -> Field:
+    """Return a field under a name of the case's choice."""
+
+    def field(solution: Solution) -> Float:
+        return function(solution)
+
+    field.__name__ = name
+    return field
+
+
 @dataclass(frozen=True)
-class Case:
+class Case(Declared):
     """A scene: a body, what is done to it and what is asked.
 
     Parameters
@@ -66,11 +83,12 @@ class Case:
     solver : Newton, DynamicRelaxation, EventDriven or PathFollowing
         How equilibrium is found.
     history : mapping of str to Quantity
-        Numbers written per step.
+        Numbers written per step; names have no comma, semicolon or quote.
     results : callable, optional
         Gets the history as lists per name and returns the named scalar results of the run.
-    fields : sequence of Field
-        What is written per step; empty for no file of fields.
+    fields : sequence of Field, or mapping of str to Field
+        What is written per step; empty for no file of fields. The names are those of the functions, or the mapping's:
+        different words of letters, digits and underscores.
     checkpoints : int
         A checkpoint every so many steps, and where the run ends, also by a signal or a failure; 0 for none.
     picture : Picture, optional
@@ -93,7 +111,7 @@ class Case:
     solver: AnySolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
-    fields: Sequence[Field] = (displacement, stress)
+    fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress)
     checkpoints: int = 1
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -115,7 +133,15 @@ class Case:
         """Return the scheme of a body with deformation gradients."""
         return SubHorizons() if self.scheme is None else self.scheme
 
+    @property
+    def written(self) -> list[Field]:
+        """Return the fields with their names as ``__name__``."""
+        if isinstance(self.fields, Mapping):
+            return [_named(name, function) for name, function in self.fields.items()]
+        return list(self.fields)
+
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.horizon) and self.horizon > 0.0):
             raise CaseError(f"The horizon must be positive, not {self.horizon}.")
         spacing = getattr(self.particles, "spacing", 0.0)
@@ -123,10 +149,39 @@ class Case:
             raise CaseError(f"The horizon {self.horizon:g} is below the spacing {spacing:g}; families would be empty.")
         if self.checkpoints < 0:
             raise CaseError(f"Case takes checkpoints >= 0, not {self.checkpoints}.")
+        if not self.materials:
+            raise CaseError("Case takes at least one material.")
         self._check_formulation()
-        clash = {"step", "t"} & set(self.history)
+        self._check_names()
+
+    def _check_names(self) -> None:
+        clash = _COLUMNS & set(self.history)
         if clash:
             raise CaseError(f"The history cannot have a quantity named {clash.pop()!r}; step and t are always there.")
+        for name in self.history:
+            if not name.strip() or name != name.strip() or not name.isprintable() or _NOT_IN_NAMES & set(name):
+                raise CaseError(
+                    f"A quantity of the history cannot be named {shown(name)}: names are columns of a table, without "
+                    f"commas, semicolons, quotes, line ends and outer blanks."
+                )
+        for name, value in self.options.items():
+            if not name or name.startswith("-") or len(name.split()) != 1:
+                raise CaseError(f"An option of PETSc is one word without dash in front, not {name!r}.")
+            if not (value is None or isinstance(value, str | numbers.Real)):
+                raise CaseError(f"The option {name} takes a string, a number or None, not {shown(value)}.")
+        shown_too = [] if self.picture is None else [displacement, self.picture.field]
+        written = self.written
+        named: dict[str, Field] = {}
+        for function in [*written, *(f for f in shown_too if f not in written)]:
+            name = name_of(function) if hasattr(function, "__name__") else ""
+            if not name.isidentifier():
+                raise CaseError(
+                    f"A field has no name that a file could hold ({name or shown(function)}); define it with def, or "
+                    f"give the fields as a mapping of names to functions."
+                )
+            if name in named or name in _ATTRIBUTES:
+                raise CaseError(f"Two fields are named {name!r}, or files have it anyway; give one another name.")
+            named[name] = function
 
     def _check_formulation(self) -> None:
         if self.of_bonds:
@@ -135,3 +190,31 @@ class Case:
             for name, given in (("scheme", self.scheme), ("stabilisation", self.stabilisation)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
+
+
+def check_declared(case: Case, dim: int) -> None:
+    """Raise CaseError where a body of ``dim`` dimensions lacks what the case asks to see.
+
+    Parameters
+    ----------
+    case : Case
+        What is declared: components of picture and history.
+    dim : int
+        Number of coordinates of the particles.
+
+    Notes
+    -----
+    Not collective: call it on every rank, before anything is written.
+    """
+    if case.picture is not None:
+        refuse_component("A Picture", case.picture.field, case.picture.component, dim)
+    for name, quantity in case.history.items():
+        try:
+            quantity.check(dim)
+        except CaseError as error:
+            raise CaseError(f"Quantity {name!r} of the history: {error}") from None
+    control = getattr(case.solver, "control", None)
+    if isinstance(control, Opening) and control.component not in "xyz"[:dim]:
+        raise CaseError(f"An Opening in component {control.component} is none of a body in {dim}D.")
+    if case.cell is not None and case.cell.dim != dim:
+        raise CaseError(f"The Cell has {case.cell.dim} coordinates, the particles {dim}.")

@@ -8,20 +8,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import Declared, name_of, numbers_from
+from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import All, Nearest, Region
-from pdpetsc.solution import Field, Solution, local_damage, reaction
+from pdpetsc.solution import (
+    Field,
+    Solution,
+    deformation_gradient,
+    displacement,
+    energy_density,
+    first_piola_stress,
+    local_damage,
+    plastic_strain,
+    reaction,
+    stress,
+)
 
 EVERYWHERE = All()
+# How many letters a component of the fields of pdpetsc has; those of a user's field are known when it is evaluated.
+_LETTERS: dict[Field, int] = {
+    **dict.fromkeys((energy_density, local_damage, plastic_strain), 0),
+    **dict.fromkeys((displacement, reaction), 1),
+    **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
+}
 
 
-class Quantity(ABC):
+class Quantity(Declared, ABC):
     """A number that follows from a converged step."""
 
     @abstractmethod
     def evaluate(self, solution: Solution) -> float:
         """Return the value (collective)."""
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where a body of ``dim`` dimensions lacks what is asked for; nothing is computed."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +63,14 @@ class Mean(Quantity):
     field: Field
     component: str = ""
     region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(3)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A Mean", self.field, self.component, dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the mean."""
@@ -63,6 +93,14 @@ class Reaction(Quantity):
     component: str
     region: Region = EVERYWHERE
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(3)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A Reaction", reaction, self.component, dim)
+
     def evaluate(self, solution: Solution) -> float:
         """Return the sum."""
         mask = solution.select(self.region)
@@ -75,6 +113,14 @@ class CellStrain(Quantity):
 
     component: str
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(3)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A CellStrain", stress, self.component, dim)
+
     def evaluate(self, solution: Solution) -> float:
         """Return the component."""
         a, b = _axes(solution, self.component)
@@ -86,6 +132,14 @@ class CellStress(Quantity):
     """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress]."""
 
     component: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(3)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A CellStress", stress, self.component, dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the component."""
@@ -153,11 +207,21 @@ class CrackTip(Quantity):
     damage: float = 0.3
     region: Region = EVERYWHERE
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        size = np.linalg.norm(np.asarray(self.direction, dtype=float))
+        if not (np.isfinite(size) and size > 0.0):
+            raise CaseError(f"A CrackTip needs a direction that is not zero, not {self.direction}.")
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the direction is one of another body."""
+        if len(self.direction) != dim:
+            raise CaseError(f"The direction of a CrackTip has {dim} numbers, not {self.direction}.")
+
     def evaluate(self, solution: Solution) -> float:
         """Return the coordinate along the direction [length]; that of the end behind where nothing has cracked."""
+        self.check(solution.x.shape[1])
         axis = np.asarray(self.direction, dtype=float)
-        if axis.shape != (solution.x.shape[1],) or not np.linalg.norm(axis) > 0.0:
-            raise CaseError(f"The direction of a CrackTip has {solution.x.shape[1]} numbers, not {self.direction}.")
         along = solution.x @ (axis / np.linalg.norm(axis))
         cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
         behind = -solution.largest(float((-along).max(initial=-np.inf)))
@@ -180,6 +244,14 @@ class Largest(Quantity):
     field: Field
     component: str = ""
     region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(3)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A Largest", self.field, self.component, dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the maximum."""
@@ -212,12 +284,14 @@ class RelativeError(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        exact = np.asarray(self.reference(solution.x[mask], solution.t)).reshape(int(mask.sum()), -1)
-        found = self.field(solution)[mask].reshape(exact.shape)
+        found = self.field(solution)[mask].reshape(int(mask.sum()), -1)
+        exact = _reference(solution, self.reference, mask, found.shape)
         size = np.linalg.norm(exact, axis=1)
         weight = np.where(size > 0.0, solution.volume[mask], 0.0)
         error = np.linalg.norm(found - exact, axis=1) / np.where(size > 0.0, size, 1.0)
         moment, volume = solution.sum([weight @ error, weight.sum()])
+        if not volume > 0.0:
+            raise CaseError("A RelativeError needs a reference that is not zero everywhere in its region.")
         return float(moment / volume)
 
 
@@ -232,9 +306,37 @@ class LargestError(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        exact = np.asarray(self.reference(solution.x[mask], solution.t))
-        difference = np.abs(self.field(solution)[mask] - exact)
+        found = self.field(solution)[mask].reshape(int(mask.sum()), -1)
+        difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))
         return solution.largest(float(difference.max(initial=0.0)))
+
+
+def _reference(
+    solution: Solution, function: Callable[[Float, float], Float], mask: Mask, shape: tuple[int, ...]
+) -> Float:
+    """Return the values of a reference function (n, width) where the mask is true (collective)."""
+    with agreed(solution.model.cloud.comm):
+        values = numbers_from("reference", function, solution.x[mask], solution.t)
+        if values.size != np.prod(shape) or len(np.atleast_1d(values)) != shape[0]:
+            raise CaseError(
+                f"The reference {name_of(function)} must return {shape[1]} numbers for each of {shape[0]} particles, "
+                f"not shape {values.shape}."
+            )
+        return values.reshape(shape)
+
+
+def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:
+    """Raise CaseError where a field of a body of ``dim`` dimensions has no such component."""
+    letters = "xyz"[:dim]
+    # A field may be an object that cannot be looked up by its hash.
+    ours = [number for known, number in _LETTERS.items() if known is field]
+    wanted = ours[0] if ours else min(len(component), 2)
+    if len(component) == wanted and set(component) <= set(letters):
+        return
+    known = f"{wanted} of {', '.join(letters)}" if wanted else "none"
+    if not ours:
+        known = f"none, one or two of {', '.join(letters)}"
+    raise CaseError(f"{who} of {name_of(field)} in {dim}D takes {known} as component, not {component!r}.")
 
 
 def _axes(solution: Solution, name: str) -> tuple[int, int]:

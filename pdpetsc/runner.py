@@ -232,7 +232,7 @@ class _Run:
 
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""
-        wanted = list(self.case.fields)
+        wanted = self.case.written
         if self.case.picture is not None:
             wanted += [f for f in (displacement, self.case.picture.field) if f not in wanted]
         return wanted

@@ -141,7 +141,7 @@ def test_abaqus_element_and_node_sets_become_sets(tmp_path):
     path.write_text(
         "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 1, 1, 0\n4, 0, 1, 0\n5, 2, 0, 0\n6, 2, 1, 0\n"
         "*ELEMENT, TYPE=CPS4, ELSET=left\n1, 1, 2, 3, 4\n*ELEMENT, TYPE=CPS4, ELSET=right\n2, 2, 5, 6, 3\n"
-        "*NSET, NSET=held\n1, 2, 3, 4\n"
+        "*NSET, NSET=held\n1, 4\n"
     )
     x, _, sets = whole(pd.Mesh(path))
     assert x.tolist() == [[0.5, 0.5], [1.5, 0.5]]

@@ -11,11 +11,12 @@ import numpy as np
 from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.linear_elastic import LinearElastic
-from pdpetsc.scene.influence import Influence
+from pdpetsc.scene.influence import Influence, evaluate
 
 # Points of the quadrature of a moment of the influence function on each half of the horizon.
 QUADRATURE = 40
@@ -55,7 +56,7 @@ class Neighbourhood:
         surface = {1: 2.0, 2: 2.0 * np.pi, 3: 4.0 * np.pi}[dim]
         points, weights = roots_legendre(QUADRATURE)
         s = np.concatenate([0.25 * (points + 1.0), 0.25 * (points + 3.0)])
-        values = self.influence(s) * s ** (power + dim - 1) * np.tile(0.25 * weights, 2)
+        values = evaluate(self.influence, s) * s ** (power + dim - 1) * np.tile(0.25 * weights, 2)
         return float(surface * self.thickness * horizon ** (power + dim) * values.sum())
 
 
@@ -82,7 +83,7 @@ class BondStiffness:
 
 
 @dataclass(frozen=True)
-class BondMaterial(ABC):
+class BondMaterial(Declared, ABC):
     """A material whose forces act along bonds.
 
     Parameters
@@ -104,6 +105,7 @@ class BondMaterial(ABC):
     kinematics: Literal["small", "finite"] = "small"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         name = type(self).__name__
         if self.kinematics not in ("small", "finite"):
             raise CaseError(f'{name} takes kinematics="small" or "finite", not {self.kinematics!r}.')

@@ -11,6 +11,7 @@ from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.critical import CriticalStretch
+from pdpetsc.declared import Declared, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region
 
@@ -19,7 +20,7 @@ QUADRATURE = 40
 
 
 @dataclass(frozen=True)
-class BondDamage(ABC):
+class BondDamage(Declared, ABC):
     """A bond keeps its force up to its critical stretch and loses it beyond; what it has lost it does not regain.
 
     Its state is the integrity ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the largest
@@ -40,8 +41,10 @@ class BondDamage(ABC):
     def __post_init__(self) -> None:
         if not isinstance(self.critical, CriticalStretch):
             raise CaseError(
-                f"{type(self).__name__} needs a critical stretch such as ConstantCritical(0.01), not {self.critical!r}."
+                f"{type(self).__name__} needs a critical stretch such as ConstantCritical(0.01), "
+                f"not {shown(self.critical)}."
             )
+        super().__post_init__()
 
     @property
     def onset(self) -> float:

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared, numbers_from
 from pdpetsc.errors import CaseError
 
 
-class CriticalStretch(ABC):
+class CriticalStretch(Declared, ABC):
     """The stretch at which a bond fails."""
 
     @abstractmethod
@@ -36,6 +37,7 @@ class ConstantCritical(CriticalStretch):
     value: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.value) and self.value > 0.0):
             raise CaseError(f"A critical stretch must be positive, not {self.value}.")
 
@@ -63,7 +65,10 @@ class LinearCritical(CriticalStretch):
     length: float
 
     def __post_init__(self) -> None:
-        if not (min(self.start, self.end) >= 0.0 and max(self.start, self.end) > 0.0 and self.length > 0.0):
+        super().__post_init__()
+        if not (min(self.start, self.end) >= 0.0 and max(self.start, self.end) > 0.0 and self.length > 0.0) or not (
+            math.isfinite(self.start + self.end + self.length)
+        ):
             raise CaseError(
                 f"A linear critical stretch needs values that are not negative and a positive length, "
                 f"not {self.start}, {self.end} and {self.length}."
@@ -82,7 +87,7 @@ class CriticalFunction(CriticalStretch):
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return what the function returns."""
-        values = np.asarray(self.function(length, middle), dtype=float)
+        values = numbers_from("critical stretch", self.function, length, middle)
         if values.shape != length.shape:
             raise CaseError(
                 f"The critical stretch must be one number per bond, {length.shape}, the function gave {values.shape}."
@@ -106,6 +111,7 @@ class FractureEnergy(CriticalStretch):
     Gc: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.Gc) and self.Gc > 0.0):
             raise CaseError(f"A fracture energy must be positive, not {self.Gc}.")
 

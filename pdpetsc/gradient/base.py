@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
@@ -110,8 +111,12 @@ class GradientOperator:
 
 
 @dataclass(frozen=True)
-class Scheme(ABC):
+class Scheme(Declared, ABC):
     """A correspondence scheme."""
+
+    def memory(self, dim: int, family: float) -> float:
+        """Return what each bond takes at least while the operator is built, in families of a size [bytes]."""
+        return 40.0
 
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:

@@ -11,7 +11,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Scheme, from_bond_weights, refuse_flat
-from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, conditioning_note, largest_gain, solve
+from pdpetsc.gradient.moments import GAIN, MET, MOST_ORDER, Conditions, blocks, conditioning_note, largest_gain, solve
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,9 @@ class Corrected(Scheme):
     order: int = 2
 
     def __post_init__(self) -> None:
-        if self.order < 1:
-            raise CaseError(f"The order of a corrected gradient is at least 1, not {self.order}.")
+        super().__post_init__()
+        if not 1 <= self.order <= MOST_ORDER:
+            raise CaseError(f"The order of a corrected gradient lies between 1 and {MOST_ORDER}, not {self.order}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""

@@ -18,7 +18,7 @@ from pdpetsc.gradient.base import (
     regular_shape_tensors,
     whole_families,
 )
-from pdpetsc.gradient.moments import GAIN, MET, Conditions, blocks, conditioning_note, largest_gain, solve
+from pdpetsc.gradient.moments import GAIN, MET, MOST_ORDER, Conditions, blocks, conditioning_note, largest_gain, solve
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,9 @@ class HigherOrder(Scheme):
     order: int = 3
 
     def __post_init__(self) -> None:
-        if self.order < 1:
-            raise CaseError(f"The order of higher-order weights is at least 1, not {self.order}.")
+        super().__post_init__()
+        if not 1 <= self.order <= MOST_ORDER:
+            raise CaseError(f"The order of higher-order weights lies between 1 and {MOST_ORDER}, not {self.order}.")
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""

@@ -18,6 +18,8 @@ MET = 1e-8
 # A gradient is refused where it could exceed the largest relative displacement by more than this over the horizon: its
 # weights then nearly cancel, as for a family with hardly more bonds than conditions.
 GAIN = 20.0
+# Degrees beyond it cannot be told apart in double precision, and their moment matrices never end.
+MOST_ORDER = 12
 # Entries of the moment matrices that are held at once.
 BLOCK = 2**22
 

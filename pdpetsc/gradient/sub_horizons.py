@@ -15,6 +15,8 @@ from pdpetsc.gradient.sectors import sector_operator
 
 # A bond this close to a border, as a share of a sector or of the horizon, lies on it.
 ON_BORDER = 1e-8
+# A family has a few hundred bonds; each sector takes a row of shares of them all.
+MOST_SECTORS = 256
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,15 @@ class SubHorizons(Scheme):
     """
 
     sectors: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sectors is not None and not 2 <= self.sectors <= MOST_SECTORS:
+            raise CaseError(f"Sub-horizons are between 2 and {MOST_SECTORS} sectors, not {self.sectors}.")
+
+    def memory(self, dim: int, family: float) -> float:
+        """Return the shares of a bond in all sectors [bytes]."""
+        return 40.0 * (1 + (2**dim if self.sectors is None else self.sectors))
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where no sector of a family gives a gradient."""

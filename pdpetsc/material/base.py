@@ -11,6 +11,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 
@@ -40,7 +41,7 @@ class HistoryKernels(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Material(ABC):
+class Material(Declared, ABC):
     """An isotropic material.
 
     Parameters
@@ -65,6 +66,7 @@ class Material(ABC):
     linear: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         name = type(self).__name__
         if not (math.isfinite(self.E) and self.E > 0.0):
             raise CaseError(f"{name} needs a positive Young's modulus E, not {self.E}.")

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared, shown
+from pdpetsc.errors import CaseError
 from pdpetsc.material.base import Material
 
 if TYPE_CHECKING:
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Graded:
+class Graded(Declared):
     """A material with all moduli times a factor that depends on the reference position.
 
     Parameters
@@ -27,3 +29,13 @@ class Graded:
 
     material: Material | BondMaterial
     factor: Callable[[Float], Float]
+
+    def __post_init__(self) -> None:
+        # Materials of bonds know this module, so their type is looked up here and not from the annotation.
+        from pdpetsc.bond_based import BondMaterial
+
+        super().__post_init__()
+        if not isinstance(self.material, Material | BondMaterial):
+            raise CaseError(f"Graded takes a Material or a BondMaterial as material, not {shown(self.material)}.")
+        if not callable(self.factor) or isinstance(self.factor, type):
+            raise CaseError(f"Graded takes a function as factor, not {shown(self.factor)}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,9 @@ import h5py
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
+from pdpetsc.quantities import refuse_component
 from pdpetsc.solution import Field, stress
 
 # Particles drawn at most; of a larger cloud every n-th.
@@ -18,7 +21,7 @@ MOST = 200_000
 
 
 @dataclass(frozen=True)
-class Picture:
+class Picture(Declared):
     """The deformed body coloured by a field component, in ``picture.png``; a bar is drawn as a curve.
 
     Parameters
@@ -34,6 +37,12 @@ class Picture:
     field: Field = stress
     component: str = "xx"
     scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A Picture", self.field, self.component)
+        if not math.isfinite(self.scale):
+            raise CaseError(f"A Picture needs a finite scale, not {self.scale}.")
 
 
 def draw(folder: Path, picture: Picture, title: str) -> Path:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 
 @dataclass(frozen=True)
-class Cell:
+class Cell(Declared):
     """A cell that repeats in some directions.
 
     A particle and its images move alike but for the mean strain of the cell, which ``MeanStrain`` prescribes, or which
@@ -31,6 +32,7 @@ class Cell:
     axes: str | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         low, high = self._corners()
         if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
             raise CaseError("The corners low and high of a Cell need the same 1, 2 or 3 coordinates.")

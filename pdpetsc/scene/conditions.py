@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.scene.region import Region
 from pdpetsc.scene.schedule import Hold, Ramp, Schedule
@@ -20,7 +21,7 @@ Value: TypeAlias = float | Callable[[Float, float], Float]
 
 
 @dataclass(frozen=True)
-class _Vector:
+class _Vector(Declared):
     region: Region
     x: Value | None = None
     y: Value | None = None
@@ -149,7 +150,7 @@ def Pressure(
 
 
 @dataclass(frozen=True)
-class _Tensor:
+class _Tensor(Declared):
     xx: float | None = None
     yy: float | None = None
     zz: float | None = None

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 # A bond that ends this close to a crack, as a share of its length, counts as crossing it.
 TOUCHING = 1e-9
 
 
-class Crack(ABC):
+class Crack(Declared, ABC):
     """A surface without forces across it from the start."""
 
     @abstractmethod
@@ -87,6 +88,11 @@ class Disc(Crack):
     centre: Sequence[float]
     normal: Sequence[float]
     radius: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.radius > 0.0:
+            raise CaseError(f"A crack Disc needs a positive radius, not {self.radius}.")
 
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return which bonds cross the disc."""

@@ -5,35 +5,27 @@ Every rank reads the file and keeps its own part; only while reading does it hol
 
 from __future__ import annotations
 
-import contextlib
-import io
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
+from pdpetsc.scene.cells import Block, MeshData, facet_keys, facets, owners, volumes_and_moments
+from pdpetsc.scene.choice import choose
+from pdpetsc.scene.formats import FORMATS, read_mesh
 from pdpetsc.scene.particles import Arrays, Chunk, Particles
 
-# Simplices that a cell falls into, by its corner nodes; the first node is shared, so curved nodes are left out.
-_SIMPLICES: dict[str, list[tuple[int, ...]]] = {
-    "line": [(0, 1)],
-    "triangle": [(0, 1, 2)],
-    "quad": [(0, 1, 2), (0, 2, 3)],
-    "tetra": [(0, 1, 2, 3)],
-    "pyramid": [(0, 1, 2, 4), (0, 2, 3, 4)],
-    "wedge": [(0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3)],
-    "hexahedron": [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)],
-}
-_HIGHER_ORDER = {
-    "line3": "line", "triangle6": "triangle", "triangle7": "triangle", "quad8": "quad", "quad9": "quad",
-    "tetra10": "tetra", "hexahedron20": "hexahedron", "hexahedron27": "hexahedron", "wedge15": "wedge",
-    "pyramid13": "pyramid",
-}  # fmt: skip
+# What the columns of a text cloud are called; PeriLab says block_id.
+_COLUMNS = {"x": "x", "y": "y", "z": "z", "block": "block", "block_id": "block", "volume": "volume"}
+# A cell whose volume is below this share of that of the box around it has none.
+NO_VOLUME = 1e-10
 
 
 @dataclass(frozen=True)
@@ -43,8 +35,10 @@ class TextFile(Particles):
     Parameters
     ----------
     path : str or Path
-        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. A plane cloud may
-        have three coordinates, of which the last is constant. Block ``b`` becomes the set ``block_b``.
+        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. A first line such
+        as ``header: x y block_id volume``, or a comment of these words, says what the columns are: they may then stand
+        in any order, and there may be others in a ``header:``, which are left out. A plane cloud may have three
+        coordinates, of which the last is constant. Block ``b`` becomes the set ``block_b``.
     node_sets : mapping of str to str or Path
         Files with particle numbers, counted from 1 in the order of the file; each becomes a set.
     thickness : float
@@ -55,88 +49,186 @@ class TextFile(Particles):
     node_sets: Mapping[str, str | Path] = field(default_factory=dict)
     thickness: float = 1.0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_thickness("TextFile", self.thickness)
+
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the file."""
         return self._arrays().chunk(part, parts)
 
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return what Arrays of the same particles return."""
+        return self._arrays().faces(part, parts, normal)
+
     def _arrays(self) -> Arrays:
-        table = _table(Path(self.path), float)
-        if table.ndim != 2 or not 3 <= table.shape[1] <= 5:
-            raise CaseError(f"{self.path} needs lines of 1 to 3 coordinates, a block number and a volume.")
-        sets = {f"block_{block:g}": table[:, -2] == block for block in np.unique(table[:, -2])}
-        for name, path in self.node_sets.items():
-            members = np.ravel(_table(Path(path), int)).astype(np.int64) - 1
+        path = Path(self.path)
+        lines = _lines(path)
+        names, start = _header(path, lines)
+        table = _table(path, lines[start:], float)
+        x, block, volume = _columns(path, names, table)
+        wrong = np.flatnonzero(~(np.isfinite(block) & (block == np.round(block))))
+        if len(wrong):
+            raise CaseError(
+                f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, and blocks are whole numbers; if the "
+                f"columns are not x y z block volume, name them in a first line 'header: x y z block_id volume'."
+            )
+        sets = {f"block_{int(b)}": block == b for b in np.unique(block)}
+        for name, file in self.node_sets.items():
+            rows = _lines(Path(file))
+            first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
+            members = np.ravel(_table(Path(file), rows[first:], int)).astype(np.int64) - 1
             if len(members) and (members.min() < 0 or members.max() >= len(table)):
-                raise CaseError(f"{path} names particles outside 1 to {len(table)}.")
+                raise CaseError(f"{file} names particles outside 1 to {len(table)}.")
             flags = np.zeros(len(table), dtype=bool)
             flags[members] = True
             sets[name] = flags
-        return Arrays(_without_constant(table[:, :-2]), table[:, -1], sets, self.thickness)
+        return Arrays(_without_constant(x), volume, sets, self.thickness)
 
 
 @dataclass(frozen=True)
 class Mesh(Particles):
-    """One particle per cell of a mesh, at the cell's centroid and with its volume.
+    """One particle per cell of a mesh, at the cell's centroid and with its volume between straight edges.
+
+    The cells of the highest dimension count. What the file names becomes named sets:
+
+    - cell sets, element blocks and physical groups, unnamed ones as ``group_n``;
+    - side sets, surfaces, and groups of boundary lines and faces: the cells that own these facets, unnamed ones as
+      ``side_set_n`` or ``facets_n``;
+    - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``. Where a name is taken by cells or
+      facets already, ``name nodes``.
 
     Parameters
     ----------
     path : str or Path
-        Any format meshio reads (Gmsh, Abaqus, Exodus, VTK, ...). The cells of the highest dimension count. Physical
-        groups and cell sets become named sets, unnamed groups ``group_n``, and the node sets of a mesh the sets of the
-        cells with all corners in them.
+        A mesh of Gmsh (``.msh``), Abaqus (``.inp``), Exodus (``.e``, ``.exo``, ``.ex2``, ``.g``, ``.gen``), VTK
+        (``.vtk``, ``.vtu``), Nastran (``.bdf``, ``.nas``, ``.fem``), XDMF (``.xdmf``) or MED (``.med``).
     thickness : float
         Out-of-plane thickness of a plane mesh [length], or cross-section of a line mesh [length^2].
+    format : str, optional
+        ``"gmsh"``, ``"abaqus"``, ``"exodus"``, ``"vtk"``, ``"vtu"``, ``"nastran"``, ``"xdmf"`` or ``"med"``; by the
+        ending of the file where absent.
     """
 
     path: str | Path
     thickness: float = 1.0
+    format: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_thickness("Mesh", self.thickness)
+        if self.format is not None:
+            choose("The format of a Mesh", self.format, FORMATS)
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the cells."""
-        return self._arrays().chunk(part, parts)
+        mesh, points, blocks = self._cells()
+        volume, x = _volumes_and_centroids(Path(self.path), points, blocks)
+        volume *= self._depth(points)
+        return Arrays(x, volume, _sets(mesh, points, blocks), self.thickness).chunk(part, parts)
 
-    def _arrays(self) -> Arrays:
-        mesh = _read_mesh(Path(self.path))
-        kinds = [_HIGHER_ORDER.get(block.type, block.type) for block in mesh.cells]
-        dims = [len(_SIMPLICES[kind][0]) - 1 if kind in _SIMPLICES else 0 for kind in kinds]
-        dim = max(dims, default=0)
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
+        count, cell, area = _surface(self, _version(Path(self.path)))
+        rows = slice(part * count // parts, (part + 1) * count // parts)
+        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
+        return np.bincount(cell, along, count).astype(float)[rows]
+
+    def _cells(self) -> tuple[MeshData, Float, list[Block]]:
+        """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
+        mesh = read_mesh(Path(self.path), self.format)
+        dim = max((block.dim for block in mesh.blocks if len(block.nodes)), default=0)
         if dim == 0:
             raise CaseError(f"{self.path} has no cells that particles can be made of.")
         points = _without_constant(mesh.points, dim)
         if points.shape[1] != dim:
             raise CaseError(f"{self.path} has cells of {dim} dimensions that do not lie along the coordinate axes.")
-        chosen = [b for b, cell_dim in enumerate(dims) if cell_dim == dim]
-        cells = [_centroids(points, mesh.cells[b].data, kinds[b]) for b in chosen]
-        counts = [len(volume) for _, volume in cells]
-        sets = _cell_sets(mesh, chosen, counts)
-        for name, nodes in mesh.point_sets.items():
-            inside = np.zeros(len(points), dtype=bool)
-            inside[np.asarray(nodes, dtype=np.int64)] = True
-            sets.setdefault(name, np.concatenate([inside[mesh.cells[b].data].all(axis=1) for b in chosen]))
-        volume = np.concatenate([volume for _, volume in cells]) * (self.thickness if dim < 3 else 1.0)
-        return Arrays(np.concatenate([x for x, _ in cells]), volume, sets, self.thickness)
+        return mesh, points, [block for block in mesh.blocks if block.dim == dim]
+
+    def _depth(self, points: Float) -> float:
+        return self.thickness if points.shape[1] < 3 else 1.0
 
 
-def _table(path: Path, kind: type) -> NDArray[Any]:
+@lru_cache(maxsize=4)
+def _surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, GlobalIndex, Float]:
+    """Return the number of cells, the cell of every free facet and its outward vector area.
+
+    It is kept, since every traction asks for it, as long as the file stays the same ``version``.
+    """
+    _, points, blocks = mesh._cells()
+    surface = facets(points, blocks)
+    free = surface.free
+    return sum(len(block.nodes) for block in blocks), surface.cell[free], surface.area[free] * mesh._depth(points)
+
+
+def _version(path: Path) -> tuple[int, int]:
     try:
-        return np.loadtxt(path, dtype=kind, ndmin=2)
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
+
+
+def _refuse_thickness(what: str, thickness: float) -> None:
+    if not (math.isfinite(thickness) and thickness > 0.0):
+        raise CaseError(f"A {what} needs a positive thickness, not {thickness}.")
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text().splitlines()
     except OSError as error:
         raise CaseError(f"Cannot read {path}: {error.strerror or 'file not found'}.") from None
-    except ValueError as error:
-        raise CaseError(f"{path} is not a table of numbers: {error}.") from None
+    except ValueError:
+        raise CaseError(f"{path} is not a table of numbers: it is not text.") from None
 
 
-def _read_mesh(path: Path) -> Any:
-    import meshio
+def _header(path: Path, lines: list[str]) -> tuple[list[str] | None, int]:
+    """Return what the columns are called, None where nothing says so, and where the table starts."""
+    start = 0
+    while start < len(lines) and (not lines[start].strip() or lines[start].lstrip().startswith("#")):
+        words = lines[start].lstrip("# \t").lower().split()
+        if len(words) >= 3 and set(words) <= set(_COLUMNS):
+            return _known(path, words), start + 1
+        start += 1
+    if start < len(lines) and lines[start].lstrip().lower().startswith("header:"):
+        return _known(path, lines[start].split(":", 1)[1].lower().split()), start + 1
+    return None, start
 
-    if not path.is_file():
-        raise CaseError(f"Cannot read the mesh {path}: file not found.")
+
+def _known(path: Path, words: list[str]) -> list[str]:
+    names = [_COLUMNS.get(word, word) for word in words]
+    dim = sum(axis in names for axis in "xyz")
+    twice = [name for name in _COLUMNS.values() if names.count(name) > 1]
+    if twice or dim == 0 or not {*"xyz"[:dim], "block", "volume"} <= set(names):
+        raise CaseError(f"The header of {path} needs x, y and z as far as there are, block_id and volume, each once.")
+    return names
+
+
+def _columns(path: Path, names: list[str] | None, table: NDArray[Any]) -> tuple[Float, Float, Float]:
+    """Return coordinates (n, dim), blocks and volumes (n,)."""
+    width = table.shape[1]
+    if names is None:
+        if not 3 <= width <= 5:
+            raise CaseError(
+                f"{path} has {width} columns; it needs 1 to 3 coordinates, a block number and a volume, or a first "
+                f"line such as 'header: x y z block_id volume' that names them."
+            )
+        names = [*"xyz"[: width - 2], "block", "volume"]
+    if len(names) != width:
+        raise CaseError(f"{path} has {width} columns, and its header names {len(names)}.")
+    x = table[:, [names.index(axis) for axis in "xyz" if axis in names]]
+    return x, table[:, names.index("block")], table[:, names.index("volume")]
+
+
+def _table(path: Path, lines: list[str], kind: type) -> NDArray[Any]:
+    rows = [line for line in lines if line.split("#", 1)[0].strip()]
+    if not rows:
+        raise CaseError(f"{path} has no lines of numbers.")
     try:
-        # meshio ends the process on a file it cannot read, and prints warnings to standard output.
-        with contextlib.redirect_stdout(io.StringIO()):
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:
-        raise CaseError(f"Cannot read the mesh {path}: {str(error) or type(error).__name__}.") from None
+        return np.loadtxt(rows, dtype=kind, ndmin=2)
+    except (ValueError, OverflowError) as error:
+        raise CaseError(f"{path} is not a table of numbers: {error}.") from None
 
 
 def _without_constant(x: Float, at_least: int = 1) -> Float:
@@ -147,41 +239,73 @@ def _without_constant(x: Float, at_least: int = 1) -> Float:
     return x[:, :dim]
 
 
-def _centroids(points: Float, nodes: NDArray[Any], kind: str) -> tuple[Float, Float]:
-    dim = points.shape[1]
-    volume = np.zeros(len(nodes))
-    moment = np.zeros((len(nodes), dim))
-    for simplex in _SIMPLICES[kind]:
-        corners = points[nodes[:, list(simplex)]]
-        edges = corners[:, 1:] - corners[:, :1]
-        part = np.linalg.det(edges) / float(np.prod(np.arange(1, dim + 1)))
-        volume += part
-        moment += part[:, None] * corners.mean(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return moment / volume[:, None], np.abs(volume)
+def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tuple[Float, Float]:
+    volumes, centroids = [], []
+    for block in blocks:
+        with np.errstate(all="ignore"):
+            volume, moment = volumes_and_moments(points, block)
+            box = np.prod(np.ptp(points[block.corners], axis=1), axis=1)
+            x = moment / volume[:, None]
+            none = np.flatnonzero(~((np.abs(volume) > NO_VOLUME * box) & np.isfinite(x).all(axis=1)))
+        if len(none):
+            raise CaseError(
+                f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "
+                f"{points[block.corners[none[0]]].mean(axis=0)}."
+            )
+        volumes.append(np.abs(volume))
+        centroids.append(x)
+    return np.concatenate(volumes), np.concatenate(centroids)
 
 
-def _cell_sets(mesh: Any, chosen: list[int], counts: list[int]) -> dict[str, NDArray[Any]]:
-    sets: dict[str, NDArray[Any]] = {}
-    for name, blocks in mesh.cell_sets.items():
-        if name.startswith("gmsh:"):
-            continue
-        flags = [np.zeros(count, dtype=bool) for count in counts]
-        for flag, b in zip(flags, chosen, strict=True):
-            if blocks[b] is not None:
-                flag[np.asarray(blocks[b], dtype=np.int64)] = True
-        joined = np.concatenate(flags)
-        if joined.any():
-            sets[name] = joined
-    groups = mesh.cell_data.get("gmsh:physical")
-    if groups is not None:
-        tags = np.concatenate([np.asarray(groups[b]) for b in chosen])
-        dim = mesh.cells[chosen[0]].dim
-        names = {int(tag): name for name, (tag, group_dim) in mesh.field_data.items() if group_dim == dim}
-        for tag in np.unique(tags):
-            sets[names.get(int(tag), f"group_{tag}")] = tags == tag
-    elif not mesh.cell_sets:
-        block = np.repeat(np.arange(len(counts)), counts)
-        for b in range(len(counts)):
-            sets[f"group_{b + 1}"] = block == b
+def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]:
+    """Return the sets of particles: by cells, by facets and by nodes."""
+    number = _particles(mesh, blocks)
+    count, dim = int(number.max()) + 1, points.shape[1]
+    sets: dict[str, Mask] = {}
+
+    def add(name: str, particles: GlobalIndex) -> None:
+        if len(particles):
+            flags = np.zeros(count, dtype=bool)
+            flags[particles] = True
+            sets[name] = sets.get(name, False) | flags
+
+    surface = None
+    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
+    nodes_of: dict[str, list[GlobalIndex]] = {name: [nodes] for name, nodes in mesh.node_sets.items()}
+    for name, cells in mesh.cell_sets.items():
+        add(name, number[cells][number[cells] >= 0])
+        for block, start in zip(mesh.blocks, starts, strict=False):
+            mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
+            if not len(mine) or block.dim == dim:
+                continue
+            if block.dim < dim - 1:
+                nodes_of.setdefault(name, []).append(np.ravel(block.nodes[mine]))
+                continue
+            surface = surface or facets(points, blocks)
+            add(name, owners(facet_keys(block.corners[mine]), surface))
+    for name, cells in mesh.side_sets.items():
+        add(name, number[cells][number[cells] >= 0])
+    if not any(number[cells].max(initial=-1) >= 0 for cells in mesh.cell_sets.values()):
+        belongs = np.repeat(np.arange(len(blocks)), [len(block.nodes) for block in blocks])
+        for b in range(len(blocks)):
+            if f"group_{b + 1}" not in sets:
+                add(f"group_{b + 1}", np.flatnonzero(belongs == b))
+    by_cells = set(sets)
+    for name, members in nodes_of.items():
+        inside = np.zeros(len(points), dtype=bool)
+        inside[np.concatenate(members)] = True
+        touched = np.concatenate([inside[block.nodes].any(axis=1) for block in blocks])
+        add(f"{name} nodes" if name in by_cells else name, np.flatnonzero(touched))
     return sets
+
+
+def _particles(mesh: MeshData, blocks: list[Block]) -> GlobalIndex:
+    """Return the particle of every cell of the file, -1 for cells of lower dimension."""
+    numbers, before = [], 0
+    for block in mesh.blocks:
+        if any(block is chosen for chosen in blocks):
+            numbers.append(before + np.arange(len(block.nodes)))
+            before += len(block.nodes)
+        else:
+            numbers.append(np.full(len(block.nodes), -1))
+    return np.concatenate(numbers)

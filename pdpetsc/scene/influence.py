@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared, numbers_from
 from pdpetsc.errors import CaseError
 
 
-class Influence(ABC):
+class Influence(Declared, ABC):
     """How much a bond counts, from its length over the horizon."""
 
     @abstractmethod
@@ -53,9 +55,27 @@ class Gaussian(Influence):
     width: float = 0.5
 
     def __post_init__(self) -> None:
-        if not self.width > 0.0:
+        super().__post_init__()
+        if not (math.isfinite(self.width) and self.width > 0.0):
             raise CaseError(f"Gaussian influence needs a positive width, not {self.width}.")
 
     def __call__(self, s: Float) -> Float:
         """Return the Gaussian."""
         return np.asarray(np.exp(-((s / self.width) ** 2)))
+
+
+def evaluate(influence: Influence, s: Float) -> Float:
+    """Return omega (n_bonds,) [-] at ``s`` (n_bonds,).
+
+    Raises
+    ------
+    CaseError
+        The influence fails, or returns something else than one number per bond that is not negative.
+    """
+    omega = numbers_from("influence", influence, s)
+    if omega.shape != s.shape:
+        raise CaseError(f"The influence must return one number per bond, {s.shape}, not {omega.shape}.")
+    bad = np.flatnonzero(~(np.isfinite(omega) & (omega >= 0.0)))
+    if len(bad):
+        raise CaseError(f"The influence is {omega[bad[0]]:g} at {s[bad[0]]:.6g} horizons; it must not be negative.")
+    return omega

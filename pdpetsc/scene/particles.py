@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region, View
 
@@ -28,7 +29,7 @@ class Chunk:
     sets: Mapping[str, Mask]
 
 
-class Particles(ABC):
+class Particles(Declared, ABC):
     """A cloud of particles that can be created in parts."""
 
     thickness: float
@@ -43,18 +44,35 @@ class Particles(ABC):
             The source is missing or malformed.
         """
 
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return the free face of each particle of a part, seen along an outward unit normal (n,) [area].
+    def estimate(self) -> int:
+        """Return how many particles are made at most, before any is; 0 where that is not known."""
+        return 0
 
-        The sum of ``max(0, a_f . n)`` over the free facets with outward area vectors ``a_f``; length times thickness in
-        2D, the cross-section in 1D.
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the area of the free faces of each particle of the part, projected along an outward unit normal.
+
+        The sum over the free facets f of ``max(0, a_f . n)`` with their outward vector areas ``a_f``.
+
+        Parameters
+        ----------
+        part, parts : int
+            As for ``chunk``.
+        normal : (dim,) float64
+            Outward unit normal.
+
+        Returns
+        -------
+        (n,) float64
+            [area; length times thickness in the plane; the cross-section on a line].
 
         Raises
         ------
         CaseError
             The particles do not know their faces.
         """
-        raise CaseError(f"{type(self).__name__} does not know the faces of its particles; give the area of the face.")
+        raise CaseError(
+            f"Particles of {type(self).__name__} do not know their faces; give the Traction the area of its face."
+        )
 
 
 @dataclass(frozen=True)
@@ -110,6 +128,14 @@ class Lattice(Particles):
     def dim(self) -> int:
         """Return the number of coordinates."""
         return len(np.atleast_1d(np.asarray(self.low, float)))
+
+    def estimate(self) -> int:
+        """Return the number of cells, cut out or not."""
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        real = ((high - low) / self.spacing).tolist()
+        return math.prod(
+            round(n) + self._layers("-" + axis) + self._layers("+" + axis) for axis, n in zip("xyz", real, strict=False)
+        )
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""

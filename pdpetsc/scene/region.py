@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import Declared, called
 from pdpetsc.errors import CaseError
 
 # Particles whose distance exceeds the smallest one by less than this share of it are equally near.
@@ -35,7 +36,7 @@ class View:
     minimum: Callable[[float], float]
 
 
-class Region(ABC):
+class Region(Declared, ABC):
     """A set of particles chosen by position or name."""
 
     @abstractmethod
@@ -91,8 +92,8 @@ class All(Region):
 class Box(Region):
     """Particles with ``low <= x <= high`` in every coordinate [length]."""
 
-    low: Sequence[float]
-    high: Sequence[float]
+    low: float | Sequence[float]
+    high: float | Sequence[float]
 
     def mask(self, view: View) -> Mask:
         """Return which particles lie in the box."""
@@ -120,8 +121,13 @@ class Slab(Region):
 class Sphere(Region):
     """Particles within ``radius`` of ``centre`` [length]; a disc in two dimensions."""
 
-    centre: Sequence[float]
+    centre: float | Sequence[float]
     radius: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.radius < 0.0:
+            raise CaseError(f"A Sphere needs a radius that is not negative, not {self.radius}.")
 
     def mask(self, view: View) -> Mask:
         """Return which particles lie in the sphere."""
@@ -133,7 +139,7 @@ class Sphere(Region):
 class Nearest(Region):
     """The particle nearest to ``point`` [length], or all that are equally near."""
 
-    point: Sequence[float]
+    point: float | Sequence[float]
 
     def mask(self, view: View) -> Mask:
         """Return which particles are nearest (collective)."""
@@ -150,7 +156,7 @@ class Where(Region):
 
     def mask(self, view: View) -> Mask:
         """Return the predicate's answer."""
-        answer = np.asarray(self.predicate(view.x))
+        answer = np.asarray(called("predicate of Where", self.predicate, view.x))
         if answer.shape != (len(view.x),) or answer.dtype != bool:
             raise CaseError(
                 f"The predicate of Where must return {(len(view.x),)} bool, not {answer.shape} {answer.dtype}."
@@ -171,7 +177,7 @@ class Named(Region):
         return view.sets[self.name]
 
 
-def _vector(values: Sequence[float], view: View, what: str) -> Float:
+def _vector(values: float | Sequence[float], view: View, what: str) -> Float:
     vector = np.atleast_1d(np.asarray(values, dtype=float))
     if vector.shape != (view.x.shape[1],):
         raise CaseError(f"The {what} needs {view.x.shape[1]} coordinates, not {list(np.ravel(vector))}.")

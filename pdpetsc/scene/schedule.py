@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 Schedule: TypeAlias = Callable[[float], float]
@@ -32,13 +33,16 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(Declared):
     """Factors at given times, linear in between."""
 
     times: Sequence[float]
     factors: Sequence[float]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        if not np.isfinite([*self.times, *self.factors]).all():
+            raise CaseError(f"A schedule Table takes finite numbers, not {list(self.times)} and {list(self.factors)}.")
         if len(self.times) != len(self.factors) or len(self.times) < 2 or np.any(np.diff(self.times) <= 0.0):
             raise CaseError("A schedule Table needs at least two ascending times and as many factors.")
 

@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region
+from pdpetsc.scene.steps import refuse_breaks
 
 
 @dataclass(frozen=True)
@@ -16,7 +18,7 @@ class Newton:
 
 
 @dataclass(frozen=True)
-class DynamicRelaxation:
+class DynamicRelaxation(Declared):
     """Adaptive dynamic relaxation: damped motion in time until the body is at rest, without a matrix.
 
     Parameters
@@ -31,6 +33,7 @@ class DynamicRelaxation:
     most: int = 1_000_000
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.tolerance) and 0.0 < self.tolerance < 1.0):
             raise CaseError(f"The tolerance of dynamic relaxation lies between 0 and 1, not {self.tolerance}.")
         if self.most < 1:
@@ -38,7 +41,7 @@ class DynamicRelaxation:
 
 
 @dataclass(frozen=True)
-class EventDriven:
+class EventDriven(Declared):
     """From one failing bond to the next, without iterations: for bodies whose laws are piecewise linear.
 
     Between events everything is linear in the step time, so the time of the next failure is known exactly. A failing
@@ -61,6 +64,7 @@ class EventDriven:
     fields_every: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.updates is not None and self.updates < 1:
             raise CaseError(f"The event-driven solver needs updates >= 1, not {self.updates}.")
         if self.most < 1 or self.fields_every < 0:
@@ -68,7 +72,7 @@ class EventDriven:
 
 
 @dataclass(frozen=True)
-class BondStretch:
+class BondStretch(Declared):
     """The most stretched bonds that have not failed grow longer, whatever the load does.
 
     Parameters
@@ -80,11 +84,12 @@ class BondStretch:
     step: float = 0.1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_step(self.step)
 
 
 @dataclass(frozen=True)
-class Opening:
+class Opening(Declared):
     """The mean displacement of one region against that of another grows, such as that of the lips of a notch.
 
     Parameters
@@ -106,6 +111,7 @@ class Opening:
     end: float = field(kw_only=True)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_step(self.step)
         if self.component not in ("x", "y", "z"):
             raise CaseError(f'An Opening has the component "x", "y" or "z", not {self.component!r}.')
@@ -114,7 +120,7 @@ class Opening:
 
 
 @dataclass(frozen=True)
-class PathFollowing:
+class PathFollowing(Declared):
     """Newton's method along the path of equilibria, which may turn back: the load is an unknown.
 
     All conditions are multiplied with one factor, which rises and falls as equilibrium demands while what ``control``
@@ -144,13 +150,13 @@ class PathFollowing:
     breaks: int | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.control, BondStretch | Opening):
-            raise CaseError(f"PathFollowing is controlled by a BondStretch or an Opening, not by {self.control!r}.")
+        super().__post_init__()
         if not (0.0 < self.first <= 1.0 and 0.0 < self.smallest <= 1.0 and 0.0 <= self.until < 1.0 and self.most >= 1):
             raise CaseError(
                 f"PathFollowing needs first and smallest in (0, 1], until in [0, 1) and most >= 1, not {self.first}, "
                 f"{self.smallest}, {self.until} and {self.most}."
             )
+        refuse_breaks(self.breaks)
 
 
 def _refuse_step(step: float) -> None:

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
+from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
+# Steps are numbered with five digits in the files, and are to end some day.
+MOST_STEPS = 99_999
+# A shorter step is lost in the rounding of the step time.
+LEAST_STEP = 1e-8
+
+
+def refuse_breaks(breaks: int | None) -> None:
+    """Raise CaseError unless at least one bond may break at once."""
+    if breaks is not None and breaks < 1:
+        raise CaseError(f"breaks is a number of bonds from 1 on, not {breaks}.")
 
 
 @dataclass(frozen=True)
-class Steps:
+class Steps(Declared):
     """Equal load steps; one that does not converge is halved, and grown back after easy ones.
 
     Parameters
@@ -35,11 +46,15 @@ class Steps:
     unstable: Unstable = "warn"
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.count, int) and self.count >= 1):
-            raise CaseError(f"Steps needs a positive whole number, not {self.count}.")
-        if self.smallest is not None and not 0.0 < self.smallest <= 1.0 / self.count:
-            raise CaseError(f"The smallest of {self.count} steps must lie in (0, 1/{self.count}], not {self.smallest}.")
-        _refuse_word(self.unstable)
+        super().__post_init__()
+        if not 1 <= self.count <= MOST_STEPS:
+            raise CaseError(f"Steps takes between 1 and {MOST_STEPS} steps, not {self.count}.")
+        if self.smallest is not None and not LEAST_STEP <= self.smallest <= 1.0 / self.count:
+            raise CaseError(
+                f"The smallest of {self.count} steps must lie between {LEAST_STEP:g} and 1/{self.count}, "
+                f"not {self.smallest}."
+            )
+        refuse_breaks(self.breaks)
 
     @property
     def first(self) -> float:
@@ -62,7 +77,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class AdaptiveSteps:
+class AdaptiveSteps(Declared):
     """Load steps that grow by half after an easy step and are halved after a failure.
 
     Parameters
@@ -80,12 +95,13 @@ class AdaptiveSteps:
     unstable: Unstable = "warn"
 
     def __post_init__(self) -> None:
-        _refuse_word(self.unstable)
-        if not 0.0 < self.smallest <= self.first <= self.largest <= 1.0:
+        super().__post_init__()
+        if not LEAST_STEP <= self.smallest <= self.first <= self.largest <= 1.0:
             raise CaseError(
-                f"AdaptiveSteps needs 0 < smallest <= first <= largest <= 1, "
+                f"AdaptiveSteps needs {LEAST_STEP:g} <= smallest <= first <= largest <= 1, "
                 f"not {self.smallest}, {self.first}, {self.largest}."
             )
+        refuse_breaks(self.breaks)
 
     @property
     def least(self) -> float:
@@ -95,10 +111,3 @@ class AdaptiveSteps:
     def stops(self) -> list[float]:
         """Return the times that are met exactly."""
         return [1.0]
-
-
-def _refuse_word(unstable: str) -> None:
-    if unstable not in get_args(Unstable):
-        raise CaseError(
-            f"What becomes of unstable equilibria is one of {', '.join(get_args(Unstable))}, not {unstable!r}."
-        )

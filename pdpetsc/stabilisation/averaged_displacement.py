@@ -40,6 +40,7 @@ class AveragedDisplacement(Stabilisation):
     C2: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.C2) and self.C2 >= 0.0):
             raise CaseError(f"Averaged displacement needs C2 >= 0, not {self.C2}.")
 

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
@@ -150,7 +151,7 @@ class Control(ABC):
 
 
 @dataclass(frozen=True)
-class Stabilisation(ABC):
+class Stabilisation(Declared, ABC):
     """A zero-energy control as a case declares it."""
 
     @abstractmethod

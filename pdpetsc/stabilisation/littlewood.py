@@ -38,6 +38,7 @@ class Littlewood(Stabilisation):
     C: float = 0.1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.C) and self.C >= 0.0):
             raise CaseError(f"Littlewood's penalty needs C >= 0, not {self.C}.")
 

@@ -43,6 +43,7 @@ class Silling(Stabilisation):
     G: float = 0.5
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.G) and self.G >= 0.0):
             raise CaseError(f"Silling's control needs G >= 0, not {self.G}.")
 

@@ -35,6 +35,7 @@ class Springs(Stabilisation):
     C1: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.C1) and self.C1 >= 0.0):
             raise CaseError(f"Springs need C1 >= 0, not {self.C1}.")
 

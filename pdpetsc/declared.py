@@ -1,0 +1,220 @@
+"""What a scene declares is checked in one place, against the types that its fields are annotated with."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+import traceback
+import types
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError, PdpetscError
+
+# Characters of a wrong value that a message shows.
+SHOWN = 60
+
+T = TypeVar("T")
+
+
+class Declared:
+    """Base of what a scene declares: a dataclass whose fields hold what their annotations say.
+
+    A class with a ``__post_init__`` of its own calls this one first and may then compare numbers with numbers.
+
+    Raises
+    ------
+    CaseError
+        A field holds something else: a string for a number, a class for an object, one item for a sequence, a NaN.
+    """
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        for name, hint in _hints(kind).items():
+            value = getattr(self, name)
+            if not _fits(value, hint):
+                raise CaseError(
+                    f"{kind.__name__.lstrip('_')} takes {_words(hint)} as {name}, not {shown(value)}"
+                    f"{_advice(value, hint)}."
+                )
+
+
+def shown(value: object) -> str:
+    """Return what a message shows of a value."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:
+        text = f"an object of {type(value).__name__}"
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+
+
+def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
+    """Return what a function of the user returns; what it raises becomes one sentence with its place.
+
+    Parameters
+    ----------
+    what : str
+        What the function is for, for the message.
+    function : callable
+        Called with ``arguments``.
+
+    Raises
+    ------
+    CaseError
+        The function raised something.
+    """
+    try:
+        return function(*arguments)
+    except PdpetscError:
+        raise
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)[1:]
+        code = getattr(function, "__code__", None)
+        inside = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
+        where = "".join(f" at {Path(frame.filename).name}:{frame.lineno}" for frame in (inside or frames)[-1:])
+        raise CaseError(f"The {what} {name_of(function)} failed{where}: {type(error).__name__}: {error}.") from error
+
+
+def numbers_from(what: str, function: Callable[..., Any], *arguments: Any) -> Float:
+    """Return what a function of the user returns as an array of numbers, as ``called``.
+
+    Raises
+    ------
+    CaseError
+        The function raised something, or returned something else.
+    """
+    values = called(what, function, *arguments)
+    try:
+        if not np.iscomplexobj(values):
+            return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        pass
+    raise CaseError(f"The {what} {name_of(function)} must return real numbers, not {shown(values)}.")
+
+
+def name_of(function: object) -> str:
+    """Return what a function is called."""
+    return str(getattr(function, "__name__", type(function).__name__))
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    """Return the type of each field; none where a name in them is not known to their module."""
+    try:
+        hints = get_type_hints(kind)
+    except NameError:
+        return {}
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
+
+
+def _fits(value: object, hint: Any) -> bool:
+    """Return whether a value is of an annotated type; what this does not know fits."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return True
+    if hint is None or hint is type(None):
+        return value is None
+    if hint is float:
+        return _is_number(value)
+    if hint is int:
+        return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if hint is bool:
+        return isinstance(value, bool | np.bool_)
+    if origin is Literal:
+        return isinstance(value, str) and value in arguments
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, argument) for argument in arguments)
+    if origin is tuple:
+        if not isinstance(value, tuple | list):
+            return False
+        if arguments[-1] is ...:
+            return all(_fits(item, arguments[0]) for item in value)
+        return len(value) == len(arguments) and all(map(_fits, value, arguments))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(
+            _fits(key, arguments[0]) and _fits(item, arguments[1]) for key, item in value.items()
+        )
+    if origin is not None and origin is not Callable and _is_sequence_hint(origin):
+        return _is_sequence(value) and all(_fits(item, arguments[0]) for item in value)  # type: ignore[attr-defined]
+    if origin is Callable:
+        # A class in place of a function is an object that somebody forgot to make.
+        return callable(value) and not isinstance(value, type)
+    return not isinstance(hint, type) or isinstance(value, hint)
+
+
+def _is_number(value: object) -> bool:
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        return False
+    try:
+        return not math.isnan(float(value))
+    except OverflowError:
+        return False
+
+
+def _is_sequence_hint(origin: object) -> bool:
+    return isinstance(origin, type) and issubclass(origin, Sequence)
+
+
+def _is_sequence(value: object) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray)
+
+
+_WORDS: dict[Any, tuple[str, str]] = {
+    float: ("a number", "numbers"),
+    int: ("a whole number", "whole numbers"),
+    bool: ("True or False", "True or False"),
+    str: ("a string", "strings"),
+    Path: ("a path", "paths"),
+    type(None): ("None", "None"),
+    Any: ("anything", "anything"),
+}
+
+
+def _words(hint: Any, several: bool = False) -> str:
+    """Return what an annotated type is in words, of one or of several."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if hint in _WORDS:
+        return _WORDS[hint][several]
+    if origin is Literal:
+        return " or ".join(repr(argument) for argument in arguments)
+    if origin in (Union, types.UnionType):
+        listed = list(dict.fromkeys(_words(argument, several) for argument in arguments))
+        return " or ".join([", ".join(listed[:-1]), listed[-1]] if len(listed) > 1 else listed)
+    if origin is tuple and arguments[-1] is not ...:
+        return f"{'pairs' if several else 'a pair'} ({', '.join(_words(argument) for argument in arguments)})"
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"a mapping of {_words(arguments[0], True)} to {_words(arguments[1], True)}"
+    if origin is tuple or (origin is not Callable and _is_sequence_hint(origin)):
+        return f"{'sequences' if several else 'a sequence'} of {_words(arguments[0], True)}"
+    if origin is Callable:
+        return "functions" if several else "a function"
+    name = getattr(hint, "__name__", str(hint))
+    if several:
+        return f"{name} objects"
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+
+
+def _advice(value: object, hint: Any) -> str:
+    """Return what to do about a wrong value, where that is clear."""
+    if isinstance(value, type):
+        return f"; write {value.__name__}(...) for an object of it"
+    for choice in get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,):
+        if not _is_sequence_hint(get_origin(choice)) or get_origin(choice) is tuple:
+            continue
+        item = get_args(choice)[0]
+        if _fits(value, item):
+            return "; put it into a list"
+        if _is_sequence(value):
+            number, wrong = next((n, entry) for n, entry in enumerate(value, 1) if not _fits(entry, item))  # type: ignore[var-annotated, arg-type]
+            return f"; entry {number} is {shown(wrong)}"
+    return ""

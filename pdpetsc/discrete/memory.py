@@ -1,0 +1,132 @@
+"""What a body takes in memory, predicted before it is allocated, against what the machines have free."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import Comm, agreed, total
+from pdpetsc.errors import CaseError
+from pdpetsc.scene.cell import Cell
+
+# What a particle takes until it has its rank, and a bond until families are found, at least [bytes].
+PER_PARTICLE, PER_BOND = 140.0, 40.0
+# Particles whose families are counted.
+SAMPLE = 32
+# Images of a periodic cell are searched one after another.
+MOST_IMAGES = 100_000
+# Where Linux says how much the control group of the process may take and takes, in its two versions.
+_GROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current", "/sys/fs/cgroup/memory.stat"),
+    (
+        "/sys/fs/cgroup/memory/memory.limit_in_bytes",
+        "/sys/fs/cgroup/memory/memory.usage_in_bytes",
+        "/sys/fs/cgroup/memory/memory.stat",
+    ),
+)
+
+
+def free_memory() -> float:
+    """Return the memory that this machine or job has free [bytes]; infinity where that is not known."""
+    free = math.inf
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                free = 1024.0 * float(line.split()[1])
+    except (OSError, ValueError):
+        pass
+    for most, taken, listed in _GROUPS:
+        try:
+            limit, used = float(Path(most).read_text()), float(Path(taken).read_text())
+            caches = [line.split()[1] for line in Path(listed).read_text().splitlines() if "inactive_file" in line]
+            free = min(free, limit - used + float(max(caches, key=float, default="0")))
+        except (OSError, ValueError):
+            continue
+    return free
+
+
+def refuse_beyond_memory(comm: Comm, needed: float, what: str) -> None:
+    """Raise on all ranks where what the ranks of a machine need is more than it has free.
+
+    Parameters
+    ----------
+    needed : float
+        What this rank needs [bytes].
+    what : str
+        What it needs it for, for the message.
+
+    Raises
+    ------
+    CaseError
+        A machine has too little.
+
+    Notes
+    -----
+    Collective.
+    """
+    here = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    together, free = here.allreduce(float(needed)), here.allreduce(free_memory(), op=MPI.MIN)
+    here.Free()
+    with agreed(comm):
+        if together > free:
+            raise CaseError(
+                f"{what} takes at least {together / 2**30:.3g} GiB on a machine that has {free / 2**30:.3g} GiB free; "
+                f"take fewer particles, a smaller horizon or more machines."
+            )
+
+
+def predicted_bonds(comm: Comm, x: Float, horizon: float, cell: Cell | None = None) -> float:
+    """Return about how many bonds a body has, counted at a sample of its particles.
+
+    Where the horizon is longer than half a period, it is what a ball holds at the mean density of the cell.
+
+    Parameters
+    ----------
+    x : (n, dim) float64
+        The part of the particles that this rank holds [length].
+    horizon : float
+        [length].
+    cell : Cell, optional
+        The periodic cell.
+
+    Raises
+    ------
+    CaseError
+        The families would reach over too many images of the cell.
+
+    Notes
+    -----
+    Collective.
+    """
+    n_global = int(total(comm, len(x)))
+    lengths = np.zeros(x.shape[1]) if cell is None or cell.dim != x.shape[1] else cell.lengths
+    periods = np.where(lengths > 0.0, horizon / np.where(lengths > 0.0, lengths, 1.0), 0.0)
+    images = math.prod(2.0 * math.ceil(min(p, 1e15)) + 1.0 for p in periods)
+    with agreed(comm):
+        if images > MOST_IMAGES:
+            raise CaseError(
+                f"The horizon {horizon:g} reaches over {images:.3g} images of the periodic cell, more than "
+                f"{MOST_IMAGES}; take a smaller one."
+            )
+    each = -(-SAMPLE // comm.size)
+    rows = np.linspace(0, len(x) - 1, min(each, len(x))).astype(np.int64)
+    sample = np.concatenate(comm.allgather(x[rows]))
+    wide = bool((periods > 0.5).any())
+    found = np.zeros(len(sample))
+    for k, centre in enumerate(sample):
+        apart = x - centre
+        if wide:
+            apart = apart[:, lengths == 0.0]
+        else:
+            for axis in np.flatnonzero(lengths > 0.0):
+                apart[:, axis] -= lengths[axis] * np.round(apart[:, axis] / lengths[axis])
+        found[k] = np.count_nonzero(np.linalg.norm(apart, axis=1) <= horizon)
+    family = float(total(comm, found).mean()) if len(sample) else 0.0
+    if wide:
+        ball = {1: 1.0, 2: math.pi / 4.0, 3: math.pi / 6.0}[x.shape[1]]
+        family *= ball * math.prod(2.0 * p for p in periods if p > 0.0)
+    return n_global * max(family - 1.0, 0.0)

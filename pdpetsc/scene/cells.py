@@ -1,0 +1,184 @@
+"""Cells of finite element meshes: volumes, centroids, facets and the free surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+
+# Simplices that a cell falls into, by its corner nodes; the first node is shared, so curved nodes are left out.
+SIMPLICES: dict[str, list[tuple[int, ...]]] = {
+    "line": [(0, 1)],
+    "triangle": [(0, 1, 2)],
+    "quad": [(0, 1, 2), (0, 2, 3)],
+    "tetra": [(0, 1, 2, 3)],
+    "pyramid": [(0, 1, 2, 4), (0, 2, 3, 4)],
+    "wedge": [(0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3)],
+    "hexahedron": [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)],
+}
+# Facets of a cell by its corner nodes, outward where the volume of its simplices is positive.
+FACETS: dict[str, list[tuple[int, ...]]] = {
+    "line": [(0,), (1,)],
+    "triangle": [(0, 1), (1, 2), (2, 0)],
+    "quad": [(0, 1), (1, 2), (2, 3), (3, 0)],
+    "tetra": [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)],
+    "pyramid": [(0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)],
+    "wedge": [(0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)],
+    "hexahedron": [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)],
+}
+CORNERS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
+# Corners of a facet at most.
+_WIDTH = 4
+
+
+@dataclass(frozen=True)
+class Block:
+    """Cells of one kind.
+
+    Attributes
+    ----------
+    kind : str
+        A key of ``CORNERS``.
+    nodes : (n, m) int64
+        Rows of the points, corners first.
+    """
+
+    kind: str
+    nodes: GlobalIndex
+
+    @property
+    def corners(self) -> GlobalIndex:
+        """Return the corner nodes (n, n_corners)."""
+        return self.nodes[:, : CORNERS[self.kind]]
+
+    @property
+    def dim(self) -> int:
+        """Return the dimension of the cells."""
+        return DIMENSION[self.kind]
+
+
+@dataclass(frozen=True)
+class MeshData:
+    """A mesh as its file has it.
+
+    Attributes
+    ----------
+    points : (n_points, 1 to 3) float64
+        Where the nodes are [length].
+    blocks : list of Block
+        All cells, also those of boundaries; they count through the blocks.
+    cell_sets : mapping of str to (n,) int64
+        Named sets of cells.
+    side_sets : mapping of str to (n,) int64
+        Named sets of facets, as the cells that they belong to.
+    node_sets : mapping of str to (n,) int64
+        Named sets of nodes.
+    """
+
+    points: Float
+    blocks: list[Block]
+    cell_sets: Mapping[str, GlobalIndex] = field(default_factory=dict)
+    side_sets: Mapping[str, GlobalIndex] = field(default_factory=dict)
+    node_sets: Mapping[str, GlobalIndex] = field(default_factory=dict)
+
+
+def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
+    """Return signed volumes (n,) and first moments (n, dim) of the cells between straight edges."""
+    dim = points.shape[1]
+    volume = np.zeros(len(block.nodes))
+    moment = np.zeros((len(block.nodes), dim))
+    for simplex in SIMPLICES[block.kind]:
+        corners = points[block.nodes[:, list(simplex)]]
+        edges = corners[:, 1:] - corners[:, :1]
+        part = np.linalg.det(edges) / float(np.prod(np.arange(1, dim + 1)))
+        volume += part
+        moment += part[:, None] * corners.mean(axis=1)
+    return volume, moment
+
+
+@dataclass(frozen=True)
+class Facets:
+    """All facets of cells, those of one cell one after another; cells count through the blocks.
+
+    Attributes
+    ----------
+    key : (n_facets, 4) int64
+        The corner nodes ascending, -1 in front where there are fewer: equal for facets of neighbours.
+    cell : (n_facets,) int64
+        The cell that each belongs to.
+    area : (n_facets, dim) float64
+        Outward vector areas; lengths in the plane, 1 on a line.
+    """
+
+    key: GlobalIndex
+    cell: GlobalIndex
+    area: Float
+
+    @property
+    def free(self) -> Mask:
+        """Return which facets belong to one cell only (n_facets,)."""
+        _, inverse, count = np.unique(self.key, axis=0, return_inverse=True, return_counts=True)
+        return np.asarray(count[np.ravel(inverse)] == 1)
+
+
+def facets(points: Float, blocks: list[Block]) -> Facets:
+    """Return the facets of cells that fill their space.
+
+    Parameters
+    ----------
+    points : (n, dim) float64
+        Where the nodes are [length].
+    blocks : list of Block
+        Cells of dimension ``dim``.
+    """
+    keys, cells, areas = [], [], []
+    before = 0
+    for block in blocks:
+        number = before + np.arange(len(block.nodes))
+        before += len(number)
+        sign = np.where(volumes_and_moments(points, block)[0] < 0.0, -1.0, 1.0)
+        for place, corners in enumerate(FACETS[block.kind]):
+            nodes = block.nodes[:, list(corners)]
+            keys.append(facet_keys(nodes))
+            cells.append(number)
+            areas.append(sign[:, None] * _vector_area(points[nodes], place))
+    return Facets(np.concatenate(keys), np.concatenate(cells), np.concatenate(areas))
+
+
+def facet_keys(nodes: NDArray[np.int64]) -> GlobalIndex:
+    """Return the nodes of facets (n, m) ascending and each once, filled up with -1 to four."""
+    key = np.full((len(nodes), _WIDTH), -1, dtype=np.int64)
+    key[:, : nodes.shape[1]] = nodes
+    key.sort(axis=1)
+    # A face of a collapsed cell is one of fewer corners, as its neighbour has it.
+    key[:, 1:][key[:, 1:] == key[:, :-1]] = -1
+    key.sort(axis=1)
+    return key
+
+
+def owners(wanted: GlobalIndex, surface: Facets) -> GlobalIndex:
+    """Return the cells that have one of the wanted facets, given by their keys (n, 4)."""
+    both = np.concatenate([wanted, surface.key])
+    _, inverse = np.unique(both, axis=0, return_inverse=True)
+    number = np.ravel(inverse)
+    asked = np.zeros(number.max(initial=0) + 1, dtype=bool)
+    asked[number[: len(wanted)]] = True
+    return np.asarray(np.unique(surface.cell[asked[number[len(wanted) :]]]), dtype=np.int64)
+
+
+def _vector_area(x: Float, place: int) -> Float:
+    """Return the vector areas (n, dim) of facets with corners (n, m, dim); ``place`` tells the ends of a line apart."""
+    dim = x.shape[2]
+    if dim == 1:
+        return np.full((len(x), 1), -1.0 if place == 0 else 1.0)
+    if dim == 2:
+        along = x[:, 1] - x[:, 0]
+        return np.stack([along[:, 1], -along[:, 0]], axis=1)
+    # The cross product of the diagonals is the vector area of a quadrilateral, flat or not.
+    one, other = (x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) if x.shape[1] == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+    return np.asarray(0.5 * np.cross(one, other))

@@ -1,0 +1,311 @@
+"""What a scene declares is right, or one sentence says what is wrong."""
+
+import dataclasses
+import inspect
+import math
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.build import make_cloud
+from pdpetsc.case import check_declared
+from pdpetsc.declared import Declared
+from pdpetsc.discrete import memory
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.discrete.memory import predicted_bonds, refuse_beyond_memory
+from pdpetsc.scene.influence import evaluate
+from tests.commands import run
+
+region = pd.region
+LATTICE = pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0)
+CRITICAL = pd.ConstantCritical(0.1)
+
+
+def ones(x, *_):
+    return np.ones(len(x))
+
+
+def case(**changes):
+    valid = {"particles": LATTICE, "horizon": 2.015, "material": pd.Hencky(1.0, 0.3), "conditions": []}
+    return pd.Case(**{**valid, **changes})
+
+
+# One valid object of everything that a scene can declare.
+VALID = [
+    case(),
+    pd.AdaptiveSteps(), pd.Steps(), pd.Table([0.0, 1.0], [0.0, 1.0]), pd.Cell((0.0, 0.0), (4.0, 4.0)),
+    pd.DynamicRelaxation(), pd.EventDriven(), pd.PathFollowing(), pd.BondStretch(),
+    pd.Opening("x", region.All(), step=0.1, end=1.0),
+    pd.Segment((0.0, 0.0), (1.0, 0.0)), pd.Polyline([(0.0, 0.0), (1.0, 0.0)]), pd.PlaneCrack((0.0,), (1.0,)),
+    pd.Disc((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0),
+    pd.PolygonCrack([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]),
+    region.Box((0.0, 0.0), (1.0, 1.0)), region.Slab("x", 0.0, 1.0), region.Sphere((0.0, 0.0), 1.0),
+    region.Nearest((0.0, 0.0)), region.Where(ones), region.Named("a"), region.All() | region.All(),
+    region.All() & region.All(), ~region.All(),
+    pd.influence.Gaussian(), pd.Mesh("a.msh"), pd.TextFile("a.txt", {"left": "b.txt"}),
+    pd.Mean(pd.stress, "xx"), pd.Largest(pd.stress, "xx"), pd.Reaction("x"), pd.CellStrain("xx"), pd.CellStress("xx"),
+    pd.CrackTip((1.0, 0.0)), pd.RelativeError(pd.stress, ones), pd.LargestError(pd.stress, ones), pd.Picture(),
+    pd.Graded(pd.Hencky(1.0), ones), pd.Hencky(1.0, 0.3), pd.NeoHookean(1.0), pd.SaintVenantKirchhoff(1.0),
+    pd.LinearElastic(1.0), pd.J2(1.0, 0.3, yield_stress=0.1), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2),
+    CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
+    pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
+    pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),
+    pd.Correspondence(), pd.SubHorizons(), pd.StressPoints(), pd.Corrected(), pd.HigherOrder(), pd.BondAssociated(),
+    pd.Silling(), pd.Littlewood(), pd.Wan(), pd.Springs(0.1), pd.AveragedDisplacement(0.1),
+]  # fmt: skip
+WRONG = [
+    None, "", "x", "xy", b"x", math.nan, math.inf, -math.inf, -1, 0, 1, 0.5, 1e300, 10**400, True, 1j, [], {}, (),
+    [None], ["x"], {"x": None}, {1: 2}, {"x": "y"}, [[]], [math.nan, 1.0], object(), object, pd.EventDriven, pd.Hencky,
+    region.All, region.All(), pd.stress, np.array(1.0), np.array([1.0, np.nan]), np.int64(2), np.float32(0.5),
+    np.array(["x"]), lambda: None, iter(()), {1.0}, [region.All()], [(region.All(), 1)], range(3),
+]  # fmt: skip
+
+
+def test_every_declared_class_is_in_the_list():
+    listed = {type(value) for value in VALID}
+    elsewhere = {pd.Lattice, pd.Arrays}
+    missing = [
+        kind.__name__
+        for kind in vars(pd).values()
+        if inspect.isclass(kind) and issubclass(kind, Declared) and dataclasses.is_dataclass(kind)
+        and dataclasses.fields(kind) and kind not in listed | elsewhere
+    ]  # fmt: skip
+    assert not missing
+
+
+@pytest.mark.parametrize("valid", VALID, ids=lambda v: type(v).__name__)
+def test_wrong_values_are_refused_in_one_sentence(valid, rng):
+    fields = [field.name for field in dataclasses.fields(valid) if field.init]
+    for name in fields:
+        for value in WRONG:
+            refused(valid, {name: value})
+    for _ in range(100 if fields else 0):
+        chosen = rng.choice(fields, size=min(2, len(fields)), replace=False)
+        refused(valid, {name: WRONG[rng.integers(len(WRONG))] for name in chosen})
+
+
+def refused(valid, changes):
+    try:
+        dataclasses.replace(valid, **changes)
+    except pd.CaseError as error:
+        text = str(error)
+        assert text.endswith(".") and "\n" not in text and len(text) < 600, text
+        return True
+    except Exception as error:
+        raise AssertionError(f"{type(valid).__name__} with {changes}: {error!r}") from error
+    return False
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: case(solver="newton"), "takes a Newton, .* as solver, not 'newton'"),
+        (lambda: case(solver=pd.EventDriven), r"not the class EventDriven; write EventDriven\(...\)"),
+        (lambda: case(conditions=pd.Force(region.All(), x=1.0)), "as conditions, not Force.*; put it into a list"),
+        (lambda: case(conditions=[pd.Force(region.All(), x=1.0), 3]), "entry 2 is 3"),
+        (lambda: case(cracks=pd.Segment((0, 0), (1, 0))), "put it into a list"),
+        (lambda: case(horizon="2"), "takes a number as horizon, not '2'"),
+        (lambda: case(options={3: 1}), "mapping of strings"),
+        (lambda: case(options={"-ksp_type": "cg"}), "one word without dash"),
+        (lambda: case(options={"ksp_type": [1]}), "takes a string, a number or None"),
+        (lambda: case(material=[]), "at least one material"),
+        (lambda: case(history={"u": pd.stress}), "as history"),
+        (lambda: case(history={"a,b": pd.StrainEnergy()}), "without commas"),
+        (lambda: case(history={"a\nb": pd.StrainEnergy()}), "cannot be named"),
+        (lambda: case(history={"step": pd.StrainEnergy()}), "named 'step'"),
+        (lambda: case(fields=[lambda s: s.u, lambda s: s.u]), "define it with def, or give the fields as a mapping"),
+        (lambda: case(fields=[pd.stress, pd.stress]), "Two fields are named 'stress'"),
+        (lambda: case(fields={"stress": pd.displacement}, picture=pd.Picture()), "Two fields are named 'stress'"),
+        (lambda: case(fields={"a b": pd.stress}), "no name that a file could hold"),
+        (lambda: case(fields={"volume": pd.stress}), "named 'volume'"),
+        (lambda: pd.Steps(10**9), "between 1 and 99999 steps"),
+        (lambda: pd.Steps(2.0), "a whole number as count"),
+        (lambda: pd.Steps(2, breaks=0), "from 1 on, not 0"),
+        (lambda: pd.PathFollowing(breaks=0), "from 1 on, not 0"),
+        (lambda: pd.Corrected(1000), "between 1 and 12"),
+        (lambda: pd.HigherOrder(1000), "between 1 and 12"),
+        (lambda: pd.SubHorizons(10**9), "between 2 and 256"),
+        (lambda: region.Slab(""), "'x' or 'y' or 'z' as axis, not ''"),
+        (lambda: region.Slab("xy"), "as axis, not 'xy'"),
+        (lambda: region.Box((0.0, math.nan), (1.0, 1.0)), "entry 2 is nan"),
+        (lambda: region.Sphere((0.0, 0.0), math.nan), "not nan"),
+        (lambda: region.All() | 3, "Union takes a Region as other, not 3"),
+        (lambda: pd.Table([0.0, 1.0], [0.0, math.nan]), "entry 2 is nan"),
+        (lambda: pd.Table([0.0, 1.0], [0.0, math.inf]), "finite numbers"),
+        (lambda: pd.Graded("steel", ones), "a Material or a BondMaterial as material"),
+        (lambda: pd.Picture(pd.displacement, "xx"), "takes 1 of x, y, z as component"),
+        (lambda: pd.Picture(pd.local_damage, "x"), "takes none as component"),
+        (lambda: pd.Mean(pd.stress, "w"), "component"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_and_where(make, message):
+    with pytest.raises(pd.CaseError, match=message):
+        make()
+
+
+def test_whole_numbers_of_any_kind_and_fields_by_name_are_taken():
+    assert pd.Steps(np.int64(2)).stops() == [0.5, 1.0]
+    assert [f.__name__ for f in case(fields={"a": lambda s: s.u, "b": pd.stress}).written] == ["a", "b"]
+    assert refused(pd.Steps(), {"count": True})
+
+
+def test_components_that_the_body_lacks():
+    check_declared(case(picture=pd.Picture(), history={"u": pd.Mean(pd.displacement, "y")}), 2)
+    for changes, message in (
+        ({"picture": pd.Picture(pd.stress, "zz")}, "A Picture of stress in 2D takes 2 of x, y as component, not 'zz'"),
+        ({"history": {"u": pd.Mean(pd.displacement, "z")}}, "'u' of the history: .* in 2D"),
+        ({"history": {"u": pd.Reaction("z")}}, "in 2D"),
+        ({"history": {"tip": pd.CrackTip((1.0, 0.0, 0.0))}}, "has 2 numbers"),
+        ({"solver": pd.PathFollowing(pd.Opening("z", region.All(), step=1.0, end=1.0))}, "component z"),
+        ({"cell": pd.Cell((0.0,), (1.0,))}, "The Cell has 1 coordinates, the particles 2"),
+    ):
+        with pytest.raises(pd.CaseError, match=message):
+            check_declared(case(**changes), 2)
+
+
+def test_fields_by_name_are_written_under_their_names(tmp_path):
+    import h5py
+
+    fields = {"twice": lambda s: 2.0 * s.u, "place": lambda s: s.x}
+    held = pd.Displacement(region.All(), x=0.5, y=0.0)
+    pd.run(case(conditions=[held], fields=fields), output=tmp_path, quiet=True)
+    with h5py.File(tmp_path / "fields.h5") as file:
+        last = file[max(name for name in file if name.startswith("step"))]
+        assert set(last) == {"twice", "place"}
+        assert np.allclose(last["twice"][:, 0], 1.0)
+
+
+# --- functions of the user
+
+
+def test_errors_of_functions_have_their_name_and_line(tmp_path):
+    def wrong(x, *_):
+        return undefined_name  # noqa: F821
+
+    body = case(conditions=[pd.Displacement(region.Where(wrong), x=0.0, y=0.0)])
+    for made in (
+        body,
+        case(material=pd.Graded(pd.Hencky(1.0, 0.3), wrong)),
+        case(particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0, cut=region.Where(wrong))),
+        case(material=pd.BondBased(1.0), damage=pd.Brittle(pd.CriticalFunction(wrong))),
+        case(influence=type("Own", (pd.influence.Influence,), {"__call__": lambda self, s: wrong(s)})()),
+    ):
+        with pytest.raises(pd.CaseError, match=r"failed at test_input.py:\d+: NameError: .*undefined_name"):
+            pd.run(made, output=tmp_path, quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda s: "x", "must return real numbers, not 'x'"),
+        (lambda s: 1.0, "one number per bond"),
+        (lambda s: np.where(s < 0.5, 1.0, np.nan), "The influence is nan at"),
+        (lambda s: 0.6 - s, "it must not be negative"),
+    ],
+)
+def test_influence_functions_return_numbers(function, message):
+    own = type("Own", (pd.influence.Influence,), {"__call__": lambda self, s: function(s)})()
+    with pytest.raises(pd.CaseError, match=message):
+        evaluate(own, np.linspace(0.1, 1.0, 10))
+
+
+ON_ONE_RANK = """
+import numpy as np
+import pdpetsc as pd
+
+def odd(x):
+    if x[:, 0].min() > 3.0:
+        {fault}
+    return np.ones(len(x), dtype=bool)
+
+def case():
+    R = pd.region
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (8.0, 2.0), 1.0), horizon=1.5, material=pd.BondBased(E=1.0),
+        conditions=[pd.Displacement(({region}), x=0.0, y=0.0)],
+    )
+"""
+
+
+def test_a_region_that_fails_on_one_rank_ends_all(tmp_path):
+    scene = tmp_path / "scene.py"
+    chosen = "R.Nearest((0.0, 0.0)) | R.Where(odd) & R.Nearest((9.0, 0.0))"
+    scene.write_text(ON_ONE_RANK.format(fault="raise KeyError('a')", region=chosen))
+    finished = run(scene, ranks=2, output=tmp_path / "out")
+    assert finished.returncode == 2, finished.stderr
+    assert "odd failed at scene.py:7: KeyError: 'a'" in finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert finished.stderr.count("pdpetsc:") == 1
+
+
+def test_a_region_that_gives_no_mask_is_refused(tmp_path):
+    own = type("Own", (region.Region,), {"mask": lambda self, view: view.x[:, 0]})()
+    with pytest.raises(pd.CaseError, match=r"condition 1 must give .* bool, not .* float64"):
+        pd.run(case(conditions=[pd.Displacement(own, x=0.0)]), output=tmp_path, quiet=True)
+
+
+def test_nearest_is_nearest_on_any_rank_count(tmp_path):
+    scene = tmp_path / "scene.py"
+    chosen = "R.Nearest((0.6, 0.6)) | R.Nearest((7.4, 1.4)) & R.All()"
+    text = ON_ONE_RANK.format(fault="pass", region=chosen)
+    scene.write_text(text.replace("y=0.0)],", "y=0.0)], history={'u': pd.Largest(marked)},") + MARKED)
+    assert run(scene, ranks=2, output=tmp_path / "out").returncode == 0
+    assert (tmp_path / "out" / "history.csv").read_text().splitlines()[1].endswith(",2.0")
+
+
+MARKED = """
+def marked(solution):
+    return np.full(len(solution.x), float(solution.sum(solution.loading.fixed[:, 0].sum())))
+"""
+
+
+# --- endless work
+
+
+def test_particles_and_families_that_no_machine_holds():
+    huge = pd.Lattice((0.0,) * 3, (1e4,) * 3, 1.0, fictitious={"-x": 2.0})
+    assert huge.estimate() == 10**12 + 2 * 10**8
+    for body, message in (
+        (case(particles=huge), "Making the particles takes at least .* GiB free"),
+        (case(particles=pd.Lattice((0.0,), (1e5,), 1.0), horizon=1e300), "neighbours each, which takes at least"),
+        (case(horizon=1e6, cell=pd.Cell((0.0, 0.0), (4.0, 4.0))), "images of the periodic cell"),
+    ):
+        with pytest.raises(pd.CaseError, match=message):
+            make_cloud(world(), body)
+
+
+def test_schemes_say_what_a_bond_takes(monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: 2.0e5)
+    make_cloud(world(), case(material=pd.BondBased(1.0)))
+    with pytest.raises(pd.CaseError, match="takes at least"):
+        make_cloud(world(), case(scheme=pd.SubHorizons(100)))
+
+
+@pytest.mark.parametrize(
+    ("lattice", "horizon", "cell"),
+    [
+        (pd.Lattice((0.0,) * 2, (30.0,) * 2, 1.0), 3.015, None),
+        (pd.Lattice((0.0,) * 3, (8.0,) * 3, 1.0), 2.015, pd.Cell((0.0,) * 3, (8.0,) * 3)),
+        (pd.Lattice((0.0,) * 2, (8.0,) * 2, 1.0), 7.015, pd.Cell((0.0,) * 2, (8.0,) * 2)),
+        (pd.Lattice((0.0,) * 2, (4.0, 40.0), 1.0), 7.015, pd.Cell((0.0,) * 2, (4.0, 40.0), "x")),
+        (pd.Lattice((0.0,), (1.0,), 1.0), 40.0, pd.Cell((0.0,), (1.0,))),
+    ],
+)
+def test_bonds_are_predicted(lattice, horizon, cell):
+    cloud = make_cloud(world(), case(particles=lattice, horizon=horizon, cell=cell))
+    predicted = predicted_bonds(world(), lattice.chunk(0, 1).x, horizon, cell)
+    assert predicted == pytest.approx(len(find_families(cloud).neighbours), rel=0.15)
+
+
+def test_free_memory_is_known_here():
+    assert 2**20 < memory.free_memory() < 2**60
+    refuse_beyond_memory(world(), 1.0, "A byte")
+
+
+@pytest.mark.parametrize("material", [pd.Hencky(1.0, 0.3), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2)])
+def test_a_single_particle_is_no_body(tmp_path, material):
+    body = case(particles=pd.Lattice((0.0,), (2.0,), 2.0), material=material)
+    with pytest.raises(pd.CaseError, match="No two of the 1 particles share a bond"):
+        pd.run(body, output=tmp_path, quiet=True)

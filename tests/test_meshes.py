@@ -1,0 +1,428 @@
+"""Particles from meshes and text clouds: formats, sets, faces, damaged files."""
+
+import contextlib
+import itertools
+import time
+
+import meshio
+import netCDF4
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.scene import formats
+from pdpetsc.scene.cells import SIMPLICES
+from tests.test_scene import whole
+
+# The hexahedron in six pyramids around its centre, node 8.
+PYRAMIDS = [(0, 3, 2, 1, 8), (4, 5, 6, 7, 8), (0, 1, 5, 4, 8), (1, 2, 6, 5, 8), (2, 3, 7, 6, 8), (3, 0, 4, 7, 8)]
+WEDGES = [(0, 1, 2, 4, 5, 6), (0, 2, 3, 4, 6, 7)]
+PIECES = {
+    "line": [(0, 1)],
+    "quad": [(0, 1, 2, 3)],
+    "triangle": [(0, 1, 2), (0, 2, 3)],
+    "hexahedron": [tuple(range(8))],
+    "wedge": WEDGES,
+    "tetra": SIMPLICES["hexahedron"],
+    "pyramid": PYRAMIDS,
+}
+
+
+def box(kind, counts, map_of=None):
+    """Return points and cells of a box of unit cells, each cut into pieces of a kind, in an affine map."""
+    dim = len(counts)
+    corners = {
+        1: [(0,), (1,)],
+        2: [(0, 0), (1, 0), (1, 1), (0, 1)],
+        3: [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
+    }[dim]
+    shape = [n + 1 for n in counts]
+    points = np.array(list(itertools.product(*[range(n) for n in shape])), dtype=float)
+    cells = []
+    for origin in itertools.product(*[range(n) for n in counts]):
+        nodes = [int(np.ravel_multi_index(np.add(origin, c), shape)) for c in corners]
+        if kind == "pyramid":
+            nodes.append(len(points))
+            points = np.vstack([points, np.add(origin, 0.5)])
+        cells += [[nodes[k] for k in piece] for piece in PIECES[kind]]
+    if map_of is not None:
+        points = points @ map_of.T
+    return points, cells
+
+
+def written(path, points, blocks, **more):
+    """Write a mesh with meshio, points in three coordinates."""
+    full = np.zeros((len(points), 3))
+    full[:, : points.shape[1]] = points
+    meshio.write(path, meshio.Mesh(full, blocks, **more))
+    return path
+
+
+@pytest.mark.parametrize("kind", list(PIECES))
+def test_free_faces_of_a_box_are_its_silhouette(tmp_path, kind, rng):
+    counts = {"line": (5,), "quad": (4, 3), "triangle": (4, 3)}.get(kind, (3, 2, 2))
+    dim = len(counts)
+    A = np.eye(dim) + 0.3 * rng.uniform(-1.0, 1.0, (dim, dim)) if dim > 1 else np.eye(1)
+    points, cells = box(kind, counts, A)
+    # Some cells are turned round, as files with both orientations have them.
+    if kind in ("tetra", "triangle"):
+        cells[1] = [cells[1][1], cells[1][0], *cells[1][2:]]
+    path = written(tmp_path / "box.vtk", points, [(kind, cells)])
+    depth = 0.5 if dim < 3 else 1.0
+    mesh = pd.Mesh(path, thickness=0.5)
+    edges = A * np.array(counts, dtype=float)
+    for _ in range(5):
+        n = rng.standard_normal(dim)
+        n /= np.linalg.norm(n)
+        if dim == 1:
+            silhouette = 1.0
+        elif dim == 2:
+            silhouette = sum(abs(edges[0, k] * n[1] - edges[1, k] * n[0]) for k in range(2))
+        else:
+            silhouette = sum(abs(np.cross(edges[:, k], edges[:, k - 1]) @ n) for k in range(3))
+        parts = np.concatenate([mesh.faces(part, 3, n) for part in range(3)])
+        assert len(parts) == len(cells)
+        assert parts.sum() == pytest.approx(depth * silhouette, rel=1e-12)
+    # The faces are those of the cells at them.
+    if dim > 1:
+        x, _, _ = whole(pd.Mesh(written(tmp_path / "straight.vtk", *[(b := box(kind, counts))[0], [(kind, b[1])]])))
+        along = np.eye(dim)[0]
+        face = pd.Mesh(tmp_path / "straight.vtk").faces(0, 1, along)
+        assert face.sum() == pytest.approx(np.prod(counts[1:]))
+        assert x[face > 0.0, 0].min() > counts[0] - 1.0
+
+
+def test_faces_of_mixed_and_collapsed_cells(tmp_path):
+    # A hexahedron, a pair of wedges beside it, one as a hexahedron with two nodes twice, and a pyramid on top.
+    points, (one, two) = box("hexahedron", (2, 1, 1))
+    points = np.vstack([points, [0.5, 0.5, 2.0]])
+    wedges = [[two[k] for k in piece] for piece in WEDGES]
+    a, b, c, d, e, f = wedges[1]
+    blocks = [
+        ("hexahedron", [one, [a, b, c, c, d, e, f, f]]),
+        ("wedge", wedges[:1]),
+        ("pyramid", [[*one[4:], len(points) - 1]]),
+    ]
+    mesh = pd.Mesh(written(tmp_path / "mixed.vtk", points, blocks))
+    _, volume, _ = whole(mesh)
+    assert volume == pytest.approx([1.0, 0.5, 0.5, 1.0 / 3.0])
+    for axis, sign, area in ((0, 1, 1.5), (0, -1, 1.5), (1, 1, 2.5), (1, -1, 2.5), (2, -1, 2.0), (2, 1, 2.0)):
+        assert mesh.faces(0, 1, sign * np.eye(3)[axis]).sum() == pytest.approx(area)
+
+
+def test_particles_without_faces_say_so():
+    class Own(pd.Arrays.__base__):
+        def chunk(self, part, parts):
+            raise NotImplementedError
+
+    with pytest.raises(pd.CaseError, match="Own do not know their faces; give the Traction"):
+        Own().faces(0, 1, np.ones(2))
+
+
+# --- sets
+
+
+def test_gmsh_groups_of_boundary_lines_are_the_cells_that_own_them(tmp_path):
+    points, cells = box("quad", (3, 2))
+    right = [[n, n + 1] for n in range(9, 11)]
+    path = tmp_path / "plate.msh"
+    full = np.column_stack([points, np.zeros(len(points))])
+    tags = [np.full(6, 1), np.full(2, 5), np.full(1, 9)]
+    mesh = meshio.Mesh(
+        full,
+        [("quad", cells), ("line", right), ("line", [[0, 1]])],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={"body": np.array([1, 2]), "right": np.array([5, 1])},
+    )
+    meshio.gmsh.write(path, mesh, fmt_version="2.2")
+    x, _, sets = whole(pd.Mesh(path))
+    assert sets["body"].all()
+    assert np.array_equal(sets["right"], x[:, 0] > 2.0)
+    assert np.array_equal(sets["facets_9"], (x == 0.5).all(axis=1))
+
+
+def test_gmsh_4_groups_of_faces_are_the_cells_that_own_them(tmp_path):
+    path = tmp_path / "cube.msh"
+    path.write_text(
+        "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 7 \"foot\"\n3 8 \"body\"\n$EndPhysicalNames\n"
+        "$Entities\n0 0 1 1\n1 0 0 0 1 1 0 1 7 0\n1 0 0 0 1 1 1 1 8 1 1\n$EndEntities\n"
+        "$Nodes\n1 5 1 5\n3 1 0 5\n1\n2\n3\n4\n5\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n0 0 -1\n$EndNodes\n"
+        "$Elements\n2 3 1 3\n2 1 2 1\n1 1 2 4\n3 1 4 2\n2 1 2 3 4\n3 1 3 2 5\n$EndElements\n"
+    )  # fmt: skip
+    _, volume, sets = whole(pd.Mesh(path))
+    assert volume == pytest.approx([1 / 6, 1 / 6])
+    assert sets["body"].tolist() == [True, True]
+    assert sets["foot"].tolist() == [True, False]
+
+
+ABAQUS = """*HEADING
+two hexahedra of second order and a plate
+*NODE, NSET=everything
+1, 0, 0, 0
+2, 1, 0, 0
+3, 1, 1, 0
+4, 0, 1, 0
+5, 0, 0, 1
+6, 1, 0, 1
+7, 1, 1, 1
+8, 0, 1, 1
+9, 2, 0, 0
+10, 2, 1, 0
+11, 2, 0, 1
+12, 2, 1, 1
+*ELEMENT, TYPE=C3D8R, ELSET=one
+1, 1, 2, 3, 4,
+5, 6, 7, 8
+*ELEMENT, TYPE=C3D8, ELSET=two
+2, 2, 9, 10, 3, 6, 11, 12, 7
+*ELEMENT, TYPE=S4, ELSET=skin
+11, 9, 10, 12, 11
+*NSET, NSET=end, GENERATE
+9, 12, 1
+*ELSET, ELSET=both
+one, two
+*SURFACE, NAME=left, TYPE=ELEMENT
+one, S6
+*SURFACE, NAME=top
+1, S2
+2, S2
+*ELEMENT OUTPUT
+S
+"""
+
+
+def test_abaqus_sets_surfaces_and_skins(tmp_path):
+    path = tmp_path / "bar.inp"
+    path.write_text(ABAQUS)
+    x, volume, sets = whole(pd.Mesh(path))
+    assert volume == pytest.approx([1.0, 1.0])
+    assert x[:, 0] == pytest.approx([0.5, 1.5])
+    expected = {
+        "one": [True, False], "two": [False, True], "skin": [False, True], "end": [False, True],
+        "both": [True, True], "left": [True, False], "top": [True, True], "everything": [True, True],
+    }  # fmt: skip
+    assert {name: flags.tolist() for name, flags in sets.items()} == expected
+    for line, wrong, message in (
+        ("C3D8R", "C3D7", "type C3D7"),
+        ("5, 6, 7, 8\n", "5, 6, 7\n", "do not have 8 nodes"),
+        ("9, 12, 1", "9, 13, 1", "names node 13"),
+        ("1, 1, 2, 3, 4,", "1, 1, 2, 3, 99,", "node 99"),
+        ("*HEADING", "*SYSTEM\n1, 1, 1\n*HEADING", r"\*SYSTEM"),
+        ("2, 2, 9, 10, 3, 6, 11, 12, 7", "2, 2, 2, 3, 3, 6, 6, 7, 7", "1 cells of kind hexahedron in .* no volume"),
+    ):
+        path.write_text(ABAQUS.replace(line, wrong, 1))
+        with pytest.raises(pd.CaseError, match=message):
+            whole(pd.Mesh(path))
+
+
+def exodus(path, names=True):
+    """Write an Exodus file of two tetrahedra of second order with two node sets and two side sets."""
+    points, _ = box("hexahedron", (1, 1, 1))
+    tetra = np.array([[0, 4, 2, 1], [4, 6, 2, 7]])
+    middles, nodes = list(points), []
+    for cell in tetra:
+        edges = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
+        nodes.append([*cell, *range(len(middles), len(middles) + 6)])
+        middles += [0.5 * (points[cell[a]] + points[cell[b]]) for a, b in edges]
+    with netCDF4.Dataset(path, "w", format="NETCDF3_64BIT_OFFSET") as file:
+        sizes = {
+            "num_nodes": len(middles), "num_dim": 3, "num_el_blk": 2, "num_el_in_blk1": 1, "num_nod_per_el1": 10,
+            "num_node_sets": 2, "num_side_sets": 2, "len_string": 33, "one": 1,
+        }  # fmt: skip
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        for axis, column in zip("xyz", np.array(middles).T, strict=True):
+            file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = column
+        for b in (1, 2):
+            connect = file.createVariable(f"connect{b}", "i4", ("num_el_in_blk1", "num_nod_per_el1"))
+            connect.elem_type = "TETRA10"
+            connect[:] = [np.array(nodes[b - 1]) + 1]
+        for short, size, ids in (("eb", "num_el_blk", [10, 20]), ("ns", "num_node_sets", [3, 4]),
+                                 ("ss", "num_side_sets", [5, 6])):  # fmt: skip
+            file.createVariable(f"{short}_prop1", "i4", (size,))[:] = ids
+            text = file.createVariable(f"{short}_names", "S1", (size, "len_string"))
+            if names and short != "eb":
+                for k, word in enumerate(("left", "right")):
+                    text[k, : len(word)] = np.array(list(word), dtype="S1")
+        # A corner of the first and a middle node of the second cell.
+        for name, values in (("node_ns1", [1]), ("node_ns2", [nodes[1][-1] + 1])):
+            file.createVariable(name, "i4", ("one",))[:] = values
+        for name, values in (("elem_ss1", [1]), ("side_ss1", [1]), ("elem_ss2", [2]), ("side_ss2", [4])):
+            file.createVariable(name, "i4", ("one",))[:] = values
+    return path
+
+
+def test_exodus_sets_keep_apart_without_names(tmp_path):
+    _, volume, sets = whole(pd.Mesh(exodus(tmp_path / "unnamed.g", names=False)))
+    assert volume == pytest.approx([1 / 6, 1 / 6])
+    assert {name: flags.tolist() for name, flags in sets.items()} == {
+        "group_10": [True, False], "group_20": [False, True],
+        "node_set_3": [True, False], "node_set_4": [False, True],
+        "side_set_5": [True, False], "side_set_6": [False, True],
+    }  # fmt: skip
+
+
+def test_exodus_names_of_node_and_side_sets_may_be_the_same(tmp_path):
+    path = exodus(tmp_path / "named.bin")
+    with pytest.raises(pd.CaseError, match=r"Cannot tell the format .* give the Mesh a format"):
+        whole(pd.Mesh(path))
+    _, _, sets = whole(pd.Mesh(path, format="exodus"))
+    assert set(sets) == {"group_10", "group_20", "left", "right", "left nodes", "right nodes"}
+    assert sets["left"].tolist() == sets["left nodes"].tolist() == [True, False]
+    with pytest.raises(pd.CaseError, match="is one of gmsh, abaqus"):
+        pd.Mesh(path, format="stl")
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        ([[0, 1, 2, 7]], "name nodes that are not among the 4"),
+        ([[0, 1, -2, 3]], "name nodes that are not among the 4"),
+        ([[0, 1, 2, 2]], "1 cells of kind tetra in .* have no volume"),
+    ],
+)
+def test_cells_of_no_body_are_refused(tmp_path, cells, message):
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    path = tmp_path / "bad.vtu"
+    meshio.vtu.write(path, meshio.Mesh(points, [("tetra", [[0, 1, 2, 3], *cells])]), binary=False)
+    with pytest.raises(pd.CaseError, match=message):
+        whole(pd.Mesh(path))
+
+
+def test_nastran_property_numbers_are_groups(tmp_path):
+    path = tmp_path / "plate.bdf"
+    path.write_text(
+        "BEGIN BULK\nGRID,1,,0.0,0.0,0.0\nGRID,2,,1.0,0.0,0.0\nGRID,3,,1.0,1.0,0.0\nGRID,4,,0.0,1.0,0.0\n"
+        "CTRIA3,1,7,1,2,3\nCTRIA3,2,8,1,3,4\nENDDATA\n"
+    )
+    _, volume, sets = whole(pd.Mesh(path))
+    assert volume.tolist() == [0.5, 0.5]
+    assert sets["group_7"].tolist() == [True, False]
+    path.write_text(path.read_text().replace("ENDDATA", ""))
+    with pytest.raises(pd.CaseError, match="BEGIN BULK and ENDDATA"):
+        whole(pd.Mesh(path))
+    path.write_text(path.read_text().replace("GRID,4,", "GRID,4,3") + "ENDDATA\n")
+    with pytest.raises(pd.CaseError, match="coordinate system"):
+        whole(pd.Mesh(path))
+
+
+# --- text clouds
+
+
+def test_headers_name_the_columns_of_text_clouds(tmp_path):
+    path = tmp_path / "cloud.txt"
+    for header in ("header: x y status volume block_id\n", ""):
+        path.write_text(header + "0 0 9 0.5 1\n1 0 9 0.25 2\n0 1 9 0.5 2\n")
+        if header:
+            x, volume, sets = whole(pd.TextFile(path))
+            assert x.tolist() == [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+            assert volume.tolist() == [0.5, 0.25, 0.5]
+            assert sets["block_2"].tolist() == [False, True, True]
+        else:
+            with pytest.raises(pd.CaseError, match=r"block 0\.5 in row 1"):
+                whole(pd.TextFile(path))
+    path.write_text("# x y volume block\n0 0 0.5 1\n1 1 0.25 2\n")
+    assert whole(pd.TextFile(path))[1].tolist() == [0.5, 0.25]
+    for text, message in (
+        ("0 0 0 1 0.5 7\n", "6 columns; it needs"),
+        ("header: x y block_id\n0 0 1\n", "header of .* needs"),
+        ("header: x y block_id volume\n0 0 0 1 0.5\n", "5 columns, and its header names 4"),
+        ("", "no lines of numbers"),
+        ("0 0 1 inf\n", "^$"),
+    ):
+        path.write_text(text)
+        if message != "^$":
+            with pytest.raises(pd.CaseError, match=message):
+                whole(pd.TextFile(path))
+    nodes = tmp_path / "left.txt"
+    nodes.write_text("header: global_id\n1\n")
+    path.write_text("header: x y block_id volume\n0 0 1 0.5\n1 0 1 0.5\n")
+    assert whole(pd.TextFile(path, {"left": nodes}))[2]["left"].tolist() == [True, False]
+
+
+# --- damaged files
+
+
+def samples(folder):
+    """Return a small mesh in every format."""
+    points, cells = box("hexahedron", (2, 1, 1))
+    groups = {"gmsh:physical": [np.array([1, 2])], "gmsh:geometrical": [np.array([1, 1])]}
+    mesh = meshio.Mesh(points, [("hexahedron", cells)])
+    grouped = meshio.Mesh(points, [("hexahedron", cells)], cell_data=groups)
+    names = {}
+    for ending, write in {
+        "22.msh": lambda p: meshio.gmsh.write(p, grouped, "2.2", binary=False),
+        "22b.msh": lambda p: meshio.gmsh.write(p, grouped, "2.2", binary=True),
+        "41.msh": lambda p: meshio.gmsh.write(p, grouped, "4.1", binary=False),
+        "41b.msh": lambda p: meshio.gmsh.write(p, grouped, "4.1", binary=True),
+        "a.vtk": lambda p: meshio.vtk.write(p, mesh, binary=False),
+        "b.vtk": lambda p: meshio.vtk.write(p, mesh, binary=True),
+        "a.vtu": lambda p: meshio.vtu.write(p, mesh, binary=False),
+        "b.vtu": lambda p: meshio.vtu.write(p, mesh),
+        "a.bdf": lambda p: meshio.nastran.write(p, mesh),
+        "a.med": lambda p: meshio.med.write(p, mesh),
+        "a.xdmf": lambda p: meshio.xdmf.write(p, mesh, data_format="XML"),
+        "a.inp": lambda p: p.write_text(ABAQUS),
+        "a.g": exodus,
+        "a.exo": lambda p: meshio.exodus.write(p, mesh),
+    }.items():
+        names[ending] = folder / ending
+        write(names[ending])
+    return names
+
+
+def mutated(data, rng):
+    """Return bytes with some flipped, cut off, numbers replaced, or lines lost."""
+    data = bytearray(data)
+    kind = rng.integers(4)
+    if kind == 0:
+        for at in rng.integers(0, len(data), rng.integers(1, 8)):
+            data[at] = rng.integers(256)
+    elif kind == 1:
+        del data[rng.integers(len(data)) :]
+    elif kind == 2:
+        digits = [k for k, byte in enumerate(data) if 48 <= byte <= 57]
+        for at in rng.choice(digits, size=min(3, len(digits)), replace=False) if digits else ():
+            data[at : at + 1] = [b"-1", b"99999999999", b"0", b"nan", b"1e9"][rng.integers(5)]
+    else:
+        lines = bytes(data).split(b"\n")
+        del lines[rng.integers(len(lines))]
+        data = bytearray(b"\n".join(lines))
+    return bytes(data)
+
+
+def test_damaged_meshes_end_as_meshes_or_as_sentences(tmp_path, rng, monkeypatch):
+    limit = 2.0
+    monkeypatch.setattr(formats, "START", limit)
+    read = refused = 0
+    for name, path in samples(tmp_path).items():
+        whole(pd.Mesh(path), 1)
+        original = path.read_bytes()
+        damaged = tmp_path / f"damaged.{name.split('.')[1]}"
+        for _ in range(15):
+            damaged.write_bytes(mutated(original, rng))
+            before = time.perf_counter()
+            try:
+                x, volume, _ = whole(pd.Mesh(damaged), 1)
+                assert np.isfinite(x).all()
+                assert (volume > 0.0).all()
+                read += 1
+            except pd.CaseError as error:
+                assert "\n" not in str(error)
+                refused += 1
+            assert time.perf_counter() - before < limit + 1.0, name
+    assert read > 10
+    assert refused > 100
+
+
+def test_a_reader_that_does_not_end_is_interrupted(tmp_path, monkeypatch):
+    def endless(path):
+        while True:
+            with contextlib.suppress(Exception):
+                time.sleep(0.01)
+
+    monkeypatch.setitem(formats.FORMATS, "gmsh", ((".msh",), endless))
+    monkeypatch.setattr(formats, "START", 0.2)
+    (tmp_path / "a.msh").write_text("")
+    with pytest.raises(pd.CaseError, match="took more than"):
+        whole(pd.Mesh(tmp_path / "a.msh"))

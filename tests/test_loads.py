@@ -3,6 +3,7 @@
 import json
 
 import h5py
+import meshio
 import numpy as np
 import pytest
 
@@ -184,3 +185,23 @@ def test_supports_that_cut_families_are_counted(tmp_path):
     assert found[1.0][1] == pytest.approx(2.0 / 3.0, rel=1e-3)
     assert found[3.0][0] == 0
     assert found[3.0][2].max() < 1e-9
+
+
+@pytest.mark.parametrize("distribution", ["layer", "consistent"])
+@pytest.mark.parametrize("diagonal", ["one way", "alternating"])
+def test_a_traction_on_triangles_is_traction_times_area(diagonal, distribution, tmp_path):
+    nx, ny = 12, 6
+    x = np.stack(np.meshgrid(np.arange(nx + 1.0), np.arange(ny + 1.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    cells = []
+    for i in range(nx):
+        for j in range(ny):
+            a, b, c, d = (i * (ny + 1) + j, (i + 1) * (ny + 1) + j, (i + 1) * (ny + 1) + j + 1, i * (ny + 1) + j + 1)
+            turned = diagonal == "alternating" and (i + j) % 2
+            cells += [(a, b, d), (b, c, d)] if turned else [(a, b, c), (a, c, d)]
+    path = tmp_path / "strip.vtu"
+    meshio.write(path, meshio.Mesh(np.c_[x, np.zeros(len(x))], [("triangle", np.array(cells))]))
+    traction = pd.Traction(region.Slab("x", low=11.0), x=2.0, normal=(1.0, 0.0), distribution=distribution)
+    case = strip(pd.Mesh(path, thickness=0.5), (1.6, 1.6), traction)
+    found, said = resultant(case, tmp_path / "out")
+    assert found == pytest.approx(2.0 * ny * 0.5, rel=1e-8)
+    assert said == pytest.approx(2.0 * ny * 0.5, rel=1e-10)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Declared, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region, View
 
@@ -105,6 +105,7 @@ class Lattice(Particles):
     fictitious: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
         if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
             raise CaseError("The corners low and high of a Lattice need the same 1, 2 or 3 coordinates.")
@@ -214,14 +215,16 @@ class Arrays(Particles):
     thickness: float = 1.0
 
     def __post_init__(self) -> None:
-        x = np.asarray(self.x, dtype=float)
+        super().__post_init__()
+        x, volume = _numbers("positions", self.x), _numbers("volumes", self.volume)
         if x.ndim != 2 or not 1 <= x.shape[1] <= 3 or len(x) == 0:
             raise CaseError(f"Particle positions must be (n, 1), (n, 2) or (n, 3), not {x.shape}.")
-        if np.asarray(self.volume, dtype=float).shape not in ((), (len(x),)):
+        if volume.shape not in ((), (len(x),)):
             raise CaseError(f"Particle volumes must be one number or ({len(x)},), not {np.shape(self.volume)}.")
+        if not (math.isfinite(self.thickness) and self.thickness > 0.0):
+            raise CaseError(f"Arrays need a positive thickness, not {self.thickness}.")
         for name, members in self.sets.items():
-            if np.asarray(members).dtype == bool and np.shape(members) != (len(x),):
-                raise CaseError(f"Set {name!r} must be ({len(x)},) bool or indices, not {np.shape(members)} bool.")
+            _refuse_members(name, members, len(x))
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return rows ``part`` of ``parts`` of the arrays."""
@@ -230,7 +233,8 @@ class Arrays(Particles):
         sets = {}
         for name, members in self.sets.items():
             flags = np.zeros(len(x), dtype=bool)
-            flags[np.asarray(members)] = True
+            found = np.asarray(members)
+            flags[found if found.dtype == bool else found.astype(np.int64)] = True
             sets[name] = flags[rows]
         volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
         return Chunk(x[rows], np.array(volume[rows]), sets)
@@ -255,6 +259,28 @@ class Arrays(Particles):
             free = np.array([tuple(index) not in taken for index in (cell[rows] + step).tolist()], dtype=bool)
             area += np.where(free, abs(normal[axis]) * side[axis], 0.0)
         return area
+
+
+def _numbers(what: str, values: ArrayLike) -> Float:
+    """Return what a case gives as an array of numbers."""
+    try:
+        if not np.iscomplexobj(values):
+            return np.asarray(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise CaseError(f"The {what} of Arrays are an array of numbers, not {shown(values)}.")
+
+
+def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
+    """Raise CaseError unless the members of a set are a flag for each of n particles, or indices of some."""
+    found = np.asarray(members)
+    if found.dtype == bool and found.shape == (n,):
+        return
+    whole = np.issubdtype(found.dtype, np.integer) or found.size == 0
+    if found.dtype == bool or found.ndim != 1 or not whole:
+        raise CaseError(f"Set {name!r} of Arrays is ({n},) bool or a list of indices, not {shown(members)}.")
+    if found.size and not (found.min() >= 0 and found.max() < n):
+        raise CaseError(f"Set {name!r} of Arrays has indices from {found.min()} to {found.max()} of {n} particles.")
 
 
 def _cell_sides(sizes: Float, thickness: float) -> Float:

@@ -36,7 +36,6 @@ CASES = {
     "bond by bond in one dimension": ("localisation/periodic_cell.py", "n=20"),
     "centre crack": ("fracture/centre_crack.py", "n=10", "law=linear", "solver=path"),
     "edge crack": ("fracture/edge_crack.py", "n=8", "solver=path"),
-    "double cantilever": ("fracture/double_cantilever.py", "n=6", "opening=1", "solver=path"),
     "L-shaped panel": ("fracture/l_panel.py", "n=10", "end=0.06"),
     "box that can break": ("bench/box.py", "n=5", "breakable=true", "strain=0.02"),
     "bonds in finite stretch": ("bonds/tension_bar.py", "dim=2", "n=6"),
@@ -81,7 +80,7 @@ def refuse_other_history(found, expected):
         np.testing.assert_allclose(*relative, rtol=1e-3, atol=1e-9)
 
 
-LONG = ("centre crack", "double cantilever")
+LONG = ("centre crack",)
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,7 @@ class Equilibrium:
         self.reference = 0.0
         self.reason = ""
         self.damping: Float | None = None
+        self._floor = 0.0
         self._anchor = np.zeros(loading.fixed.shape)
         self._reaction = np.zeros(loading.fixed.shape)
 
@@ -132,7 +133,7 @@ class Equilibrium:
             self.model.cloud.comm, [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
         )
         self.reference = float(np.sqrt(max(squares[0], squares[1])))
-        floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
+        floor = self._floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
         if residual <= rtol * self.reference or residual == 0.0:
             self.reason = "residual below tolerance"
             return int(reason.CONVERGED_FNORM_RELATIVE)
@@ -184,6 +185,21 @@ class Equilibrium:
     def move_springs(self, u: Float) -> None:
         """Let the springs of loose particles have no force at ``u`` (not collective)."""
         self._anchor = u
+
+    def at_rest(self, x: Float, rtol: float) -> bool:
+        """Return whether forces balance at ``x`` without the springs of loose particles; where not, ``reason`` says so.
+
+        A load on a piece that has come free is held by nothing else, however far it moves.
+        """
+        if self.damping is None:
+            return True
+        values = x.reshape(self.free.shape)
+        springs = np.where(self.free, self.damping[:, None] * (values - self._anchor), 0.0)
+        force = float(np.sqrt(total(self.model.cloud.comm, (springs**2).sum())))
+        resting = force <= max(rtol * self.reference, self._floor)
+        if not resting:
+            self.reason = "nothing holds a piece that has come free against its load"
+        return resting
 
 
 def read_options(destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP) -> None:

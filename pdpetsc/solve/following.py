@@ -177,6 +177,8 @@ class PathSolver(StepSolver):
             sought.move_springs(self._displacement(self._x).copy())
             self.snes.solve(None, self._x)
         reason = self.snes.getConvergedReason()
+        if reason > 0 and not sought.at_rest(self._displacement(self._x), float(self.snes.getTolerances()[0])):
+            reason = -1
         values, load = self._take(self._x)
         self.load = load if reason > 0 else of.load0
         result = sought.result(reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)

@@ -17,6 +17,8 @@ from pdpetsc.solve.petsc import effort, full_steps, line_search, linear_solver, 
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
+# Solves in which loose pieces must come to rest, so that equilibrium needs no springs.
+RESTS = 5
 
 
 class StaticSolver(StepSolver):
@@ -82,12 +84,16 @@ class StaticSolver(StepSolver):
         if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):
             start, linear = self._predict(u, sought.prescribed - np.where(self.loading.fixed, u, 0.0))
         linear += self._iterate(start)
-        if sought.damping is not None and self.snes.getConvergedReason() > 0:
+        resting = sought.damping is None
+        for _ in range(RESTS):
+            if resting or self.snes.getConvergedReason() <= 0:
+                break
             # Once more from where it came to rest: the damping has no force there.
             rest = sought.at_prescribed(self._x.array).copy()
             sought.move_springs(rest)
             linear += self._iterate(rest)
-        reason = self.snes.getConvergedReason()
+            resting = sought.at_rest(self._x.array_r, float(self.snes.getTolerances()[0]))
+        reason = self.snes.getConvergedReason() if resting else min(self.snes.getConvergedReason(), -1)
         result = sought.result(reason, self.snes.getKSP().getConvergedReason(), linear)
         if reason <= 0:
             sought.prescribed = old_prescribed

@@ -15,8 +15,9 @@ GROWTH = 1.5
 # Newton's answer counts where it changes no integrity by more: a longer jump has passed unstable states, and which of
 # the states beyond it finds is left to round-off.
 GENTLE = 0.3
-# Damage has settled where no integrity changes by more in a sweep; it has this many sweeps.
-SETTLED = 1e-6
+# Damage has settled where no integrity changes by more in a sweep, and Newton with damage that follows the displacement
+# ends close by; where that fails, where no integrity changes by more than LAST. It has this many sweeps.
+SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
 
 
@@ -138,6 +139,9 @@ def settle(
 ) -> tuple[Float, StepResult, int, int]:
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
 
+    The last sweep leaves equilibrium with the damage before it, so Newton with damage that follows the displacement
+    ends the search: what is returned is equilibrium with the damage that is kept.
+
     Parameters
     ----------
     most : int
@@ -158,9 +162,27 @@ def settle(
             return u, result, broken, sweep
         change = solver.model.soften(u)
         more = fail(u)
-        broken += more
         if change < SETTLED and not more:
+            attempt, closed = _followed(solver, u, target)
+            iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
+            if closed.converged:
+                u, result, change = attempt, closed, 0.0
+                more = fail(u)
+        broken += more
+        if change < LAST and not more:
             reason = "damage settled"
             result = replace(result, reason=reason, iterations=iterations, linear_iterations=linear, easy=False)
             return u, result, broken, sweep
     return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most
+
+
+def _followed(solver: StepSolver, u: Float, target: float) -> tuple[Float, StepResult]:
+    """Find equilibrium with damage that follows the displacement, and take that; not converged where it is not close."""
+    model = solver.model
+    model.freeze(False)
+    attempt, result = solver.solve(u, target)
+    close = result.converged and model.fading(attempt) < CLOSE
+    model.freeze(True)
+    if close:
+        model.soften(attempt)
+    return attempt, replace(result, converged=close)

@@ -31,9 +31,9 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
     with the stretch of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken
     bond leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
-    more; its neighbours' gradients and the control hold it. Where the bonds that a particle has left lie across the pull
-    they break with the strain of its gradient (``break_bonds``). The control has the stiffness of its bonds times their
-    integrity at the last equilibrium.
+    more; its neighbours' gradients and the control hold it. Bonds that lie across the pull break with the strain of its
+    gradient (``break_bonds``). The control has the stiffness of its bonds times their integrity at the last
+    equilibrium.
 
     Parameters
     ----------

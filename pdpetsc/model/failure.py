@@ -166,7 +166,7 @@ class BondFailure:
         return self._break_worst(over, most)
 
     def tear(self, strain: Float, most: int | None = None) -> int:
-        """Break bonds on which the strain of a gradient is past their final stretch; return how many pairs (collective).
+        """Break bonds on which the strain of a gradient is past their final stretch; return how many (collective).
 
         Parameters
         ----------

@@ -19,6 +19,8 @@ GENTLE = 0.3
 # ends close by; where that fails, where no integrity changes by more than LAST. It has this many sweeps.
 SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
+# Solves in which Newton's answer and the damage there agree; more are left to the sweeps.
+FOLLOWING = 50
 
 
 @dataclass(frozen=True)
@@ -128,10 +130,43 @@ def equilibrium(
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
-    if stop() or (result.converged and model.soften(attempt) <= GENTLE and not model.break_bonds(attempt, 1)):
+    if not stop() and result.converged:
+        attempt, result, change = followed(solver, attempt, result, target)
+    if stop() or (result.converged and change <= LAST and not model.break_bonds(attempt, 1)):
         return attempt, result, broken, 0
     model.revert()
     return settle(solver, u, target, SWEEPS, lambda v: model.break_bonds(v, breaks))
+
+
+def followed(
+    solver: StepSolver, u: Float, result: StepResult, target: float, most: float = GENTLE
+) -> tuple[Float, StepResult, float]:
+    """Take the damage at ``u`` and solve again until that changes nothing; return the last change of an integrity.
+
+    A control has the damage of the last equilibrium, so what Newton found is no equilibrium with the damage there. A
+    change of more than ``most`` is not taken and ends the search.
+
+    Returns
+    -------
+    u, result
+        The last equilibrium and how it went.
+    change : float
+        At most ``LAST`` where it is one with the damage that has been taken [-].
+    """
+    iterations, linear, change = result.iterations, result.linear_iterations, 1.0
+    for _ in range(FOLLOWING):
+        change = solver.model.fading(u)
+        if change > most:
+            break
+        solver.model.soften(u)
+        if change <= LAST:
+            break
+        u, again = solver.solve(u, target)
+        iterations, linear = iterations + again.iterations, linear + again.linear_iterations
+        result = replace(again, iterations=iterations, linear_iterations=linear, easy=result.easy)
+        if not again.converged:
+            break
+    return u, result, change
 
 
 def settle(
@@ -163,10 +198,14 @@ def settle(
         change = solver.model.soften(u)
         more = fail(u)
         if change < SETTLED and not more:
-            attempt, closed = _followed(solver, u, target)
-            iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
+            solver.model.freeze(False)
+            attempt, closed = solver.solve(u, target)
             if closed.converged:
-                u, result, change = attempt, closed, 0.0
+                attempt, closed, change = followed(solver, attempt, closed, target, CLOSE)
+            solver.model.freeze(True)
+            iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
+            if closed.converged and change <= LAST:
+                u, result = attempt, closed
                 more = fail(u)
         broken += more
         if change < LAST and not more:
@@ -174,15 +213,3 @@ def settle(
             result = replace(result, reason=reason, iterations=iterations, linear_iterations=linear, easy=False)
             return u, result, broken, sweep
     return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most
-
-
-def _followed(solver: StepSolver, u: Float, target: float) -> tuple[Float, StepResult]:
-    """Find equilibrium with damage that follows the displacement, and take that; not converged where it is not close."""
-    model = solver.model
-    model.freeze(False)
-    attempt, result = solver.solve(u, target)
-    close = result.converged and model.fading(attempt) < CLOSE
-    model.freeze(True)
-    if close:
-        model.soften(attempt)
-    return attempt, replace(result, converged=close)

@@ -7,9 +7,9 @@ five laws of damage (150 runs); ``schemes``, the other three schemes on two latt
 load steps with bonds that soften (108). ``quick`` is 18 of them, bonds that snap, in two minutes. All without words.
 
 Writes ``robustness.csv`` with one row per run and prints, for every value of every parameter, how many runs end with
-exit status 0, how many separate (the last load below a thousandth of the peak), how many are symmetric (first moments of
-the damage below a millionth; stress points have random directions and are not), the largest share of the peak load that
-is left, cut-backs, and the median time of the solve.
+exit status 0, how many separate (the last load below a thousandth of the peak), how many are symmetric (first moments
+of the damage below a millionth; stress points have random directions and are not), the largest share of the peak load
+that is left, cut-backs, and the median time of the solve.
 """
 
 import csv
@@ -110,7 +110,7 @@ def report(rows, sweep):
     for row in rows:
         if not row["separated"]:
             where = ", ".join(f"{name}={row[name]}" for name in sweep)
-            print(f"not apart: {where}: {'%.2g of the peak left' % row['left'] if row['ended'] else 'did not end'}")
+            print(f"not apart: {where}: {row['left']:.2g} of the peak left" if row["ended"] else f"no end: {where}")
 
 
 def main():

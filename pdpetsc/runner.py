@@ -21,6 +21,7 @@ from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, OutputError, PdpetscError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
+from pdpetsc.model.apart import pieces_left
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder, prepare_folder
 from pdpetsc.output.keeper import Keeper
@@ -223,9 +224,11 @@ class _Run:
             status = str(error)
             if not isinstance(error, OutputError):
                 keeper.save()
+                self._say_what_holds(model)
             raise
         else:
             keeper.save()
+            self._say_what_holds(model)
         finally:
             self._finish(status, failed, solver.unit)
         return self._end()
@@ -244,6 +247,22 @@ class _Run:
             )
         if model.n_detached:
             self.summary["detached_particles"] = model.n_detached
+
+    def _say_what_holds(self, model: Model) -> None:
+        """Say whether bonds that broke have left the body in one piece, and what of its load it still carries."""
+        if not model.broken_bonds():
+            return
+        pieces, lone = pieces_left(model)
+        self.summary["pieces"] = {"pieces": pieces, "lone_particles": lone}
+        forces = [step["reference"] for step in self.steps]
+        left = forces[-1] / max(forces) if forces and max(forces) > 0.0 else float("nan")
+        self.summary["pieces"]["forces_left"] = left
+        lone_ones = f" and {lone} lone particles" if lone else ""
+        whole = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
+        carried = (
+            f"; forces at its supports and loads are {left:.2g} of their largest in this run" if left == left else ""
+        )
+        self.report.say(f"{whole}{lone_ones}{carried}")
 
     def _finish(self, status: str, failed: list[StepResult], unit: str) -> None:
         memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)

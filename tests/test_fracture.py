@@ -93,7 +93,7 @@ def test_a_restart_goes_on_with_the_same_bonds_and_fields(ranks, tmp_path):
     arguments = ("scheme=sub_horizons", "G=0", "steps=30")
     whole = results(PLATE, *arguments, output=tmp_path / "whole")["results"]
     case = plate_with_hole.case(scheme="sub_horizons", G=0.0, steps=30)
-    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(0.24)})
+    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(0.22)})
     with pytest.raises(pd.Interrupted):
         pd.run(stopped, output=tmp_path / "part", quiet=True)
     checkpoint = tmp_path / "part" / "checkpoint.h5"

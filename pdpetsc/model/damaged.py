@@ -31,8 +31,9 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
     with the stretch of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken
     bond leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
-    more; its neighbours' gradients and the control hold it. The control has the stiffness of its bonds times their
-    integrity at the last equilibrium.
+    more; its neighbours' gradients and the control hold it. Bonds that lie across the pull break with the strain of its
+    gradient (``break_bonds``). The control has the stiffness of its bonds times their integrity at the last
+    equilibrium.
 
     Parameters
     ----------
@@ -127,6 +128,50 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         y = self.cloud.x[neighbours] + u_local[neighbours] - self.cloud.x[centres] - u_local[centres]
         m = slope[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]
         return bonds, np.asarray(v), np.asarray(m)
+
+    def break_bonds(self, u: Float, most: int | None = None) -> int:
+        """Break bonds past their final stretch or, where none is, those that a gradient tears; return how many pairs.
+
+        Bonds that lie across the pull shorten with the material: a gradient that has no others left stretches without
+        end and carries its stress through bonds that never reach their critical stretch. So a bond of a particle that
+        has lost some also breaks when the tensile strain on it is past its final stretch.
+        """
+        broken = super().break_bonds(u, most)
+        if broken:
+            return broken
+        assert self.failure is not None
+        torn = self.failure.tear(self.tensile_strain(self.with_ghosts(u)), most)
+        if torn:
+            self._changed(rebuild=True)
+        return torn
+
+    def tensile_strain(self, u_local: Float) -> Float:
+        """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.
+
+        ``<.>+`` keeps the positive principal strains of the stretch ``U = (F^T F)^1/2``. It is the stretch of a bond
+        along the largest principal strain, and more than its stretch along other directions. Zero where the centre has
+        lost no bond (not collective).
+        """
+        operator, intact = self.operator, self.failure.intact
+        hurt = np.zeros(self.cloud.n_owned, dtype=bool)
+        hurt[self.families.centres[~intact]] = True
+        strain = np.zeros(len(intact))
+        points = np.flatnonzero(hurt[operator.owner] & (operator.volume > 0.0))
+        if len(points) == 0:
+            return strain
+        F = self.deformation(u_local)[points]
+        squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", F, F))
+        tension = np.maximum(np.sqrt(np.maximum(squares, 0.0)) - 1.0, 0.0)
+        positive = np.einsum("pij,pj,pkj->pik", axes, tension, axes)
+        size = np.diff(operator.point_ptr)[points]
+        entries = np.repeat(operator.point_ptr[points] - np.cumsum(size) + size, size) + np.arange(size.sum())
+        bonds, of = self.bond_of_entry[entries], np.repeat(np.arange(len(points)), size)
+        served = (bonds >= 0) & operator.g[entries].any(axis=1)
+        bonds, of = bonds[served], of[served]
+        xi = self.cloud.x[self.families.neighbours[bonds]] - self.cloud.x[self.families.centres[bonds]]
+        pulled = np.linalg.norm(np.einsum("eij,ej->ei", positive[of], xi), axis=1)
+        np.maximum.at(strain, bonds, pulled / self.failure.length[bonds])
+        return strain
 
     @property
     def restartable(self) -> bool:

@@ -163,6 +163,33 @@ class BondFailure:
             # A bond that has been past its final stretch has lost its force, even if it is shorter now.
             over = np.maximum(over, self.worst)
         over = np.where(self.intact, over, 0.0)
+        return self._break_worst(over, most)
+
+    def tear(self, strain: Float, most: int | None = None) -> int:
+        """Break bonds on which the strain of a gradient is past their final stretch; return how many (collective).
+
+        Parameters
+        ----------
+        strain : (n_bonds,) float64
+            Tensile strain on every bond that the gradients of its centre tell [-]; the larger of both ends counts.
+        most : int, optional
+            As in ``break_bonds``.
+        """
+        most = 1 if most is None and self.law.final == self.law.onset else most
+        over = np.where(self.intact, strain * self.length / self.limit, 0.0)
+        own = np.flatnonzero(over >= self.law.final)
+        keys = np.concatenate(self._comm.allgather(self.keys[own]))
+        values = np.concatenate(self._comm.allgather(over[own]))
+        if len(keys) == 0:
+            return 0
+        given, bonds, mine = self._matched(keys)
+        found = np.zeros(max(int(given.max()), int(mine.max(initial=0))) + 1)
+        np.maximum.at(found, given, values)
+        over[bonds] = np.maximum(over[bonds], found[mine])
+        return self._break_worst(np.where(self.intact, over, 0.0), most)
+
+    def _break_worst(self, over: Float, most: int | None) -> int:
+        """Break bonds of which ``over`` is past the final stretch, the worst first; return how many pairs."""
         worst = largest(self._comm, float(over.max(initial=0.0)))
         if worst < self.law.final or worst == 0.0:
             return 0
@@ -183,15 +210,25 @@ class BondFailure:
 
     def restore(self, keys: GlobalIndex, states: Float) -> None:
         """Set the states of those of the given bonds that are held here (not collective)."""
-        if len(keys) == 0 or len(self.keys) == 0:
+        given, bonds, mine = self._matched(keys)
+        if len(bonds) == 0:
             return
-        _, index = np.unique(np.concatenate([keys, self.keys]), axis=0, return_inverse=True)
-        index = index.reshape(-1)
-        row = np.full(int(index.max()) + 1, -1, dtype=np.int64)
-        row[index[: len(keys)]] = np.arange(len(keys))
-        found = row[index[len(keys) :]]
+        row = np.full(max(int(given.max()), int(mine.max())) + 1, -1, dtype=np.int64)
+        row[given] = np.arange(len(keys))
+        found = row[mine]
         here = found >= 0
-        self.integrity[here], self.worst[here] = states[found[here]].T
+        self.integrity[bonds[here]], self.worst[bonds[here]] = states[found[here]].T
+
+    def _matched(self, keys: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
+        """Return a number for every given key (n, 3), bonds held here that may be among them, and their numbers.
+
+        Bonds with the same key have the same number (not collective).
+        """
+        near = np.isin(self.keys[:, 0], keys[:, 0]) & np.isin(self.keys[:, 1], keys[:, 1])
+        bonds = np.flatnonzero(near)
+        _, number = np.unique(np.concatenate([keys, self.keys[bonds]]), axis=0, return_inverse=True)
+        number = number.reshape(-1)
+        return number[: len(keys)], bonds, number[len(keys) :]
 
     def count_broken(self) -> int:
         """Return how many pairs have lost their bond (collective)."""

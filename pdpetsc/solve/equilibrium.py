@@ -23,6 +23,8 @@ FLOOR = 20.0
 STAGNATION = 0.5
 # A norm that is computed once more, in another order of the sums, may differ by this factor.
 SLACK = 1.0 + 1e-6
+# Why a piece on which a load acts is not in equilibrium.
+HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
 HALVINGS = 40
 # A step with no more iterations may be followed by a longer one.
 EASY_ITERATIONS = 6
@@ -181,7 +183,7 @@ class Equilibrium:
         """
         iterations = max(len(self.norms) - 1, 0)
         words = self.reason or _words(reason, linear_reason)
-        if reason > 0 and not converged:
+        if reason > 0 and not converged and self.reason != HELD_BY_NOTHING:
             words = f"PETSc ended with {_words(reason, linear_reason)}, but the residual is above the tolerance"
         return StepResult(
             converged=converged,
@@ -208,6 +210,21 @@ class Equilibrium:
     def move_springs(self, u: Float) -> None:
         """Let the springs of loose particles have no force at ``u`` (not collective)."""
         self._anchor = u
+
+    def at_rest(self, x: Float, rtol: float) -> bool:
+        """Return whether forces balance at ``x`` without the springs of loose particles; where not, ``reason`` says so.
+
+        A load on a piece that has come free is held by nothing else, however far it moves.
+        """
+        if self.damping is None:
+            return True
+        values = x.reshape(self.free.shape)
+        springs = np.where(self.free, self.damping[:, None] * (values - self._anchor), 0.0)
+        force = float(np.sqrt(total(self.model.cloud.comm, (springs**2).sum())))
+        resting = force <= max(self._tolerance(x, rtol))
+        if not resting:
+            self.reason = HELD_BY_NOTHING
+        return resting
 
 
 def read_options(destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP) -> None:

@@ -181,7 +181,9 @@ class PathSolver(StepSolver):
             self.snes.solve(None, self._x)
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
-        converged = reason > 0 and sought.reason != "" and sought.judge(values, self._rtol)
+        # Only the test of this solver knows the constraint too.
+        met = reason > 0 and sought.reason != ""
+        converged = met and sought.at_rest(values, self._rtol) and sought.judge(values, self._rtol)
         self.load = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
         if converged:

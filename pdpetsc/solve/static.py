@@ -26,6 +26,8 @@ from pdpetsc.solve.petsc import (
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
+# Solves in which loose pieces must come to rest, so that equilibrium needs no springs.
+RESTS = 5
 
 
 class StaticSolver(StepSolver):
@@ -92,13 +94,17 @@ class StaticSolver(StepSolver):
         if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):
             start, linear = self._predict(u, sought.prescribed - np.where(self.loading.fixed, u, 0.0))
         linear += self._iterate(start)
-        if sought.damping is not None and self.snes.getConvergedReason() > 0:
+        resting = sought.damping is None
+        for _ in range(RESTS):
+            if resting or self.snes.getConvergedReason() <= 0:
+                break
             # Once more from where it came to rest: the damping has no force there.
             rest = sought.at_prescribed(self._displacement(self._x))
             sought.move_springs(rest)
             linear += self._iterate(rest)
+            resting = sought.at_rest(self._displacement(self._x), self._rtol)
         reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
-        converged = reason > 0 and sought.judge(found, self._rtol)
+        converged = reason > 0 and resting and sought.judge(found, self._rtol)
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
         if converged:
             result = replace(result, negative_pivots=negative_pivots(self.snes.getKSP()))

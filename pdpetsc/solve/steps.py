@@ -15,9 +15,12 @@ GROWTH = 1.5
 # Newton's answer counts where it changes no integrity by more: a longer jump has passed unstable states, and which of
 # the states beyond it finds is left to round-off.
 GENTLE = 0.3
-# Damage has settled where no integrity changes by more in a sweep; it has this many sweeps.
-SETTLED = 1e-6
+# Damage has settled where no integrity changes by more in a sweep, and Newton with damage that follows the displacement
+# ends close by; where that fails, where no integrity changes by more than LAST. It has this many sweeps.
+SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
+# Solves in which Newton's answer and the damage there agree; more are left to the sweeps.
+FOLLOWING = 50
 
 
 @dataclass(frozen=True)
@@ -139,16 +142,52 @@ def equilibrium(
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
-    if stop() or (result.converged and model.soften(attempt) <= GENTLE and not model.break_bonds(attempt, 1)):
+    if not stop() and result.converged:
+        attempt, result, change = followed(solver, attempt, result, target)
+    if stop() or (result.converged and change <= LAST and not model.break_bonds(attempt, 1)):
         return attempt, result, broken, 0
     model.revert()
     return settle(solver, u, target, SWEEPS, lambda v: model.break_bonds(v, breaks))
+
+
+def followed(
+    solver: StepSolver, u: Float, result: StepResult, target: float, most: float = GENTLE
+) -> tuple[Float, StepResult, float]:
+    """Take the damage at ``u`` and solve again until that changes nothing; return the last change of an integrity.
+
+    A control has the damage of the last equilibrium, so what Newton found is no equilibrium with the damage there. A
+    change of more than ``most`` is not taken and ends the search.
+
+    Returns
+    -------
+    u, result
+        The last equilibrium and how it went.
+    change : float
+        At most ``LAST`` where it is one with the damage that has been taken [-].
+    """
+    iterations, linear, change = result.iterations, result.linear_iterations, 1.0
+    for _ in range(FOLLOWING):
+        change = solver.model.fading(u)
+        if change > most:
+            break
+        solver.model.soften(u)
+        if change <= LAST:
+            break
+        u, again = solver.solve(u, target)
+        iterations, linear = iterations + again.iterations, linear + again.linear_iterations
+        result = replace(again, iterations=iterations, linear_iterations=linear, easy=result.easy)
+        if not again.converged:
+            break
+    return u, result, change
 
 
 def settle(
     solver: StepSolver, u: Float, target: float, most: int, fail: Callable[[Float], int]
 ) -> tuple[Float, StepResult, int, int]:
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
+
+    The last sweep leaves equilibrium with the damage before it, so Newton with damage that follows the displacement
+    ends the search: what is returned is equilibrium with the damage that is kept.
 
     Parameters
     ----------
@@ -170,8 +209,18 @@ def settle(
             return u, result, broken, sweep
         change = solver.model.soften(u)
         more = fail(u)
-        broken += more
         if change < SETTLED and not more:
+            solver.model.freeze(False)
+            attempt, closed = solver.solve(u, target)
+            if closed.converged:
+                attempt, closed, change = followed(solver, attempt, closed, target, CLOSE)
+            solver.model.freeze(True)
+            iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
+            if closed.converged and change <= LAST:
+                u, result = attempt, closed
+                more = fail(u)
+        broken += more
+        if change < LAST and not more:
             reason = "damage settled"
             result = replace(result, reason=reason, iterations=iterations, linear_iterations=linear, easy=False)
             return u, result, broken, sweep

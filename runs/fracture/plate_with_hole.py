@@ -43,6 +43,8 @@ def case(
         "early": pd.SmoothDegradation(critical, 0.4, protected=held),
         "brittle": pd.Brittle(critical, protected=held),
         "linear": pd.LinearSoftening(critical, 1.5, protected=held),
+        "exponential": pd.ExponentialSoftening(critical, 5.0, protected=held),
+        "bilinear": pd.BilinearSoftening(critical, protected=held),
     }
     left, right = pd.region.Named("fictitious -x"), pd.region.Named("fictitious +x")
     damage = pd.choose("law", law, laws)

@@ -20,13 +20,14 @@ from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
-from pdpetsc.loading import select
+from pdpetsc.loading import Loading, select
 from pdpetsc.material import Graded, Material
 from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model, NearAssembler
 from pdpetsc.scene.influence import evaluate
 from pdpetsc.scene.particles import Chunk
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
+from pdpetsc.solve.scales import nearest_distances
 
 
 def make_cloud(comm: Comm, case: Case) -> Cloud:
@@ -90,6 +91,8 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 model.tangent_times(u, u)
                 model.energy(u)
                 model.commit(u)
+                nearest_distances(model)
+                Loading(model, [], case.particles).held_at_cut_families()
                 if damage is not None and isinstance(model, BondModel) and isinstance(case.solver, EventDriven):
                     rehearse_pairs(model)
 

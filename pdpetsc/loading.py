@@ -12,6 +12,7 @@ from pdpetsc.declared import called
 from pdpetsc.discrete.cloud import Cloud, from_parts
 from pdpetsc.discrete.communicator import agreed, largest, smallest, total
 from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.kernels.pattern import first_moments
 from pdpetsc.model import Model
 from pdpetsc.scene.conditions import (
     BodyForce,
@@ -187,17 +188,15 @@ class Loading:
         """
         cloud, families = self._model.cloud, self._model.families
         n, dim = cloud.n_owned, cloud.dim
-        held = np.zeros((cloud.n_local, dim))
-        held[:n] = self.fixed[:n]
-        cloud.halo.forward(held)
-        xi = families.bonds(cloud.x) * cloud.volume[families.neighbours, None]
-        found = np.zeros(n, dtype=bool)
-        for axis in range(dim):
-            moment = np.bincount(families.centres, xi[:, axis], n)
-            size = np.bincount(families.centres, np.abs(xi[:, axis]), n)
-            beside_free = np.bincount(families.centres, held[families.neighbours, axis] == 0.0, n) > 0
-            found |= (held[:n, axis] > 0.0) & (np.abs(moment) > ONE_SIDED * size) & beside_free
-        return int(total(cloud.comm, np.count_nonzero(found)))
+        free = np.ones((cloud.n_local, dim))
+        free[:n] = ~self.fixed[:n]
+        cloud.halo.forward(free)
+        moment, size, beside = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim), dtype=bool)
+        first_moments(
+            families.indptr, families.neighbours, cloud.x, cloud.volume, free > 0.0, moment, size, beside
+        )  # fmt: skip
+        found = self.fixed[:n] & (np.abs(moment) > ONE_SIDED * size) & beside
+        return int(total(cloud.comm, np.count_nonzero(found.any(axis=1))))
 
     def refuse_what_is_not_proportional(self, who: str) -> None:
         """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective)."""

@@ -154,3 +154,30 @@ def families_with_ghosts(indptr, neighbours, n_owned, found):  # type: ignore[no
         for b in range(indptr[i], indptr[i + 1]):
             if neighbours[b] >= n_owned:
                 found[i] = True
+
+
+@compiled
+def nearest_neighbours(indptr, neighbours, x, nearest):  # type: ignore[no-untyped-def]
+    """Lower ``nearest`` (n_owned,) to the distance of the nearest member of each family."""
+    for i in range(indptr.size - 1):
+        for b in range(indptr[i], indptr[i + 1]):
+            square = 0.0
+            for m in range(x.shape[1]):
+                square += (x[neighbours[b], m] - x[i, m]) ** 2
+            nearest[i] = min(nearest[i], np.sqrt(square))
+
+
+@compiled
+def first_moments(indptr, neighbours, x, volume, free, moment, size, beside):  # type: ignore[no-untyped-def]
+    """Write ``sum_j V_j xi_a``, ``sum_j V_j |xi_a|`` and whether any j is ``free`` along a, (n_owned, dim) each."""
+    for i in range(indptr.size - 1):
+        for a in range(x.shape[1]):
+            moment[i, a] = 0.0
+            size[i, a] = 0.0
+            beside[i, a] = False
+            for b in range(indptr[i], indptr[i + 1]):
+                j = neighbours[b]
+                xi = x[j, a] - x[i, a]
+                moment[i, a] += volume[j] * xi
+                size[i, a] += volume[j] * abs(xi)
+                beside[i, a] |= free[j, a]

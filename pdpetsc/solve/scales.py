@@ -9,6 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
+from pdpetsc.kernels.pattern import nearest_neighbours
 from pdpetsc.model import Model
 
 
@@ -60,7 +61,7 @@ def nearest_distances(model: Model) -> Float:
     """
     cloud, family = model.cloud, model.families
     nearest = np.full(cloud.n_owned, cloud.horizon)
-    np.minimum.at(nearest, family.centres, np.linalg.norm(family.bonds(cloud.x), axis=1))
+    nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
     return nearest
 
 

@@ -55,8 +55,8 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     """Return the model of a case on a distributed cloud (collective)."""
     if int(total(cloud.comm, len(families.neighbours))) == 0:
         raise CaseError(
-            f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let the "
-            f"cracks cut less."
+            f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
+            f"the cracks cut less."
         )
     materials, material_of, factor = _materials(case, cloud)
     return _model(case, cloud, families, materials, material_of, factor)

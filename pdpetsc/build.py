@@ -57,7 +57,7 @@ def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
     if int(total(cloud.comm, len(families.neighbours))) == 0:
         raise CaseError(
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
-            f"cracks cut less."
+            f"the cracks cut less."
         )
     materials, material_of, factor = _materials(case, cloud)
     return _model(case, cloud, families, materials, material_of, factor)

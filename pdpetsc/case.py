@@ -174,7 +174,7 @@ class Case(Declared):
         named: dict[str, Field] = {}
         for function in [*written, *(f for f in shown_too if f not in written)]:
             name = name_of(function) if hasattr(function, "__name__") else ""
-            if not name.isidentifier():
+            if not (name.isidentifier() and name.isascii()):
                 raise CaseError(
                     f"A field has no name that a file could hold ({name or shown(function)}); define it with def, or "
                     f"give the fields as a mapping of names to functions."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -274,7 +275,7 @@ class RelativeError(Quantity):
     reference : callable
         ``reference(x, t)`` with (n, dim) positions returns values of the field's shape.
     region : Region
-        Where; particles with zero reference are left out.
+        Where; particles with zero reference are left out. NaN where it is zero everywhere.
     """
 
     field: Field
@@ -284,15 +285,16 @@ class RelativeError(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        found = self.field(solution)[mask].reshape(int(mask.sum()), -1)
-        exact = _reference(solution, self.reference, mask, found.shape)
+        found = self.field(solution)[mask]
+        width = math.prod(found.shape[1:])
+        exact = _reference(solution, self.reference, mask, found.shape).reshape(len(found), width)
+        found = found.reshape(exact.shape)
         size = np.linalg.norm(exact, axis=1)
         weight = np.where(size > 0.0, solution.volume[mask], 0.0)
         error = np.linalg.norm(found - exact, axis=1) / np.where(size > 0.0, size, 1.0)
         moment, volume = solution.sum([weight @ error, weight.sum()])
-        if not volume > 0.0:
-            raise CaseError("A RelativeError needs a reference that is not zero everywhere in its region.")
-        return float(moment / volume)
+        # The reference of a body at rest is often zero everywhere.
+        return float(moment / volume) if volume > 0.0 else math.nan
 
 
 @dataclass(frozen=True)
@@ -306,7 +308,7 @@ class LargestError(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        found = self.field(solution)[mask].reshape(int(mask.sum()), -1)
+        found = self.field(solution)[mask]
         difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))
         return solution.largest(float(difference.max(initial=0.0)))
 
@@ -314,15 +316,16 @@ class LargestError(Quantity):
 def _reference(
     solution: Solution, function: Callable[[Float, float], Float], mask: Mask, shape: tuple[int, ...]
 ) -> Float:
-    """Return the values of a reference function (n, width) where the mask is true (collective)."""
+    """Return the values of a reference function in the shape of the field where the mask is true (collective)."""
     with agreed(solution.model.cloud.comm):
         values = numbers_from("reference", function, solution.x[mask], solution.t)
-        if values.size != np.prod(shape) or len(np.atleast_1d(values)) != shape[0]:
+        try:
+            return values.reshape(shape) if values.size == math.prod(shape) else np.broadcast_to(values, shape)
+        except ValueError:
             raise CaseError(
-                f"The reference {name_of(function)} must return {shape[1]} numbers for each of {shape[0]} particles, "
-                f"not shape {values.shape}."
-            )
-        return values.reshape(shape)
+                f"The reference {name_of(function)} must return values of the shape of the field, {shape}, "
+                f"not {values.shape}."
+            ) from None
 
 
 def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:

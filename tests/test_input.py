@@ -122,7 +122,7 @@ def refused(valid, changes):
         (lambda: case(fields={"stress": pd.displacement}, picture=pd.Picture()), "Two fields are named 'stress'"),
         (lambda: case(fields={"a b": pd.stress}), "no name that a file could hold"),
         (lambda: case(fields={"volume": pd.stress}), "named 'volume'"),
-        (lambda: pd.Steps(10**9), "between 1 and 99999 steps"),
+        (lambda: pd.Steps(10**9), "whole number up to 99999, not"),
         (lambda: pd.Steps(2.0), "a whole number as count"),
         (lambda: pd.Steps(2, breaks=0), "from 1 on, not 0"),
         (lambda: pd.PathFollowing(breaks=0), "from 1 on, not 0"),
@@ -261,6 +261,23 @@ MARKED = """
 def marked(solution):
     return np.full(len(solution.x), float(solution.sum(solution.loading.fixed[:, 0].sum())))
 """
+
+
+def test_references_have_the_shape_of_the_field_or_one_that_spreads(tmp_path):
+    def size(x, t):
+        return 0.5 * t * np.array([1.0, 0.0])
+
+    held = pd.Displacement(region.All(), x=0.5, y=0.0)
+    asked = {"relative": pd.RelativeError(pd.displacement, size), "largest": pd.LargestError(pd.displacement, size)}
+    results = {}
+    body = case(conditions=[held], history=asked, results=lambda h: results.update(h) or {})
+    pd.run(body, output=tmp_path, quiet=True)
+    assert results["relative"][1] == results["largest"][1] == 0.0
+    # The body is at rest at the start.
+    assert math.isnan(results["relative"][0])
+    wrong = {"relative": pd.RelativeError(pd.displacement, lambda x, t: np.ones(7))}
+    with pytest.raises(pd.CaseError, match=r"must return values of the shape of the field, \(16, 2\), not \(7,\)"):
+        pd.run(case(conditions=[held], history=wrong), output=tmp_path, quiet=True)
 
 
 # --- endless work

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import time
+from pathlib import Path
 
 import meshio
 import netCDF4
@@ -215,6 +216,63 @@ def test_abaqus_sets_surfaces_and_skins(tmp_path):
             whole(pd.Mesh(path))
 
 
+def test_abaqus_parts_and_included_files(tmp_path):
+    mesh = ABAQUS[ABAQUS.index("*NODE") :]
+    (tmp_path / "mesh.inc").write_text(mesh)
+    part = "*PART, NAME=P\n*INCLUDE, INPUT=mesh.inc\n*END PART\n*ASSEMBLY, NAME=A\n*INSTANCE, NAME=I, PART=P\n"
+    rest = "*END INSTANCE\n*NODE\n1, 9, 9, 9\n*NSET, NSET=far, INSTANCE=I\n2\n*NSET, NSET=ref\n1\n*END ASSEMBLY\n"
+    path = tmp_path / "bar.inp"
+    path.write_text(part + rest)
+    _, volume, sets = whole(pd.Mesh(path))
+    assert volume == pytest.approx([1.0, 1.0])
+    assert sets["far"].all()
+    assert "ref" not in sets
+    for text, message in (
+        (part + "0.0, 1.0, 0.0\n" + rest, "moves an instance"),
+        ("*PART, NAME=Q\n*END PART\n" + part + rest, "several parts"),
+        ("*INCLUDE, INPUT=bar.inp\n", "include each other"),
+        ("*INCLUDE, INPUT=none.inp\n", "No such file"),
+    ):
+        path.write_text(text)
+        with pytest.raises(pd.CaseError, match=message):
+            whole(pd.Mesh(path))
+
+
+def test_groups_of_quadratic_boundaries_and_of_single_nodes(tmp_path):
+    # Two triangles of second order and the three nodes of one of their edges.
+    points = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [1, 0], [2, 1], [1, 1], [1, 2], [0, 1]], dtype=float)
+    tags = [np.array([1, 1]), np.array([5]), np.array([6])]
+    mesh = meshio.Mesh(
+        np.column_stack([points, np.zeros(9)]),
+        [("triangle6", [[0, 1, 2, 4, 5, 6], [0, 2, 3, 6, 7, 8]]), ("line3", [[2, 3, 7]]), ("vertex", [[1]])],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={"top": np.array([5, 1]), "corner": np.array([6, 0])},
+    )
+    meshio.gmsh.write(tmp_path / "plate.msh", mesh, fmt_version="2.2", binary=False)
+    _, volume, sets = whole(pd.Mesh(tmp_path / "plate.msh"))
+    assert volume.tolist() == [2.0, 2.0]
+    assert sets["top"].tolist() == [False, True]
+    assert sets["corner"].tolist() == [True, False]
+
+
+def test_med_groups_of_cells_faces_and_nodes(tmp_path):
+    points, cells = box("hexahedron", (2, 1, 1))
+    mesh = meshio.Mesh(
+        points,
+        [("hexahedron", cells), ("quad", [[0, 2, 3, 1]])],
+        cell_data={"cell_tags": [np.array([-1, -2]), np.array([-3])]},
+        point_data={"point_tags": np.array([0] * 8 + [2] * 4)},
+    )
+    mesh.cell_tags = {-1: ["left", "all"], -2: ["all"], -3: ["foot"]}
+    mesh.point_tags = {2: ["end"]}
+    meshio.med.write(tmp_path / "box.med", mesh)
+    _, volume, sets = whole(pd.Mesh(tmp_path / "box.med"))
+    assert volume == pytest.approx([1.0, 1.0])
+    assert {name: flags.tolist() for name, flags in sets.items()} == {
+        "left": [True, False], "all": [True, True], "foot": [True, False], "end": [False, True],
+    }  # fmt: skip
+
+
 def exodus(path, names=True):
     """Write an Exodus file of two tetrahedra of second order with two node sets and two side sets."""
     points, _ = box("hexahedron", (1, 1, 1))
@@ -328,16 +386,17 @@ def test_headers_name_the_columns_of_text_clouds(tmp_path):
         ("header: x y block_id\n0 0 1\n", "header of .* needs"),
         ("header: x y block_id volume\n0 0 0 1 0.5\n", "5 columns, and its header names 4"),
         ("", "no lines of numbers"),
-        ("0 0 1 inf\n", "^$"),
     ):
         path.write_text(text)
-        if message != "^$":
-            with pytest.raises(pd.CaseError, match=message):
-                whole(pd.TextFile(path))
+        with pytest.raises(pd.CaseError, match=message):
+            whole(pd.TextFile(path))
     nodes = tmp_path / "left.txt"
     nodes.write_text("header: global_id\n1\n")
     path.write_text("header: x y block_id volume\n0 0 1 0.5\n1 0 1 0.5\n")
     assert whole(pd.TextFile(path, {"left": nodes}))[2]["left"].tolist() == [True, False]
+    nodes.write_text("1.5\n")
+    with pytest.raises(pd.CaseError, match="not whole"):
+        whole(pd.TextFile(path, {"left": nodes}))
 
 
 # --- damaged files
@@ -369,6 +428,15 @@ def samples(folder):
         names[ending] = folder / ending
         write(names[ending])
     return names
+
+
+def test_every_format_gives_the_same_body(tmp_path):
+    for name, path in samples(tmp_path).items():
+        x, volume, _ = whole(pd.Mesh(path))
+        expected = [1 / 6, 1 / 6] if name == "a.g" else [1.0, 1.0]
+        assert volume == pytest.approx(expected), name
+        if name != "a.g":
+            assert x[:, 0] == pytest.approx([0.5, 1.5]), name
 
 
 def mutated(data, rng):
@@ -415,6 +483,17 @@ def test_damaged_meshes_end_as_meshes_or_as_sentences(tmp_path, rng, monkeypatch
     assert refused > 100
 
 
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the memory of the process is not known here")
+def test_a_damaged_number_does_not_take_the_memory(tmp_path):
+    path = samples(tmp_path)["41.msh"]
+    text = path.read_text(errors="replace")
+    head = text.index("$Nodes\n") + len("$Nodes\n")
+    count = text[head:].split()[1]
+    path.write_text(text[:head] + text[head:].replace(f" {count} ", " 100000000 ", 1))
+    with pytest.raises(pd.CaseError, match="far more memory"):
+        whole(pd.Mesh(path))
+
+
 def test_a_reader_that_does_not_end_is_interrupted(tmp_path, monkeypatch):
     def endless(path):
         while True:
@@ -426,3 +505,21 @@ def test_a_reader_that_does_not_end_is_interrupted(tmp_path, monkeypatch):
     (tmp_path / "a.msh").write_text("")
     with pytest.raises(pd.CaseError, match="took more than"):
         whole(pd.Mesh(tmp_path / "a.msh"))
+
+
+def test_damaged_text_clouds_end_as_particles_or_as_sentences(tmp_path, rng):
+    original = b"header: x y block_id volume\n0 0 1 0.5\n1.5 0 1 0.5\n0 2 2 0.25\n# end\n1 1 2 0.25\n"
+    path, nodes = tmp_path / "cloud.txt", tmp_path / "nodes.txt"
+    read = refused = 0
+    for _ in range(150):
+        path.write_bytes(mutated(original, rng))
+        nodes.write_bytes(mutated(b"1\n2\n3\n", rng))
+        try:
+            x, volume, _ = whole(pd.TextFile(path, {"some": nodes} if rng.integers(2) else {}), 1)
+            assert len(x) == len(volume)
+            read += 1
+        except pd.CaseError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert read > 10
+    assert refused > 50

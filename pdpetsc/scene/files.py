@@ -10,10 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
@@ -65,7 +63,7 @@ class TextFile(Particles):
         path = Path(self.path)
         lines = _lines(path)
         names, start = _header(path, lines)
-        table = _table(path, lines[start:], float)
+        table = _table(path, lines[start:])
         x, block, volume = _columns(path, names, table)
         wrong = np.flatnonzero(~(np.isfinite(block) & (block == np.round(block))))
         if len(wrong):
@@ -77,11 +75,13 @@ class TextFile(Particles):
         for name, file in self.node_sets.items():
             rows = _lines(Path(file))
             first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
-            members = np.ravel(_table(Path(file), rows[first:], int)).astype(np.int64) - 1
-            if len(members) and (members.min() < 0 or members.max() >= len(table)):
+            members = np.ravel(_table(Path(file), rows[first:]))
+            if not (members == np.round(members)).all():
+                raise CaseError(f"{file} holds particle numbers that are not whole.")
+            if members.min() < 1 or members.max() > len(table):
                 raise CaseError(f"{file} names particles outside 1 to {len(table)}.")
             flags = np.zeros(len(table), dtype=bool)
-            flags[members] = True
+            flags[members.astype(np.int64) - 1] = True
             sets[name] = flags
         return Arrays(_without_constant(x), volume, sets, self.thickness)
 
@@ -205,7 +205,7 @@ def _known(path: Path, words: list[str]) -> list[str]:
     return names
 
 
-def _columns(path: Path, names: list[str] | None, table: NDArray[Any]) -> tuple[Float, Float, Float]:
+def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, Float, Float]:
     """Return coordinates (n, dim), blocks and volumes (n,)."""
     width = table.shape[1]
     if names is None:
@@ -221,12 +221,12 @@ def _columns(path: Path, names: list[str] | None, table: NDArray[Any]) -> tuple[
     return x, table[:, names.index("block")], table[:, names.index("volume")]
 
 
-def _table(path: Path, lines: list[str], kind: type) -> NDArray[Any]:
+def _table(path: Path, lines: list[str]) -> Float:
     rows = [line for line in lines if line.split("#", 1)[0].strip()]
     if not rows:
         raise CaseError(f"{path} has no lines of numbers.")
     try:
-        return np.loadtxt(rows, dtype=kind, ndmin=2)
+        return np.asarray(np.loadtxt(rows, ndmin=2))
     except (ValueError, OverflowError) as error:
         raise CaseError(f"{path} is not a table of numbers: {error}.") from None
 

@@ -22,7 +22,7 @@ from pdpetsc.scene import abaqus, exodus
 from pdpetsc.scene.cells import CORNERS, Block, MeshData
 
 # A reader may take this long, and this much longer for every byte [s].
-START, PER_BYTE = 20.0, 2e-5
+START, PER_BYTE = 60.0, 2e-5
 # It may take this much memory, and this much more for every byte: one damaged number asks for more than there is.
 ROOM, ROOM_PER_BYTE = 2**30, 100
 # Nodes of cells that are hexahedra and quadrilaterals in another order.

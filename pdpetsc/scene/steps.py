@@ -48,7 +48,7 @@ class Steps(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.count <= MOST_STEPS:
-            raise CaseError(f"Steps takes between 1 and {MOST_STEPS} steps, not {self.count}.")
+            raise CaseError(f"Steps needs a positive whole number up to {MOST_STEPS}, not {self.count}.")
         if self.smallest is not None and not LEAST_STEP <= self.smallest <= 1.0 / self.count:
             raise CaseError(
                 f"The smallest of {self.count} steps must lie between {LEAST_STEP:g} and 1/{self.count}, "

@@ -92,10 +92,12 @@ LAWS = {
 }
 
 
-def damaged_body(dim, law, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], rng=None):
+def damaged_body(
+    dim, law, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], rng=None, horizon=2.015
+):
     """Return a small body of deformation gradients whose bonds fail by a law, on this process."""
     x = lattice(dim, rng)
-    cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, horizon)
     families = find_families(cloud)
     omega, material_of = np.ones(len(families.neighbours)), np.zeros(cloud.n_owned, dtype=np.int32)
     return DamagedCorrespondenceModel(cloud, families, omega, scheme, [material], material_of, control, None, law, None)

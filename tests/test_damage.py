@@ -42,9 +42,13 @@ def test_laws_fall_from_one_and_have_the_right_slope_and_energy(law):
         exact = 0.5 * law.onset**2 + area - 0.5 * T * end**2
         one = np.ones(1)
         assert law.dissipated(T * one, end * one, one, one)[0] == pytest.approx(exact, rel=1e-9)
+    # A broken bond stores nothing: it has dissipated the whole area under its force.
     one = np.ones(1)
+    area = 0.0
+    for begin, end in itertools.pairwise(law.pieces):
+        area += quad(lambda y: float(law.integrity(np.array([y]))[0]) * y, begin, end)[0]
     whole = law.dissipated(0.0 * one, law.final * one, one, one)[0]
-    assert whole >= 0.5 * law.onset**2
+    assert whole == pytest.approx(0.5 * law.onset**2 + area, rel=1e-9)
 
 
 def test_the_published_degradation_jumps_and_can_be_made_continuous():
@@ -151,6 +155,48 @@ def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(sch
     model._changed(rebuild=True)
     assert model.n_detached >= 1
     assert np.isfinite(model.internal_force(strained)).all()
+
+
+def strained(model, *stretches):
+    """Return the displacement of a uniform strain with these principal values along the axes."""
+    return model.cloud.x * np.array(stretches)
+
+
+def across_only(model):
+    """Let every particle keep only the bonds that lie steeper than two to one across the x axis."""
+    xi = model.families.bonds(model.cloud.x)
+    model.failure.integrity[np.abs(xi[:, 1]) < 1.9 * np.abs(xi[:, 0])] = 0.0
+    model.take_failure()
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_bonds_across_a_pull_break_with_the_strain_of_their_gradient(scheme):
+    """Pulled along x and contracting, bonds that lie across shorten; what carries the pull must break all the same."""
+    horizon = 2.5
+    model = damaged_body(2, pd.Brittle(CRITICAL), SCHEMES[scheme], pd.Silling(0.5), horizon=horizon)
+    pulled = strained(model, 0.1, -0.05)
+    assert not model.failure.tear(model.tensile_strain(pulled)), "families that have lost nothing break by stretch"
+    across_only(model)
+    e = model.elongation(pulled)
+    assert np.all(e[model.failure.intact] < 0.0)
+    assert model.operator.volume.any()
+    u = pulled[: model.cloud.n_owned]
+    # Neither turned, nor pressed, nor below the critical strain.
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]]) - np.eye(2)
+    assert not model.break_bonds(model.cloud.x @ turn.T)
+    assert not model.break_bonds(strained(model, -0.1, -0.05))
+    assert not model.break_bonds(strained(model, 0.019, -0.01))
+    strain = model.tensile_strain(pulled)
+    oblique = model.failure.intact & (np.abs(model.families.bonds(model.cloud.x)[:, 0]) > 0.5)
+    carried = np.isin(model.families.centres, model.operator.owner[model.operator.volume > 0.0])
+    # A bond at slope two feels the share of the strain along x that lies in its direction.
+    assert np.allclose(strain[oblique & carried], 0.1 / np.sqrt(5.0), rtol=1e-10)
+    assert np.abs(model.internal_force(u)).max() > 0.01
+    while model.break_bonds(u):
+        pass
+    assert np.abs(model.internal_force(u)).max() < 1e-12
+    kept = model.failure.intact
+    assert np.all(np.abs(model.families.bonds(model.cloud.x)[kept, 0]) < 0.5)
 
 
 def test_history_and_some_controls_are_refused():

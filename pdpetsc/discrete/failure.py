@@ -1,0 +1,72 @@
+"""What a rank does that has failed, when it does not know where the others are."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from typing import NoReturn
+
+from mpi4py import MPI
+
+from pdpetsc.discrete.communicator import Comm, world
+from pdpetsc.errors import PdpetscError, places
+
+# Tag of messages that a rank has failed.
+FAILURE = 911
+# How long a rank that failed waits for others to fail as well, after a signal and else [s]: mpirun kills ranks a second
+# after it passed a signal on.
+SHORT_MOMENT, MOMENT = 0.4, 2.5
+# How long the last words take to be passed on [s].
+SPOKEN = 0.2
+
+
+def all_failed(error: BaseException, failure: PdpetscError) -> bool:
+    """Return whether all ranks failed together and may go on to communicate; True on one rank.
+
+    Parameters
+    ----------
+    error, failure : exception
+        What was raised, and the same as one sentence.
+
+    Notes
+    -----
+    Not collective: a rank that fails alone leaves the others in a call that waits for it, so it waits for a moment
+    only. Of several that fail each on their own the lowest returns, and the others wait for it to abort them.
+    """
+    comm = world()
+    if comm.size == 1 or failure.agreed:
+        return True
+    stopped = isinstance(error, KeyboardInterrupt)
+    lowest, together = _others(comm, (type(failure).__name__, *places(error)), SHORT_MOMENT if stopped else MOMENT)
+    # Ranks that a signal ends are anywhere, whatever their lines say.
+    if together and not stopped:
+        return True
+    if not lowest:
+        time.sleep(4.0 * MOMENT)
+    return False
+
+
+def give_up(failure: PdpetscError) -> NoReturn:
+    """Say on stderr why this rank ends the run, and abort all ranks with exit status 1 (not collective)."""
+    with contextlib.suppress(OSError):
+        print(f"pdpetsc: {failure}", file=sys.stderr, flush=True)
+    time.sleep(SPOKEN)
+    MPI.COMM_WORLD.Abort(1)
+    raise SystemExit(1)
+
+
+def _others(comm: Comm, mine: tuple[str, ...], patience: float) -> tuple[bool, bool]:
+    """Return whether this is the lowest rank of those that have failed, and whether all have, at the same place."""
+    heard = {comm.rank: mine}
+    sent = [comm.isend(mine, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
+    end = time.monotonic() + patience
+    status = MPI.Status()
+    while len(heard) < comm.size and time.monotonic() < end:
+        while comm.iprobe(source=MPI.ANY_SOURCE, tag=FAILURE, status=status):
+            heard[status.Get_source()] = comm.recv(source=status.Get_source(), tag=FAILURE)
+        time.sleep(0.005)
+    everyone = len(heard) == comm.size
+    if everyone:
+        MPI.Request.waitall(sent)
+    return min(heard) == comm.rank, everyone and len(set(heard.values())) == 1

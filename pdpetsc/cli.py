@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import petsc4py
 
-from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described
+from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -43,6 +43,8 @@ python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and make
 
 # PETSc's arguments: its .petscrc files are not read (pdpetsc.solve).
 PETSC = ["pdpetsc", "-skip_petscrc"]
+# How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
+LONGEST_END = 120
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
 
@@ -156,16 +158,32 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is signal.SIG_DFL or number == signal.SIGTERM:
                 signal.signal(number, _interrupt)
+    failure: BaseException | None = None
     try:
         status = _run(sys.argv[1:] if argv is None else list(argv))
     except BaseException as error:
-        status = _failed(error)
+        failure, status = error, _failed(error)
     with contextlib.suppress(ValueError):
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
     with contextlib.suppress(OSError):
         sys.stdout.flush()
+    # An end with what PETSc refused or failed in can crash or hang; that of a run that did not converge is in order.
+    if status == CaseError.exit_status or isinstance(failure, RunError) or of_petsc(failure):
+        _leave_petsc(status)
+    if "mpi4py.MPI" in sys.modules:
+        signal.alarm(LONGEST_END)
     sys.exit(status)
+
+
+def _leave_petsc(status: int) -> NoReturn:
+    """Leave without PETSc's own end, where it has been started."""
+    if "petsc4py.PETSc" not in sys.modules:
+        sys.exit(status)
+    from pdpetsc.discrete.failure import leave
+
+    sys.stderr.flush()
+    leave(status)
 
 
 def _interrupt(number: int, frame: Any) -> None:

@@ -10,6 +10,12 @@ from typing import Any
 PACKAGE = Path(__file__).parent
 # PETSc's error codes of an option or a value that it does not take: support, order, sizes, arguments, types, packages.
 WRONG_OPTION = (55, 56, 58, 60, 61, 62, 63, 64, 71, 73, 74, 75, 77, 80, 83, 86, 92, 94, 99)
+# What PETSc says by its number alone, before its handler of errors is there.
+CODES = {
+    55: "out of memory", 56: "not supported", 60: "a wrong size", 62: "a wrong argument", 63: "out of range",
+    65: "a file cannot be opened", 66: "a file cannot be read", 67: "a file cannot be written",
+    83: "an option or a file it names is wrong", 86: "unknown type", 92: "a package is missing",
+}  # fmt: skip
 # Characters of a sentence that travel to other ranks.
 LONGEST = 2000
 
@@ -134,11 +140,11 @@ def described(error: BaseException) -> PdpetscError:
         return error
     if isinstance(error, KeyboardInterrupt):
         return Interrupted("Stopped by a signal.")
+    place = users_line(error)
     code = getattr(error, "ierr", None)
     if code is not None and type(error).__module__.startswith("petsc4py"):
-        # Its Python frames are pdpetsc's; what a user's function raises below PETSc comes back as what it was.
-        return RunError(petsc_reason(error), of_option=code in WRONG_OPTION)
-    place = users_line(error)
+        # What a user's function raises below PETSc comes back as what it was.
+        return RunError(petsc_reason(error), place, of_user=bool(place), of_option=code in WRONG_OPTION and not place)
     what = f"{type(error).__name__}: {' '.join(str(error).split())}" if str(error) else type(error).__name__
     if isinstance(error, SystemExit):
         what = "sys.exit was called; raise an error instead"
@@ -158,8 +164,20 @@ def petsc_reason(error: BaseException) -> str:
     lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines() if line.strip()]
     # A frame is "SNESSolve() at /path/snes.c:4692"; the words after the last one are the reason.
     kept = [line for line in lines if not line.startswith("error code") and "() at " not in line]
-    kept = [line for line in kept if not line.startswith(("See https", "WARNING", "Use -", "Option left"))]
-    return " ".join(kept or lines or ["unknown"]).rstrip(".")
+    kept = [line.split(". Check for miss-spelling", 1)[0] for line in kept if not line.startswith(("See ", "* "))]
+    if kept:
+        return ": ".join(line.rstrip(". ") for line in kept)
+    code = getattr(error, "ierr", 0)
+    return f"PETSc's error {code}{f', {CODES[code]}' if code in CODES else ''}"
+
+
+def of_petsc(error: BaseException | None) -> bool:
+    """Return whether PETSc raised an error, or what it came from; PETSc's objects are then in no order."""
+    while error is not None:
+        if hasattr(error, "ierr") and type(error).__module__.startswith("petsc4py"):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def users_line(error: BaseException) -> str:

@@ -23,7 +23,7 @@ from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
 from pdpetsc.discrete.failure import all_failed, give_up
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
-from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, users_line
+from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
 from pdpetsc.kernels.compile import cache_trouble
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
@@ -43,7 +43,7 @@ from pdpetsc.solve.following import PathSolver
 from pdpetsc.solve.jacobian import Choice, assembler, choose, words
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
-from pdpetsc.solve.petsc import options_in_force, petsc_version, refuse_names, unused
+from pdpetsc.solve.petsc import options_in_force, petsc_version, refuse_files, refuse_names, unused
 from pdpetsc.solve.relaxation import RelaxationSolver
 from pdpetsc.solve.stages import OUTPUT, SEARCH, SET_UP, stage
 from pdpetsc.solve.static import StaticSolver
@@ -112,6 +112,7 @@ STAGES = {
 }
 
 Running: TypeAlias = StepSolver | EventSolver
+_abandoned: list[Running] = []
 
 
 class _Run:
@@ -149,12 +150,14 @@ class _Run:
                 results = self._go()
             except BaseException as error:
                 failure = self._end(error)
+                if self.solver is not None:
+                    # After an error of PETSc its objects are in no order to be destroyed in, not by Python either.
+                    _abandoned.append(self.solver) if of_petsc(error) else self.solver.destroy()
                 if failure is error:
                     raise
                 raise failure from error
-            finally:
-                if self.solver is not None:
-                    self.solver.destroy()
+            if self.solver is not None:
+                self.solver.destroy()
         return results
 
     def _go(self) -> dict[str, float]:
@@ -179,6 +182,9 @@ class _Run:
         with petsc_options(self.options, defaults):
             self.summary["options"] = options_in_force(self.options, defaults)
             of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
+            with agreed(comm):
+                if is_root(comm):
+                    refuse_files(self.summary["options"])
             if of_environment:
                 self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
             try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import time
 from typing import NoReturn
@@ -54,6 +55,17 @@ def give_up(failure: PdpetscError) -> NoReturn:
     time.sleep(SPOKEN)
     MPI.COMM_WORLD.Abort(1)
     raise SystemExit(1)
+
+
+def leave(status: int) -> NoReturn:
+    """End all ranks, which are all here, without the ends of MPI and PETSc."""
+    if MPI.COMM_WORLD.size == 1:
+        os._exit(status)
+    if MPI.COMM_WORLD.rank > 0:
+        time.sleep(4.0 * MOMENT)
+    time.sleep(SPOKEN)
+    MPI.COMM_WORLD.Abort(status)
+    os._exit(status)
 
 
 def _others(comm: Comm, mine: tuple[str, ...], patience: float) -> tuple[bool, bool]:

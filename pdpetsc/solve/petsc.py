@@ -12,6 +12,7 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,23 @@ def refuse_names(chosen: Mapping[str, Any]) -> None:
     for name in chosen:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*([-.:]\w+)*", name):
             raise CaseError(f"A PETSc option is named without its dash, like 'snes_rtol', not {name!r}.")
+
+
+def refuse_files(in_force: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise CaseError for a file of a viewer or monitor that cannot be made; PETSc finds out in its own end, and hangs.
+
+    Notes
+    -----
+    Not collective; for one rank.
+    """
+    for name, option in in_force.items():
+        words = str(option["value"] or "").split(":")
+        if not re.search(r"view|monitor|log_|history", name) or len(words) < 2 or not words[1]:
+            continue
+        path = Path(words[1])
+        there = path if path.exists() else path.parent
+        if path.is_dir() or not os.access(there, os.W_OK):
+            raise CaseError(f"The option -{name} writes to {path}, which cannot be written.")
 
 
 @contextlib.contextmanager

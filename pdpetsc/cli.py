@@ -172,6 +172,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     if status == CaseError.exit_status or isinstance(failure, RunError) or of_petsc(failure):
         _leave_petsc(status)
     if "mpi4py.MPI" in sys.modules:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(LONGEST_END)
     sys.exit(status)
 
@@ -197,7 +198,7 @@ def _failed(error: BaseException) -> int:
 
     failure = described(error)
     if isinstance(error, KeyboardInterrupt):
-        failure = Interrupted("Stopped by a signal; nothing was run.")
+        failure = Interrupted("Stopped by a signal.")
     elif isinstance(failure, RunError) and failure is not error:
         if failure.bug:
             traceback.print_exception(error)
@@ -250,6 +251,24 @@ def _run(argv: list[str]) -> int:
         return _compare(argv[1:])
     arguments = split(argv)
     petsc4py.init([*PETSC, *arguments.petsc])
+    from pdpetsc.discrete.communicator import world
+    from pdpetsc.signals import watched
+
+    comm = world()
+    with watched(comm, _stuck):  # PETSc has put its own handlers of signals in place of Python's
+        return _run_case(argv, arguments)
+
+
+def _stuck() -> None:
+    """End a rank that a signal should have ended and that waits for others in MPI."""
+    from pdpetsc.discrete.communicator import world
+    from pdpetsc.discrete.failure import give_up
+
+    if world().size > 1:
+        give_up(Interrupted("Stopped by a signal."))
+
+
+def _run_case(argv: list[str], arguments: Arguments) -> int:
     from pdpetsc import __version__
     from pdpetsc.discrete.communicator import agreed, is_root, world
     from pdpetsc.runner import run

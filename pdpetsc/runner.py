@@ -205,7 +205,9 @@ class _Run:
         if isinstance(error, KeyboardInterrupt):
             kept = "results are complete up to the step before" if self.keeper is not None else "nothing was run"
             failure = Interrupted(f"Stopped by a signal in phase {self.phase}; {kept}.")
+        self.signals.deaf = True
         together = all_failed(error, failure)
+        self.signals.deaf = not together
         if isinstance(failure, RunError) and together and not failure.agreed:
             failure.rank = None
         failure = self._of_right_status(failure)

@@ -27,10 +27,13 @@ class Signals:
     ----------
     patient : bool
         Whether the first signal is only noted, for ``asked``; else it raises KeyboardInterrupt where the run is.
+    deaf : bool
+        Whether signals do nothing, as while ranks find out which of them have failed.
     """
 
     def __init__(self, comm: Comm) -> None:
         self.patient = False
+        self.deaf = False
         self._comm = comm
         self._caught = False
         self._at = 0.0
@@ -42,7 +45,7 @@ class Signals:
     def note(self, number: int, frame: FrameType | None) -> None:
         """Take a signal: the first is noted or raises, a second one always raises."""
         now = time.monotonic()
-        if self._caught and now - self._at < ECHO:
+        if self.deaf or (self._caught and now - self._at < ECHO):
             return
         first, self._caught, self._at = not self._caught, True, now
         if not (first and self.patient):
@@ -50,7 +53,7 @@ class Signals:
 
     def waits(self) -> bool:
         """Return whether a signal that should end the run has not reached Python yet."""
-        return not self.patient and not self._caught
+        return not (self.patient or self.deaf or self._caught)
 
 
 @contextlib.contextmanager

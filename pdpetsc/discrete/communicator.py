@@ -35,8 +35,9 @@ def is_root(comm: Comm) -> bool:
 def agreed(comm: Comm) -> Iterator[None]:
     """Raise on every rank what the body raised on any, taking the lowest rank's error.
 
-    Whatever the body raises becomes an error of one sentence (``errors.described``), a ``sys.exit`` or Ctrl-C too. The
-    rank that raised it keeps its own object, with its class and traceback; others get one of the same kind and text.
+    Whatever the body raises becomes an error of one sentence (``errors.described``), a ``sys.exit`` too. The rank that
+    raised it keeps its own object, with its class and traceback; others get one of the same kind and text. Only what a
+    signal raises is not shared: it can come at any place of any rank.
 
     Notes
     -----
@@ -46,7 +47,7 @@ def agreed(comm: Comm) -> Iterator[None]:
     cause: BaseException | None = None
     try:
         yield
-    except GeneratorExit:
+    except (GeneratorExit, KeyboardInterrupt):
         raise
     except BaseException as caught:
         error, cause = described(caught), caught

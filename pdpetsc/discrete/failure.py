@@ -15,6 +15,8 @@ from pdpetsc.errors import PdpetscError, places
 
 # Tag of messages that a rank has failed.
 FAILURE = 911
+# What a rank tells that says why the run ends, and will abort it.
+SPEAKS = ("speaks",)
 # How long a rank that failed waits for others to fail as well, after a signal and else [s]: mpirun kills ranks a second
 # after it passed a signal on.
 SHORT_MOMENT, MOMENT = 0.4, 2.5
@@ -50,10 +52,14 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
 
 def give_up(failure: PdpetscError) -> NoReturn:
     """Say on stderr why this rank ends the run, and abort all ranks with exit status 1 (not collective)."""
+    comm = world()
+    # The abort sends signals to the others, which end them too: they shall not say so.
+    sent = [comm.isend(SPEAKS, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
     with contextlib.suppress(OSError):
         print(f"pdpetsc: {failure}", file=sys.stderr, flush=True)
     time.sleep(SPOKEN)
-    MPI.COMM_WORLD.Abort(1)
+    comm.Abort(1)
+    del sent
     raise SystemExit(1)
 
 
@@ -76,7 +82,10 @@ def _others(comm: Comm, mine: tuple[str, ...], patience: float) -> tuple[bool, b
     status = MPI.Status()
     while len(heard) < comm.size and time.monotonic() < end:
         while comm.iprobe(source=MPI.ANY_SOURCE, tag=FAILURE, status=status):
-            heard[status.Get_source()] = comm.recv(source=status.Get_source(), tag=FAILURE)
+            told = comm.recv(source=status.Get_source(), tag=FAILURE)
+            if told == SPEAKS:
+                return False, False
+            heard[status.Get_source()] = told
         time.sleep(0.005)
     everyone = len(heard) == comm.size
     if everyone:

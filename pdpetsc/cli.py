@@ -233,14 +233,15 @@ def _keep_going_without_readers() -> None:
     for name, number in (("stdout", 1), ("stderr", 2)):
         stream = getattr(sys, name)
         with contextlib.suppress(OSError, ValueError, AttributeError):
-            if stream.fileno() == number and not isinstance(stream.buffer.raw, _WithoutReader):
+            if stream.fileno() == number and not isinstance(getattr(stream.buffer, "raw", None), _WithoutReader):
                 stream.flush()
                 setattr(sys, name, _reopened(stream, number))
 
 
 def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
     buffer = io.BufferedWriter(_WithoutReader(number, "w", closefd=False))
-    by_line = stream.line_buffering or number == 2
+    # An unbuffered stream, as with PYTHONUNBUFFERED, has no buffer below the text.
+    by_line = stream.line_buffering or number == 2 or isinstance(stream.buffer, io.FileIO)
     return io.TextIOWrapper(buffer, stream.encoding, stream.errors, line_buffering=by_line)
 
 

@@ -163,6 +163,11 @@ class _Run:
     def _go(self) -> dict[str, float]:
         case, comm = self.case, self.comm
         refuse_names(self.options)
+        if self.restart is not None and Path(self.restart).is_dir():
+            place = Path(self.restart)
+            raise CaseError(
+                f"{place} is a folder; where it is of a run, the checkpoint in it is {place}/checkpoint.h5."
+            )
         with self._timed("particles"):
             cloud = make_cloud(comm, case)
         with self._timed("kernels"):

@@ -17,9 +17,12 @@ from pdpetsc.errors import PdpetscError, places
 FAILURE = 911
 # What a rank tells that says why the run ends, and will abort it.
 SPEAKS = ("speaks",)
-# How long a rank that failed waits for others to fail as well, after a signal and else [s]: mpirun kills ranks a second
-# after it passed a signal on.
-SHORT_MOMENT, MOMENT = 0.4, 2.5
+# How long a rank that failed waits for others to fail as well [s]: after a signal, which mpirun lets a kill follow in a
+# second; after what a function of the case or a library raised, likely on one rank; after what pdpetsc found, likely on
+# all.
+SIGNALLED, SURPRISED, FOUND = 0.4, 1.5, 5.0
+# Longer than any of them [s].
+LONG = 10.0
 # How long the last words take to be passed on [s].
 SPOKEN = 0.2
 
@@ -41,12 +44,13 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
     if comm.size == 1 or failure.agreed:
         return True
     stopped = isinstance(error, KeyboardInterrupt)
-    lowest, together = _others(comm, (type(failure).__name__, *places(error)), SHORT_MOMENT if stopped else MOMENT)
+    patience = SIGNALLED if stopped else FOUND if isinstance(error, PdpetscError) else SURPRISED
+    lowest, together = _others(comm, (type(failure).__name__, *places(error)), patience)
     # Ranks that a signal ends are anywhere, whatever their lines say.
     if together and not stopped:
         return True
     if not lowest:
-        time.sleep(4.0 * MOMENT)
+        time.sleep(LONG)
     return False
 
 
@@ -68,7 +72,7 @@ def leave(status: int) -> NoReturn:
     if MPI.COMM_WORLD.size == 1:
         os._exit(status)
     if MPI.COMM_WORLD.rank > 0:
-        time.sleep(4.0 * MOMENT)
+        time.sleep(LONG)
     time.sleep(SPOKEN)
     MPI.COMM_WORLD.Abort(status)
     os._exit(status)

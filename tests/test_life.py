@@ -1,5 +1,6 @@
 """The life of a run: what ends it ends all of it soon, on any ranks, with one sentence and a status."""
 
+import importlib.util
 import json
 import os
 import pickle
@@ -13,6 +14,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.errors import FlatFamilies, described, notice, rebuilt
+from pdpetsc.kernels.compile import cache_lock, cache_trouble
 from tests.commands import ROOT, command
 
 # How long a job may take that fails on one rank; what is tested is that it does not wait for ever.
@@ -425,3 +427,92 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(to, case):
     assert "Traceback" not in finished.stderr
     assert summary(folder)["status"] == "converged"
     assert summary(folder)["results"] == {"t": 1.0}
+
+
+# The cache of kernels.
+
+KERNEL = """
+    from pdpetsc.kernels.compile import compiled
+
+    @compiled
+    def twice(x):
+        return 2.0 * x
+"""
+
+
+def kernel(folder):
+    """Return a kernel whose module is read anew."""
+    spec = importlib.util.spec_from_file_location("kernel", folder / "kernel.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.twice
+
+
+@pytest.fixture
+def cached(tmp_path, monkeypatch):
+    (tmp_path / "kernel.py").write_text(textwrap.dedent(KERNEL))
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr("pdpetsc.kernels.compile._trouble", [])
+    return tmp_path
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("content", [b"", b"nonsense", None])
+def test_a_damaged_cache_is_compiled_anew_and_mended(ending, content, cached):
+    assert kernel(cached)(2.0) == 4.0
+    (path,) = (cached / "cache").rglob(f"*.{ending}")
+    path.write_bytes(path.read_bytes()[:-100] if content is None else content)
+    assert kernel(cached)(2.0) == 4.0
+    assert cache_trouble()
+    again = kernel(cached)
+    assert again(2.0) == 4.0
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
+def test_a_full_disk_costs_the_cache_only(cached, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile._save_data", full)
+    assert kernel(cached)(2.0) == 4.0
+    assert "No space left" in cache_trouble()
+
+
+def test_no_cache_at_all_costs_the_cache_only(cached, monkeypatch):
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
+    assert kernel(cached)(2.0) == 4.0
+    assert "no locator" in cache_trouble()
+
+
+def test_the_lock_is_no_file_that_somebody_else_put_there(tmp_path, monkeypatch):
+    beside, temporary = tmp_path / "cache", tmp_path / "tmp"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(beside))
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    name = f"pdpetsc-{os.getuid()}.lock"
+    precious = tmp_path / "precious"
+    precious.write_text("keep")
+    for folder in (beside, temporary):
+        folder.mkdir()
+        (folder / name).symlink_to(precious)
+    with cache_lock():
+        assert precious.read_text() == "keep"
+    (temporary / name).unlink()
+    with cache_lock():
+        assert (temporary / name).stat().st_mode & 0o777 == 0o600
+
+
+def test_a_file_system_without_locks_is_gone_on_without(tmp_path, monkeypatch):
+    def refused(*_):
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("fcntl.flock", refused)
+    with cache_lock():
+        pass
+
+
+def test_a_lock_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("pdpetsc.kernels.compile.LONGEST_WAIT", 0.2)
+    with cache_lock(), cache_lock():
+        pass

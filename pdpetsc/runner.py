@@ -215,7 +215,7 @@ class _Run:
         self.signals.deaf = not together
         if isinstance(failure, RunError) and together and not failure.agreed:
             failure.rank = None
-        failure = self._of_right_status(failure)
+        failure = self._of_right_status(failure, together)
         if isinstance(failure, RunError) and failure.bug and ((together and is_root(self.comm)) or not together):
             self._write_traceback(error)
         if not together:
@@ -235,7 +235,7 @@ class _Run:
             self._write_summary(said)
         return failure
 
-    def _of_right_status(self, failure: PdpetscError) -> PdpetscError:
+    def _of_right_status(self, failure: PdpetscError, together: bool) -> PdpetscError:
         """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
         if isinstance(failure, RunError) and not self.steps:
             if failure.of_option and self.phase in ("set-up", "solve"):
@@ -243,7 +243,8 @@ class _Run:
             if failure.of_user and self.keeper is None and failure.exit_status == 1:
                 failure.exit_status = CaseError.exit_status
         elif isinstance(failure, CaseError) and self.steps:
-            return RunError(str(failure), phase=self.phase)
+            rank = None if together else self.comm.rank
+            return RunError(str(failure), users_line(failure), self.phase, rank)
         return failure
 
     def _leave(self, failure: PdpetscError) -> NoReturn:

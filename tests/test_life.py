@@ -49,7 +49,7 @@ CASE = """
             raise Mine("the field ", "is wrong")
         if what == "petsc":
             from petsc4py import PETSc
-            PETSc.Vec().create().setSizes(3).setType("nothing")
+            PETSc.Vec().createSeq(3, comm=PETSc.COMM_SELF).setType("nothing")
         if what == "waits":
             with open(f"{os.environ['PIDS']}/{HERE}", "w") as file:
                 file.write(str(os.getpid()))
@@ -339,6 +339,34 @@ def test_what_petsc_refuses_is_one_sentence(options, case):
 @pytest.mark.parametrize("options", ["-log_view :/nowhere/x", pytest.param("-pc_type shell", marks=pytest.mark.long)])
 def test_what_petsc_refuses_is_one_sentence_on_two_ranks(options, case):
     one_sentence(ended(case, *options.split(), ranks=2), 2, REFUSED[options])
+
+
+def bar(right, **more):
+    ends = (
+        pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0),
+        pd.Displacement(right, x=lambda x, t: 0.1 * t * x[:, 0]),
+    )
+    lattice = pd.Lattice((0.0,), (8.0,), 1.0)
+    more = {"steps": pd.Steps(1), "fields": [], "history": {"E": pd.StrainEnergy()}, **more}
+    return pd.Case(particles=lattice, horizon=2.015, material=pd.BondBased(E=1.0), conditions=ends, **more)
+
+
+def test_an_iteration_that_is_asked_for_is_done(tmp_path):
+    for options, least, most in (({}, 0, 0), ({"snes_force_iteration": None}, 1, 3)):
+        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options=options, quiet=True)
+        (step,) = summary(tmp_path)["steps"]
+        assert least <= step["newton_iterations"] <= most
+
+
+def test_nothing_is_factored_where_every_displacement_is_prescribed(tmp_path):
+    """A preconditioner that cannot be set up shows that none is."""
+    rest = pd.region.Slab("x", low=1.0)
+    with pytest.raises(pd.CaseError, match="Shell PC"):
+        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options={"pc_type": "shell"}, quiet=True)
+    pd.run(bar(rest), output=tmp_path, options={"pc_type": "shell"}, quiet=True)
+    (step,) = summary(tmp_path)["steps"]
+    assert step["linear_iterations"] == 0
+    assert float((tmp_path / "history.csv").read_text().split()[-1].split(",")[2]) > 0.0
 
 
 # Signals and pipes.

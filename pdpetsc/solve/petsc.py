@@ -66,6 +66,13 @@ def set_domain_error(snes: PETSc.SNES) -> None:
     _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
 
 
+def forces_iteration(snes: PETSc.SNES) -> bool:
+    """Return whether -snes_force_iteration asks for an iteration of every solve (not collective)."""
+    forced = ctypes.c_int(0)
+    _check(_library().SNESGetForceIteration(ctypes.c_void_p(snes.handle), ctypes.byref(forced)))
+    return bool(forced.value)
+
+
 @contextlib.contextmanager
 def full_steps(snes: PETSc.SNES) -> Iterator[None]:
     """Let Newton take full steps in the body, whatever line search the options name."""

@@ -13,7 +13,15 @@ from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.equilibrium import Equilibrium, read_options
-from pdpetsc.solve.petsc import effort, full_steps, line_search, linear_solver, set_domain_error, start_anew
+from pdpetsc.solve.petsc import (
+    effort,
+    forces_iteration,
+    full_steps,
+    line_search,
+    linear_solver,
+    set_domain_error,
+    start_anew,
+)
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
@@ -174,5 +182,5 @@ class StaticSolver(StepSolver):
         rtol = float(snes.getTolerances()[0])
         verdict = self._equilibrium.verdict(snes.getSolution().array_r, iteration, norms[2], rtol)
         # -snes_force_iteration: no solve is done before its first iteration.
-        forced = iteration == 0 and verdict is not None and verdict > 0 and snes.getForceIteration()
+        forced = iteration == 0 and verdict is not None and verdict > 0 and forces_iteration(snes)
         return None if forced else verdict

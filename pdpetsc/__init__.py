@@ -17,7 +17,7 @@ from pdpetsc.damage import (
     LinearSoftening,
     SmoothDegradation,
 )
-from pdpetsc.errors import CaseError, Interrupted, OutputError, SolveError
+from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
@@ -134,6 +134,7 @@ __all__ = [
     "Ramp",
     "Reaction",
     "RelativeError",
+    "RunError",
     "SaintVenantKirchhoff",
     "Segment",
     "Silling",

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import dataclasses
+import errno
 import importlib.util
 import inspect
+import io
+import os
 import re
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import petsc4py
 
-from pdpetsc.errors import CaseError, Interrupted, PdpetscError
+from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -36,6 +41,10 @@ Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
 python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture"""
 
+# PETSc's arguments: its .petscrc files are not read (pdpetsc.solve).
+PETSC = ["pdpetsc", "-skip_petscrc"]
+# How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
+LONGEST_END = 120
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
 
@@ -143,27 +152,97 @@ def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and leave with its exit status; an unexpected error aborts all ranks."""
+    """Run the command line and leave with its exit status; a rank that fails alone aborts all."""
+    _keep_going_without_readers()
+    with contextlib.suppress(ValueError):  # signals are the main thread's
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL or number == signal.SIGTERM:
+                signal.signal(number, _interrupt)
+    failure: BaseException | None = None
     try:
         status = _run(sys.argv[1:] if argv is None else list(argv))
-    except PdpetscError as error:
-        from pdpetsc.discrete.communicator import is_root, world
-
-        if is_root(world()):
-            print(f"pdpetsc: {error}", file=sys.stderr, flush=True)
-        world().Barrier()
-        status = error.exit_status
-    except SystemExit:
-        raise
-    except BaseException:
-        from pdpetsc.discrete.communicator import world
-
-        traceback.print_exc()
-        sys.stderr.flush()
-        world().Abort(1)
-        raise
-    sys.stdout.flush()
+    except BaseException as error:
+        failure, status = error, _failed(error)
+    with contextlib.suppress(ValueError):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    # An end with what PETSc refused or failed in can crash or hang; that of a run that did not converge is in order.
+    if status == CaseError.exit_status or isinstance(failure, RunError) or of_petsc(failure):
+        _leave_petsc(status)
+    if "mpi4py.MPI" in sys.modules:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(LONGEST_END)
     sys.exit(status)
+
+
+def _leave_petsc(status: int) -> NoReturn:
+    """Leave without PETSc's own end, where it has been started."""
+    if "petsc4py.PETSc" not in sys.modules:
+        sys.exit(status)
+    from pdpetsc.discrete.failure import leave
+
+    sys.stderr.flush()
+    leave(status)
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _failed(error: BaseException) -> int:
+    """Say what ended the command in one sentence and return its exit status; abort where this rank is alone."""
+    from pdpetsc.discrete.communicator import is_root, world
+    from pdpetsc.discrete.failure import all_failed, give_up
+
+    failure = described(error)
+    if isinstance(error, KeyboardInterrupt):
+        failure = Interrupted("Stopped by a signal.")
+    elif isinstance(failure, RunError) and failure is not error:
+        if failure.bug:
+            traceback.print_exception(error)
+        if getattr(error, "ierr", None) is not None:
+            failure = CaseError(f"PETSc refused its options; check their names and values: {failure.what}.")
+    if not all_failed(error, failure):
+        give_up(failure)
+    if is_root(world()):
+        with contextlib.suppress(OSError):
+            print(f"pdpetsc: {failure}", file=sys.stderr, flush=True)
+    return failure.exit_status
+
+
+class _WithoutReader(io.FileIO):
+    """A stream whose reader may go away, like ``| head``: what is written then is dropped."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())  # PETSc writes there too
+            os.close(null)
+            if error.errno not in (errno.EPIPE, errno.EIO) and self.fileno() == 1:
+                with contextlib.suppress(OSError):
+                    print(f"pdpetsc: Cannot write to stdout: {error.strerror}.", file=sys.stderr, flush=True)
+            return memoryview(data).nbytes
+
+
+def _keep_going_without_readers() -> None:
+    """Let a run go on whose stdout or stderr nobody reads any more; its results are in its folder."""
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            if stream.fileno() == number and not isinstance(getattr(stream.buffer, "raw", None), _WithoutReader):
+                stream.flush()
+                setattr(sys, name, _reopened(stream, number))
+
+
+def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
+    buffer = io.BufferedWriter(_WithoutReader(number, "w", closefd=False))
+    # An unbuffered stream, as with PYTHONUNBUFFERED, has no buffer below the text.
+    by_line = stream.line_buffering or number == 2 or isinstance(stream.buffer, io.FileIO)
+    return io.TextIOWrapper(buffer, stream.encoding, stream.errors, line_buffering=by_line)
 
 
 def _run(argv: list[str]) -> int:
@@ -172,7 +251,25 @@ def _run(argv: list[str]) -> int:
     if argv[:1] == ["compare"]:
         return _compare(argv[1:])
     arguments = split(argv)
-    petsc4py.init(["pdpetsc", *arguments.petsc])
+    petsc4py.init([*PETSC, *arguments.petsc])
+    from pdpetsc.discrete.communicator import world
+    from pdpetsc.signals import watched
+
+    comm = world()
+    with watched(comm, _stuck):  # PETSc has put its own handlers of signals in place of Python's
+        return _run_case(argv, arguments)
+
+
+def _stuck() -> None:
+    """End a rank that a signal should have ended and that waits for others in MPI."""
+    from pdpetsc.discrete.communicator import world
+    from pdpetsc.discrete.failure import give_up
+
+    if world().size > 1:
+        give_up(Interrupted("Stopped by a signal."))
+
+
+def _run_case(argv: list[str], arguments: Arguments) -> int:
     from pdpetsc import __version__
     from pdpetsc.discrete.communicator import agreed, is_root, world
     from pdpetsc.runner import run
@@ -200,7 +297,6 @@ def _run(argv: list[str]) -> int:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
     run(case, output, None, arguments.restart, arguments.quiet, parameters)
-    _report_unused(arguments.petsc)
     return 0
 
 
@@ -213,6 +309,8 @@ def _plot(argv: list[str]) -> int:
         return 0 if argv else 2
     if arguments.path is None:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver:
+        raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
     for path in plot.plot(arguments.path, arguments.parameters):
         print(path)
     return 0
@@ -227,6 +325,8 @@ def _compare(argv: list[str]) -> int:
         return 0 if argv else 2
     if arguments.path is None:
         raise CaseError("No case file is given; python -m pdpetsc compare -h shows the usage.")
+    if arguments.restart is not None:
+        raise CaseError("compare takes no --restart; every run starts from the beginning.")
     ranks, petsc = 1, list(arguments.petsc)
     if arguments.solver is not None:
         petsc += ["--solver", arguments.solver]
@@ -236,7 +336,7 @@ def _compare(argv: list[str]) -> int:
             raise CaseError("-ranks takes a positive number.")
         ranks = int(petsc[at + 1])
         del petsc[at : at + 2]
-    petsc4py.init(["pdpetsc"])
+    petsc4py.init(PETSC)
     choices = {name: text.split(",") for name, text in arguments.parameters.items()}
     function = load_case(arguments.path)
     for name, values in choices.items():
@@ -265,12 +365,20 @@ def _guarded(path: Path, call: Callable[[], Any]) -> Any:
         return call()
     except PdpetscError:
         raise
+    except SystemExit as error:
+        raise CaseError(
+            f"The case file {path} called sys.exit{_line_of(path, error)}; it must not end the run."
+        ) from error
     except SyntaxError as error:
         raise CaseError(f"The case file {path} has a syntax error in line {error.lineno}: {error.msg}.") from error
     except Exception as error:
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == path.name]
-        where = f"in line {lines[-1]}" if lines else "somewhere below it"
-        raise CaseError(f"The case file {path} failed {where}: {type(error).__name__}: {error}.") from error
+        where = _line_of(path, error) or " somewhere below it"
+        raise CaseError(f"The case file {path} failed{where}: {type(error).__name__}: {error}.") from error
+
+
+def _line_of(path: Path, error: BaseException) -> str:
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == path.name]
+    return f" in line {lines[-1]}" if lines else ""
 
 
 def _convert(name: str, text: str, default: Any) -> Any:
@@ -284,12 +392,3 @@ def _convert(name: str, text: str, default: Any) -> Any:
         return value if default is None else kind(value)
     except (ValueError, KeyError, SyntaxError, TypeError):
         raise CaseError(f"Parameter {name} takes {kind.__name__} like {default!r}, not {text!r}.") from None
-
-
-def _report_unused(petsc: Sequence[str]) -> None:
-    from pdpetsc.discrete.communicator import is_root, world
-    from pdpetsc.solve.petsc import option_used
-
-    unused = [word for word in petsc if _OPTION.match(word) and not option_used(word[1:])]
-    if unused and is_root(world()):
-        print(f"pdpetsc: nothing used the option{'s' if len(unused) > 1 else ''} {' '.join(unused)}.", file=sys.stderr)

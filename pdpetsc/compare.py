@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import json
+import math
 import os
-import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,7 +21,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError, OutputError, SolveError
 
 USAGE = """usage: python -m pdpetsc compare CASE.py NAME=A,B,C [NAME=...] [-o DIR] [-ranks N] [-PETSC_OPTION [VALUE]]
 
@@ -32,6 +34,11 @@ where it was."""
 # Results that are drawn against the time they take.
 ERRORS = ("error", "w_error", "max_F_error")
 
+
+# File that marks a folder of a run as one that compare has made.
+MARK = ".pdpetsc-compare"
+# What compare takes out of such a folder before it runs there again, so that nothing of an earlier run is left to read.
+STALE = ("compare.json", "summary.json")
 
 # What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
 PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
@@ -69,7 +76,10 @@ def compare(
     Raises
     ------
     CaseError
-        A run ended with status 2: its parameters or the case are wrong.
+        A run ended with status 2: its parameters or the case are wrong; or a folder of a run would be one that
+        compare has not made.
+    OutputError
+        The table or the picture cannot be written.
 
     Returns
     -------
@@ -79,8 +89,13 @@ def compare(
     if "OMPI_COMM_WORLD_SIZE" in os.environ or "PMI_SIZE" in os.environ:
         raise CaseError("compare starts its runs itself: call it without mpirun and give -ranks N.")
     combinations = [dict(zip(choices, values, strict=True)) for values in itertools.product(*choices.values())]
-    folder.mkdir(parents=True, exist_ok=True)
     source = case.read_text()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CaseError(f"Cannot write to the output folder {folder}: {error.strerror or error}.") from None
+    for parameters in combinations:
+        _refuse_foreign(_place(folder, parameters))
     done: list[Outcome] = []
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}")
     progress = Progress(*columns, TimeRemainingColumn())
@@ -103,11 +118,11 @@ def compare(
 
 def working_seconds(summary: Mapping[str, Any]) -> float:
     """Return the seconds of set-up and solve of a run from its ``summary.json``."""
-    return sum(float(value) for phase, value in summary["timings"].items() if phase in PHASES)
+    return sum(float(value) for phase, value in summary.get("timings", {}).items() if phase in PHASES)
 
 
 def refuse_failed(done: Sequence[Outcome], folder: Path) -> None:
-    """Raise SolveError if runs did not converge."""
+    """Raise SolveError if runs did not reach their end."""
     failed = sum(outcome.status != "converged" for outcome in done)
     if failed:
         raise SolveError(f"{failed} of {len(done)} runs did not converge; why stands in {folder / 'compare.csv'}.")
@@ -121,32 +136,106 @@ def _one(
     case: Path, source: str, parameters: Mapping[str, str], folder: Path, ranks: int, petsc: Sequence[str]
 ) -> Outcome:
     """Run one combination, or read what an earlier call left of it."""
-    place = folder / "".join(c if c.isalnum() or c in "=,._-" else "_" for c in _named(parameters) or "run")
+    place = _place(folder, parameters)
     asked = {"parameters": dict(parameters), "ranks": ranks, "petsc": list(petsc), "case": source}
     finished = place / "compare.json"
-    if finished.exists():
-        kept = json.loads(finished.read_text())
-        if kept["asked"] == asked:
-            return Outcome(parameters, *kept["found"])
-    shutil.rmtree(place, ignore_errors=True)
+    kept = _kept(finished, asked)
+    if kept is not None:
+        return Outcome(parameters, *kept)
+    _refuse_foreign(place)
+    try:
+        place.mkdir(exist_ok=True)
+        (place / MARK).write_text("A folder of pdpetsc compare.\n")
+        for name in STALE:
+            (place / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise CaseError(f"Cannot write to the folder {place}: {error.strerror or error}.") from None
     words = [sys.executable, "-m", "pdpetsc", str(case), *(f"{k}={v}" for k, v in parameters.items()), "--quiet"]
     words += ["-o", str(place), *petsc]
     words = ["mpirun", "-n", str(ranks), *words] if ranks > 1 else words
-    # The environment as this process found it: MPI, started here to read the case, has since added to it.
-    process = subprocess.run(words, env=dict(os.environ), capture_output=True, text=True, check=False)
-    if process.returncode == 2:
-        raise CaseError(f"{_named(parameters)}: {_sentence(process.stderr)}")
-    try:
-        summary: dict[str, Any] = json.loads((place / "summary.json").read_text())
-    except (OSError, ValueError):
-        raise CaseError(f"{_named(parameters)} ended without a summary: {_sentence(process.stderr)}") from None
-    memory = sum(summary["peak_memory_bytes"]) / 2**20
-    seconds = working_seconds(summary)
-    status = "converged" if process.returncode == 0 else summary["status"]
-    found = [status, summary["results"], seconds, memory]
-    if process.returncode in (0, 1) and not status.startswith("Stopped"):
-        finished.write_text(json.dumps({"asked": asked, "found": found}))
+    status, said = _finished(words)
+    if status == 2:
+        raise CaseError(f"{_named(parameters) or case.stem}: {_sentence(said)}")
+    # The status of the process counts, and that of the summary only where they agree: it may be of a run that crashed.
+    summary = _summary(place)
+    word = summary.get("status")
+    if not isinstance(word, str) or word == "running" or status != (0 if word == "converged" else 1):
+        word = f"ended with exit status {status}: {_sentence(said)}"
+    results = summary.get("results", {}) if word == "converged" else {}
+    memory = sum(summary.get("peak_memory_bytes", [])) / 2**20
+    found = [word, results, working_seconds(summary), memory]
+    # A run that was stopped or crashed may end otherwise the next time.
+    if word == "converged" or (word == summary.get("status") and summary.get("error") == "SolveError"):
+        _save(finished, json.dumps({"asked": asked, "found": found}))
     return Outcome(parameters, *found)
+
+
+def _place(folder: Path, parameters: Mapping[str, str]) -> Path:
+    """Return the folder of a run."""
+    return folder / "".join(c if c.isalnum() or c in "=,._-" else "_" for c in _named(parameters) or "run")
+
+
+def _refuse_foreign(place: Path) -> None:
+    """Raise CaseError where the folder of a run is there already and compare has not made it."""
+    if place.is_symlink() or (place.exists() and not place.is_dir()):
+        raise CaseError(f"{place} is not a folder that compare has made; give another one with -o.")
+    if (
+        place.is_dir()
+        and any(place.iterdir())
+        and not (place / MARK).is_file()
+        and _kept(place / "compare.json") is None
+    ):
+        raise CaseError(f"{place} holds files that compare has not written; give another folder with -o.")
+
+
+def _kept(path: Path, asked: Mapping[str, Any] | None = None) -> list[Any] | None:
+    """Return what an earlier call found for the same question, None where there is nothing or nothing legible."""
+    try:
+        kept = json.loads(path.read_text())
+        status, results, seconds, memory = kept["found"]
+        found = [str(status), {str(k): float(v) for k, v in results.items()}, float(seconds), float(memory)]
+        return found if asked is None or kept["asked"] == asked else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _summary(place: Path) -> dict[str, Any]:
+    try:
+        found = json.loads((place / "summary.json").read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _finished(words: Sequence[str]) -> tuple[int, str]:
+    """Run a command to its end; return exit status and stderr. Where this process is stopped the command is, first."""
+    # The environment as this process found it: MPI, started here to read the case, has since added to it.
+    pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    try:
+        process = subprocess.Popen(words, env=dict(os.environ), **pipes)
+    except OSError as error:
+        raise CaseError(f"Cannot start {words[0]}: {error.strerror or error}.") from None
+    try:
+        _, said = process.communicate()
+    except BaseException:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.communicate(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+        raise
+    return process.returncode, said
+
+
+def _save(path: Path, text: str) -> None:
+    """Write a small file aside and put it in place, so that it is whole or not there."""
+    aside = path.with_name(path.name + ".part")
+    try:
+        aside.write_text(text)
+        os.replace(aside, path)
+    except OSError as error:
+        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
 
 
 def _sentence(text: str) -> str:
@@ -179,13 +268,14 @@ def _table(done: Sequence[Outcome]) -> Table:
 
 def _write(folder: Path, done: Sequence[Outcome]) -> None:
     names = _columns(done)
-    with (folder / "compare.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow([*done[0].parameters, *names, "seconds", "peak_MiB", "status"])
-        for outcome in done:
-            values = [repr(outcome.results[name]) if name in outcome.results else "" for name in names]
-            costs = [f"{outcome.seconds:.3f}", f"{outcome.memory:.1f}", outcome.status]
-            table.writerow([*outcome.parameters.values(), *values, *costs])
+    text = io.StringIO()
+    table = csv.writer(text)
+    table.writerow([*done[0].parameters, *names, "seconds", "peak_MiB", "status"])
+    for outcome in done:
+        values = [repr(outcome.results[name]) if name in outcome.results else "" for name in names]
+        costs = [f"{outcome.seconds:.3f}", f"{outcome.memory:.1f}", outcome.status]
+        table.writerow([*outcome.parameters.values(), *values, *costs])
+    _save(folder / "compare.csv", text.getvalue())
 
 
 def _draw(folder: Path, title: str, choices: Mapping[str, Sequence[str]], done: Sequence[Outcome]) -> None:
@@ -220,12 +310,15 @@ def _draw(folder: Path, title: str, choices: Mapping[str, Sequence[str]], done: 
     axes[0].set_title(title)
     if len(groups) > 1:
         axes[0].legend(fontsize=7)
-    figure.savefig(folder / "compare.png", dpi=130)
+    path = folder / "compare.png"
+    try:
+        figure.savefig(path, dpi=130)
+    except OSError as error:
+        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
 
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        return math.isfinite(float(text))
     except ValueError:
         return False
-    return True

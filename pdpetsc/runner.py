@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import platform
 import resource
+import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
 from pdpetsc.build import make_cloud, make_model, rehearse
 from pdpetsc.case import Case
-from pdpetsc.discrete.communicator import is_root, total, world
+from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
+from pdpetsc.discrete.failure import all_failed, give_up
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
-from pdpetsc.errors import CaseError, OutputError, PdpetscError
+from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
+from pdpetsc.kernels.compile import cache_trouble
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
 from pdpetsc.model.apart import pieces_left
@@ -29,7 +35,7 @@ from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
 from pdpetsc.output.records import write_summary
 from pdpetsc.scene.solver import DynamicRelaxation, EventDriven, PathFollowing
-from pdpetsc.signals import stop_on_signals
+from pdpetsc.signals import Signals, watched
 from pdpetsc.solution import Field, Solution, displacement
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.defaults import default_options
@@ -38,7 +44,7 @@ from pdpetsc.solve.following import PathSolver
 from pdpetsc.solve.jacobian import Choice, assembler, choose, words
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
-from pdpetsc.solve.petsc import petsc_version
+from pdpetsc.solve.petsc import options_in_force, petsc_version, refuse_files, refuse_names, unused
 from pdpetsc.solve.relaxation import RelaxationSolver
 from pdpetsc.solve.stages import OUTPUT, SEARCH, SET_UP, stage
 from pdpetsc.solve.static import StaticSolver
@@ -78,13 +84,19 @@ def run(
     Raises
     ------
     CaseError
-        The case is wrong; nothing was run.
+        The case is wrong; nothing was run, and the folder is as it was.
     SolveError, OutputError, Interrupted
         The run ended early; the folder holds everything up to the last converged step.
+    RunError
+        A function of the case, PETSc or the memory failed, or pdpetsc itself; likewise. Its cause is what was raised.
 
     Notes
     -----
-    Collective.
+    Collective. All of these are raised on every rank. Where one rank fails alone, the others wait for it in MPI for
+    ever: it then says so on stderr and in ``summary.json``, and aborts all. On one rank nothing is aborted.
+
+    ``summary.json`` has the status "running" from the first file that is written to the end, then "converged" or why
+    the run ended.
     """
     comm = world()
     folder = Path(output)
@@ -101,6 +113,7 @@ STAGES = {
 }
 
 Running: TypeAlias = StepSolver | EventSolver
+_abandoned: list[Running] = []
 
 
 class _Run:
@@ -124,14 +137,44 @@ class _Run:
         self.timings: dict[str, float] = {}
         self.steps: list[dict[str, Any]] = []
         self.history: dict[str, list[float]] = {}
+        self.failed: list[StepResult] = []
+        self.unit = "Newton"
+        self.phase = "particles"
+        self.solver: Running | None = None
+        self.keeper: Keeper | None = None
+        self.signals: Signals
         self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
 
     def __call__(self) -> dict[str, float]:
+        with watched(self.comm, self._stuck) as self.signals:
+            try:
+                results = self._go()
+            except BaseException as error:
+                failure = self._end(error)
+                if self.solver is not None:
+                    # After an error of PETSc its objects are in no order to be destroyed in, not by Python either.
+                    _abandoned.append(self.solver) if of_petsc(error) else self.solver.destroy()
+                if failure is error:
+                    raise
+                raise failure from error
+            if self.solver is not None:
+                self.solver.destroy()
+        return results
+
+    def _go(self) -> dict[str, float]:
         case, comm = self.case, self.comm
+        refuse_names(self.options)
+        if self.restart is not None and Path(self.restart).is_dir():
+            place = Path(self.restart)
+            raise CaseError(
+                f"{place} is a folder; where it is of a run, the checkpoint in it is {place}/checkpoint.h5."
+            )
         with self._timed("particles"):
             cloud = make_cloud(comm, case)
         with self._timed("kernels"):
             rehearse(comm, case, cloud.dim)
+        if cache_trouble():
+            self.report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
         with self._timed("families"):
             families = find_families(cloud, case.cracks)
         with self._timed("model"):
@@ -140,16 +183,96 @@ class _Run:
             refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
         self._describe(model)
         self._report_loads(loading)
+        self.phase = "set-up"
         choice = choose(model, self.options, case.solver)
         defaults = default_options(model, case.solver, choice)
-        with stop_on_signals(comm) as stop, petsc_options(self.options, defaults):
-            solver = self._solver(model, loading, choice, stop)
-            self.summary["solver"] = solver.description()
-            self.report.say(f"solver: {solver.description()}")
+        with petsc_options(self.options, defaults):
+            self.summary["options"] = options_in_force(self.options, defaults)
+            of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
+            with agreed(comm):
+                if is_root(comm):
+                    refuse_files(self.summary["options"])
+            if of_environment:
+                self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
             try:
-                return self._march(model, loading, solver, stop)
+                self.solver = self._solver(model, loading, choice, self.signals.asked)
+                self.summary["solver"] = self.solver.description()
+                self.report.say(f"solver: {self.solver.description()}")
+                return self._march(model, loading, self.solver, self.signals.asked)
             finally:
-                solver.destroy()
+                self.summary["unused_options"] = unused(self.summary["options"])
+
+    def _end(self, error: BaseException) -> PdpetscError:
+        """Leave everything in order after an error and return it as one sentence; abort where this rank is alone."""
+        failure = described(error)
+        if isinstance(failure, RunError):
+            failure.phase = failure.phase or self.phase
+            if failure.rank is None and self.comm.size > 1 and not failure.agreed:
+                failure.rank = self.comm.rank
+        if isinstance(error, KeyboardInterrupt):
+            kept = "results are complete up to the step before" if self.keeper is not None else "nothing was run"
+            failure = Interrupted(f"Stopped by a signal in phase {self.phase}; {kept}.")
+        self.signals.deaf = True
+        together = all_failed(error, failure)
+        self.signals.deaf = not together
+        if isinstance(failure, RunError) and together and not failure.agreed:
+            failure.rank = None
+        failure = self._of_right_status(failure, together)
+        if isinstance(failure, RunError) and failure.bug and ((together and is_root(self.comm)) or not together):
+            self._write_traceback(error)
+        if not together:
+            self._leave(failure)
+        failure.agreed = True
+        if self.keeper is None:
+            return failure
+        said = str(failure)
+        # A signal may have come in the middle of a write; what is on disk stays.
+        if not isinstance(failure, OutputError) and not isinstance(error, KeyboardInterrupt):
+            try:
+                self.keeper.save()
+                self._say_what_holds(self.keeper.model)
+            except PdpetscError as other:
+                said += f" {other}"
+        self.summary["error"] = type(failure).__name__
+        with contextlib.suppress(PdpetscError):
+            self._write_summary(said)
+        return failure
+
+    def _of_right_status(self, failure: PdpetscError, together: bool) -> PdpetscError:
+        """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
+        if isinstance(failure, RunError) and not self.steps:
+            if failure.of_option and self.phase in ("set-up", "solve"):
+                return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
+            if failure.of_user and self.keeper is None and failure.exit_status == 1:
+                failure.exit_status = CaseError.exit_status
+        elif isinstance(failure, CaseError) and self.steps:
+            rank = None if together else self.comm.rank
+            return RunError(str(failure), users_line(failure), self.phase, rank)
+        return failure
+
+    def _leave(self, failure: PdpetscError) -> NoReturn:
+        """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
+        if not isinstance(failure, RunError | Interrupted):
+            failure = RunError(str(failure), place=users_line(failure), phase=self.phase, rank=self.comm.rank)
+        if self.keeper is not None:
+            self.summary["error"] = type(failure).__name__
+            with contextlib.suppress(Exception):
+                memory = [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]
+                write_summary(alone(), self.folder, self._ended(str(failure), {}, memory))
+        give_up(failure)
+
+    def _stuck(self) -> None:
+        """End a rank that a signal should have ended and that waits for others in MPI; on one rank MPI never waits."""
+        if self.comm.size > 1:
+            self._leave(Interrupted(f"Stopped by a signal in phase {self.phase}; nothing was run."))
+
+    def _write_traceback(self, error: BaseException) -> None:
+        text = "".join(traceback.format_exception(error))
+        try:
+            (self.folder / "traceback.txt").write_text(text)
+        except OSError:
+            with contextlib.suppress(OSError):
+                print(text, file=sys.stderr, flush=True)
 
     def _solver(self, model: Model, loading: Loading, choice: Choice, stop: Callable[[], bool]) -> Running:
         chosen = self.case.solver
@@ -187,51 +310,76 @@ class _Run:
                 )
             start = read_checkpoint(model, loading, order, Path(self.restart))
         step = start.step
+        self.phase = "output"
+        self._try_records(start)
         with self._timed("output"):
             checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
             restart = None if self.restart is None else Path(self.restart)
+            # From here on the folder is this run's.
+            write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, restart)
-            self.history = keeper.history
+            self.keeper, self.history = keeper, keeper.history
             if not keeper.took_over:
                 self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
-        failed: list[StepResult] = []
 
         def on_failure(at: float, dt: float, result: StepResult) -> None:
-            failed.append(result)
+            self.failed.append(result)
             self.report.cut_back(at, dt, result)
 
-        status = "converged"
-        try:
-            before = time.perf_counter()
-            if isinstance(solver, EventSolver):
-                march = solver.march()
-            elif isinstance(solver, PathSolver):
-                march = solver.march(start.unknowns, start.t, start.pace, on_failure)
-            else:
-                march = load_steps(solver, case.steps, start.unknowns, start.t, stop, on_failure, start.pace)
-            for converged in march:
-                self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
-                step += 1
-                self.report.step(step, converged.t, converged.result, solver.unit, converged.broken, converged.sweeps)
-                self._say_detached(model)
-                self.steps.append(_step_summary(step, converged, solver.unit))
-                failed.clear()
-                with self._timed("output"):
-                    state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
-                    keeper.write(state, converged.write_fields)
-                before = time.perf_counter()
-        except PdpetscError as error:
-            status = str(error)
-            if not isinstance(error, OutputError):
-                keeper.save()
-                self._say_what_holds(model)
-            raise
+        self.unit = solver.unit
+        self.signals.patient = True
+        self.phase = "solve"
+        before = time.perf_counter()
+        if isinstance(solver, EventSolver):
+            march = solver.march()
+        elif isinstance(solver, PathSolver):
+            march = solver.march(start.unknowns, start.t, start.pace, on_failure)
         else:
-            keeper.save()
-            self._say_what_holds(model)
-        finally:
-            self._finish(status, failed, solver.unit)
-        return self._end()
+            march = load_steps(solver, case.steps, start.unknowns, start.t, stop, on_failure, start.pace)
+        for converged in march:
+            self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
+            step += 1
+            self.report.step(step, converged.t, converged.result, solver.unit, converged.broken, converged.sweeps)
+            self._say_detached(model)
+            self.steps.append(_step_summary(step, converged, solver.unit))
+            self.failed.clear()
+            with self._timed("output"):
+                state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
+                keeper.write(state, converged.write_fields)
+            before, self.phase = time.perf_counter(), "solve"
+        keeper.save()
+        self._say_what_holds(model)
+        self.phase = "results"
+        with agreed(self.comm):
+            results = _numbers(self.case.results(self.history)) if self.case.results is not None else {}
+        self.summary["unused_options"] = left = unused(self.summary["options"])
+        self._write_summary("converged", results)
+        if left and is_root(self.comm):
+            _warn(f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}.")
+        return self._show(results)
+
+    def _try_records(self, start: Solution) -> None:
+        """Evaluate once what the case asks for, before files of an earlier run are replaced (collective).
+
+        Raises
+        ------
+        CaseError
+            A field has no row for each particle, or not the component of the picture.
+        """
+        for quantity in self.case.history.values():
+            quantity.evaluate(start)
+        picture = self.case.picture
+        for field in self._fields():
+            values = np.asarray(field(start))
+            with agreed(self.comm):
+                name = getattr(field, "__name__", repr(field))
+                if values.shape[:1] != start.u.shape[:1] or values.dtype.kind not in "fiub" or values.ndim > 3:
+                    raise CaseError(
+                        f"The field {name} must return numbers, a row for each of the {len(start.u)} particles of this "
+                        f"rank, not an array of {values.dtype} of shape {values.shape}."
+                    )
+                if picture is not None and field is picture.field:
+                    _refuse_component(values.ndim, picture.component)
 
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""
@@ -264,29 +412,32 @@ class _Run:
         )
         self.report.say(f"{whole}{lone_ones}{carried}")
 
-    def _finish(self, status: str, failed: list[StepResult], unit: str) -> None:
+    def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> None:
+        """Write the summary of a run that has ended (collective)."""
         memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
-        results = {}
-        if status == "converged" and self.case.results is not None:
-            results = {name: float(value) for name, value in self.case.results(self.history).items()}
-        self.summary |= {
+        write_summary(self.comm, self.folder, self._ended(status, results or {}, memory or []))
+
+    def _ended(self, status: str, results: Mapping[str, float], memory: list[int]) -> dict[str, Any]:
+        return self.summary | {
             "status": status,
-            "results": results,
+            "results": dict(results),
             "steps": self.steps,
-            "failed_attempts": [_attempt(result, unit) for result in failed],
+            "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
             "timings": self.timings,
             "peak_memory_bytes": memory,
         }
-        write_summary(self.comm, self.folder, self.summary)
 
-    def _end(self) -> dict[str, float]:
-        results: dict[str, float] = self.summary["results"]
+    def _show(self, results: dict[str, float]) -> dict[str, float]:
+        """Print the results and draw the picture of a run that has ended; whatever fails here, its results stand."""
         self.report.results(results)
         self.report.say(f"results in {self.folder}")
         if self.case.picture is not None and is_root(self.comm):
             with self._timed("picture"):
-                path = draw(self.folder, self.case.picture, self.folder.name)
-            self.report.say(f"picture in {path}")
+                try:
+                    path = draw(self.folder, self.case.picture, self.folder.name)
+                    self.report.say(f"picture in {path}")
+                except Exception as error:
+                    _warn(f"The run is finished, but its picture could not be drawn: {described(error)}")
         return results
 
     def _describe(self, model: Model) -> None:
@@ -320,10 +471,38 @@ class _Run:
 
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:
+        self.phase = phase
         before = time.perf_counter()
         with stage(STAGES[phase]):
             yield
         self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
+
+
+def _numbers(results: Any) -> dict[str, float]:
+    """Return what the case's results function gave as numbers; raise where one is none."""
+    if not isinstance(results, Mapping):
+        raise RunError(f"results must return a mapping of names to numbers, not {type(results).__name__}", of_user=True)
+    found = {}
+    for name, value in results.items():
+        try:
+            found[str(name)] = float(value)
+        except (TypeError, ValueError):
+            raise RunError(f"results must return numbers; {name!r} is {type(value).__name__}", of_user=True) from None
+        if not math.isfinite(found[str(name)]):
+            raise RunError(f"results must return finite numbers; {name!r} is {found[str(name)]}", of_user=True)
+    return found
+
+
+def _refuse_component(rank: int, component: str) -> None:
+    """Raise CaseError where a field of scalars, vectors or tensors has no such component."""
+    if len(component) != rank - 1 or any(letter not in "xyz" for letter in component):
+        known = ("empty", "x, y or z", "xx, xy, ...")[rank - 1]
+        raise CaseError(f"A component of the picture's field is {known}, not {component!r}.")
+
+
+def _warn(text: str) -> None:
+    with contextlib.suppress(OSError):
+        print(f"pdpetsc: {text}", file=sys.stderr, flush=True)
 
 
 def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -115,3 +116,79 @@ def test_compare_refuses_unknown_parameters_before_running(tmp_path):
     assert finished.returncode == 2
     assert "no parameter 'nz'" in finished.stderr
     assert not (tmp_path / "never").exists()
+
+
+CRASHING = """
+import os, signal, sys
+import pdpetsc as pd
+
+def case(n=4, end="right"):
+    def results(h):
+        if end == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if end == "left":
+            os._exit(0)
+        if end == "wrong":
+            raise ValueError("no number")
+        return {"t": h["t"][-1]}
+    if end == "early":
+        os.kill(os.getpid(), signal.SIGKILL)
+    ends = [pd.region.Slab("x", high=1.0 / n), pd.region.Slab("x", low=1.0 - 1.0 / n)]
+    return pd.Case(
+        particles=pd.Lattice((0.0,), (1.0,), 1.0 / n), horizon=2.015 / n, material=pd.BondBased(E=1.0), fields=[],
+        conditions=[pd.Displacement(ends[0], x=0.0), pd.Displacement(ends[1], x=0.1)], results=results,
+    )
+"""
+
+
+def test_compare_judges_a_run_by_its_exit_status_and_its_own_summary(tmp_path):
+    case, folder = tmp_path / "case.py", tmp_path / "out"
+    case.write_text(CRASHING)
+    words = ("compare", case, "n=8", "end=right,killed,left,wrong", "-o", folder)
+    finished = tool(*words)
+    assert finished.returncode == 1
+    assert "3 of 4 runs did not converge" in finished.stderr
+    status = {row["end"]: row["status"] for row in table(folder)}
+    assert status["right"] == "converged"
+    assert status["killed"].startswith("ended with exit status -9")
+    assert status["left"].startswith("ended with exit status 0")
+    assert "ValueError: no number" in status["wrong"]
+    # What an earlier run left does not count, not even where a run ends before it writes anything.
+    place = folder / "n=8,end=early"
+    shutil.copytree(folder / "n=8,end=right", place)
+    (place / "compare.json").write_text("{ cut off")
+    (place / "note.txt").write_text("mine")
+    finished = tool("compare", case, "n=8", "end=right,early", "-o", folder)
+    assert finished.returncode == 1
+    assert [row["status"][:25] for row in table(folder)] == ["converged", "ended with exit status -9"]
+    assert not (place / "summary.json").exists()
+    assert (place / "note.txt").read_text() == "mine"
+
+
+def test_compare_never_touches_a_folder_that_it_did_not_make(tmp_path):
+    case = tmp_path / "case.py"
+    case.write_text(CRASHING)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("years of work")
+    finished = tool("compare", case, "-o", tmp_path)
+    assert finished.returncode == 2
+    assert "run holds files that compare has not written" in finished.stderr
+    assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "run").symlink_to(tmp_path / "run")
+    assert "run is not a folder that compare has made" in tool("compare", case, "-o", other).stderr
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("compare", CLAMPED, "ny=3", "--restart", "x"), "compare takes no --restart"),
+        (("plot", "out", "-snes_monitor"), "plot takes a folder and NAME=VALUE only"),
+    ],
+)
+def test_words_that_a_tool_does_not_take_are_refused(words, message):
+    finished = tool(*words)
+    assert finished.returncode == 2
+    assert message in finished.stderr

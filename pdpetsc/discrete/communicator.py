@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import GlobalIndex
-from pdpetsc.errors import PdpetscError
+from pdpetsc.errors import PdpetscError, RunError, described, notice, rebuilt
 
 Comm: TypeAlias = MPI.Intracomm
 
@@ -35,19 +35,37 @@ def is_root(comm: Comm) -> bool:
 def agreed(comm: Comm) -> Iterator[None]:
     """Raise on every rank what the body raised on any, taking the lowest rank's error.
 
+    Whatever the body raises becomes an error of one sentence (``errors.described``), a ``sys.exit`` too. The rank that
+    raised it keeps its own object, with its class and traceback; others get one of the same kind and text. Only what a
+    signal raises is not shared: it can come at any place of any rank.
+
     Notes
     -----
-    Collective; the body itself must not communicate. Errors other than ``PdpetscError`` are not caught: they end the
-    rank, and the command line aborts the others.
+    Collective; the body itself must not communicate.
     """
     error: PdpetscError | None = None
+    cause: BaseException | None = None
     try:
         yield
-    except PdpetscError as caught:
-        error = caught
-    for other in comm.allgather(error):
-        if other is not None:
-            raise other
+    except (GeneratorExit, KeyboardInterrupt):
+        raise
+    except BaseException as caught:
+        error, cause = described(caught), caught
+        if isinstance(error, RunError) and comm.size > 1 and error.rank is None:
+            error.rank = comm.rank
+    told = comm.allgather(None if error is None else notice(error))
+    first = next((rank for rank, other in enumerate(told) if other is not None), None)
+    if first is None:
+        return
+    if first != comm.rank or error is None:
+        error = rebuilt(told[first])
+        cause = None
+    if isinstance(error, RunError) and None not in told:
+        error.rank = None
+    error.agreed = comm.size == MPI.COMM_WORLD.size
+    if error is cause:
+        raise error
+    raise error from cause
 
 
 def total(comm: Comm, values: Any) -> NDArray[Any]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -14,10 +16,14 @@ import numba
 
 # No "nnan"/"ninf": an inadmissible deformation is found by comparing with NaN and infinity.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+# How long a process waits for another one that compiles, before it compiles for itself [s].
+LONGEST_WAIT = 300.0
+
+_trouble: list[str] = []
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile ``function`` with numba, caching the machine code on disk.
+    """Compile ``function`` with numba, caching the machine code on disk where that is possible.
 
     Parameters
     ----------
@@ -29,8 +35,52 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     callable
         The compiled function, with the same signature.
     """
-    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-    return cast(Callable[..., Any], jit(function))
+    jit: Any = numba.njit(nogil=True, error_model="numpy", fastmath=FASTMATH)(function)
+    try:
+        jit.enable_caching()
+    except (RuntimeError, OSError) as error:  # no folder can be written to
+        _note(error)
+    else:
+        jit._cache = _Forgiving(jit._cache)
+    return cast(Callable[..., Any], jit)
+
+
+def cache_trouble() -> str:
+    """Return why kernels are compiled anew in every run, in words, empty where they are not."""
+    return _trouble[0] if _trouble else ""
+
+
+class _Forgiving:
+    """Numba's cache of a function, without which a run goes on: what cannot be read is compiled, and not written then.
+
+    Files may be cut off by a full disk, made by another version, or in a folder that another user owns; what reading
+    them raises is anything that pickle can.
+    """
+
+    def __init__(self, cache: Any) -> None:
+        self._cache = cache
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return self._cache.load_overload(sig, target_context)
+        except Exception as error:
+            _note(error)
+            with contextlib.suppress(Exception):
+                self._cache.flush()  # an empty index, so that this function can be kept again
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            self._cache.save_overload(sig, data)
+        except Exception as error:
+            _note(error)
+
+
+def _note(error: Exception) -> None:
+    _trouble.append(f"{type(error).__name__}: {error}".splitlines()[0])
 
 
 @contextlib.contextmanager
@@ -38,23 +88,52 @@ def cache_lock() -> Iterator[None]:
     """Hold the lock of the kernel cache while kernels are compiled.
 
     Numba writes its cache index without a lock, so two processes that compile different signatures of one function at
-    the same moment can leave an index that names the wrong file. Where no lock file can be made the body runs unlocked,
-    which risks a second compilation only.
+    the same moment can leave an index that names the wrong file. Where no lock file can be made or locked, or another
+    process has held it for five minutes, the body runs unlocked, which risks a second compilation only.
 
     Notes
     -----
     Not collective. One process of a job holds it; jobs that share the cache exclude each other.
     """
-    beside = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
-    handle = None
-    for folder in (beside, Path(tempfile.gettempdir())):
-        with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            handle = open(folder / f"pdpetsc-{os.getuid()}.lock", "w")  # noqa: SIM115
-            break
-    if handle is None:
+    handle = _lock_file()
+    try:
+        if handle is not None:
+            _lock(handle)
         yield
-        return
-    with handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _lock_file() -> int | None:
+    """Open the lock file beside the cache, else in the temporary folder, never one that somebody else put there."""
+    with contextlib.suppress(OSError):
+        folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
+        folder.mkdir(parents=True, exist_ok=True)
+        return _own_file(folder)
+    with contextlib.suppress(OSError):
+        return _own_file(Path(tempfile.gettempdir()))
+    return None
+
+
+def _own_file(folder: Path) -> int:
+    path = folder / f"pdpetsc-{os.getuid()}.lock"
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    found = os.fstat(handle)
+    if found.st_uid != os.getuid() or not stat.S_ISREG(found.st_mode):
+        os.close(handle)
+        raise PermissionError(f"{path} is not a file of this user")
+    return handle
+
+
+def _lock(handle: int) -> None:
+    """Wait for the lock, but not for ever: its holder may be stopped, or the file system may not lock at all."""
+    end = time.monotonic() + LONGEST_WAIT
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            time.sleep(0.05)
+        except OSError:  # Lustre without flock, NFS without its lock daemon
+            return

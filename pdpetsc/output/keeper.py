@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from pdpetsc.model import Model
 from pdpetsc.output.broken import BrokenBonds
 from pdpetsc.output.checkpoint import write_checkpoint
 from pdpetsc.output.fields import FieldWriter
@@ -77,6 +78,11 @@ class Keeper:
             earlier = None if beside is None else beside / "broken_bonds.csv"
             self._broken = BrokenBonds(comm, folder, start.model.failure, earlier, start.step)
         self._record(start, write_fields=True)
+
+    @property
+    def model(self) -> Model:
+        """Return the body (not collective)."""
+        return self._last.model
 
     def write(self, solution: Solution, write_fields: bool) -> None:
         """Keep the next converged step."""

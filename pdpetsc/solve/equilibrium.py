@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult
@@ -235,15 +235,8 @@ def read_options(destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP) 
     except PETSc.Error as error:
         destroy()
         raise CaseError(
-            f"PETSc refused the solver options; check their names and values: {_first_line(error)}."
+            f"PETSc refused the solver options; check their names and values: {petsc_reason(error)}."
         ) from error
-
-
-def _first_line(error: PETSc.Error) -> str:
-    """Return what PETSc says is wrong, without its traceback."""
-    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines() if line.strip()]
-    kept = [line for line in lines if not line.startswith(("error code", "SNES", "KSP", "PC"))]
-    return (kept or lines or ["unknown"])[-1].rstrip(".")
 
 
 def _words(reason: int, linear: int) -> str:

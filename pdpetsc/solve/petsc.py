@@ -7,14 +7,23 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
+import re
+import shlex
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+
+# Option that keeps PETSc from reading .petscrc in the home folder and wherever one stands.
+SKIP_FILES = "skip_petscrc"
+READ_AT_THE_END = ("log_", "malloc", "memory_view", "objects_", "options_", "on_error", "debug", "start_in_debugger")
 
 
 @lru_cache
@@ -55,6 +64,13 @@ def values_of(handle: int | None, count: int) -> Iterator[Float]:
 def set_domain_error(snes: PETSc.SNES) -> None:
     """Tell SNES that the residual is not defined at the point it asked for."""
     _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
+
+
+def forces_iteration(snes: PETSc.SNES) -> bool:
+    """Return whether -snes_force_iteration asks for an iteration of every solve (not collective)."""
+    forced = ctypes.c_int(0)
+    _check(_library().SNESGetForceIteration(ctypes.c_void_p(snes.handle), ctypes.byref(forced)))
+    return bool(forced.value)
 
 
 @contextlib.contextmanager
@@ -149,21 +165,89 @@ def option_used(name: str) -> bool:
     return bool(used.value)
 
 
+def refuse_names(chosen: Mapping[str, Any]) -> None:
+    """Raise CaseError for a name that cannot be an option's (not collective; the same on all ranks)."""
+    for name in chosen:
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*([-.:]\w+)*", name):
+            raise CaseError(f"A PETSc option is named without its dash, like 'snes_rtol', not {name!r}.")
+
+
+def refuse_files(in_force: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise CaseError for a file of a viewer or monitor that cannot be made; PETSc finds out in its own end, and hangs.
+
+    Notes
+    -----
+    Not collective; for one rank.
+    """
+    for name, option in in_force.items():
+        words = str(option["value"] or "").split(":")
+        if not re.search(r"view|monitor|log_|history", name) or len(words) < 2 or not words[1]:
+            continue
+        path = Path(words[1])
+        there = path if path.exists() else path.parent
+        if path.is_dir() or not os.access(there, os.W_OK):
+            raise CaseError(f"The option -{name} writes to {path}, which cannot be written.")
+
+
 @contextlib.contextmanager
 def options(chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[None]:
     """Put options into PETSc's database for the time of a run.
 
-    What is already there, from the command line, wins over ``chosen``, which wins over ``defaults``. A value of None
-    stands for an option without value.
+    What is already there, from the command line or the environment, wins over ``chosen``, which wins over ``defaults``.
+    A value of None stands for an option without value.
     """
     database = PETSc.Options()
+    # Asking for a name would count as its use.
+    there = {name.lower() for name in database.getAll()}
     inserted = []
     for name, value in [*chosen.items(), *defaults.items()]:
-        if not database.hasName(name):
-            database.setValue(name, "" if value is None else str(value))
+        if name.lower() not in there:
+            database.setValue(name, _text(value))
+            there.add(name.lower())
             inserted.append(name)
     try:
         yield
     finally:
         for name in inserted:
             database.delValue(name)
+
+
+def options_in_force(chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return value and source of every option in PETSc's database, in the body of ``options`` (not collective)."""
+    sources = {"case": chosen, "environment": _environment(), "pdpetsc": defaults}
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in sorted(PETSc.Options().getAll().items()):
+        if name != SKIP_FILES:
+            same = (of for of, known in sources.items() if name in known and _text(known[name]) == _text(value))
+            found[name] = {"value": value, "from": next(same, "command line")}
+    return found
+
+
+def unused(in_force: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the options in force that nothing has looked up, in the body of ``options`` (not collective).
+
+    Those that pdpetsc suggests are not among them, nor those that PETSc reads when it ends.
+    """
+    return [
+        name
+        for name, option in in_force.items()
+        if option["from"] != "pdpetsc" and not name.startswith(READ_AT_THE_END) and not option_used(name)
+    ]
+
+
+def _environment() -> dict[str, str]:
+    """Return the options of PETSC_OPTIONS."""
+    found: dict[str, str] = {}
+    name = ""
+    with contextlib.suppress(ValueError):
+        for word in shlex.split(os.environ.get("PETSC_OPTIONS", "")):
+            if re.match(r"-{1,2}[A-Za-z]", word):
+                name = word[1:]
+                found[name] = ""
+            elif name:
+                found[name], name = word, ""
+    return found
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)

@@ -16,6 +16,7 @@ from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.equilibrium import Equilibrium, read_options
 from pdpetsc.solve.petsc import (
     effort,
+    forces_iteration,
     full_steps,
     line_search,
     linear_solver,
@@ -57,6 +58,7 @@ class StaticSolver(StepSolver):
         self._stop = stop
         self._equilibrium = Equilibrium(model, loading, assembler)
         self._scales = self._equilibrium.scales
+        self._all_prescribed = int(total(model.cloud.comm, np.count_nonzero(~loading.fixed))) == 0
         tangent = self._equilibrium.tangent
         self._x = tangent.preconditioner.createVecRight()
         self._r = self._x.duplicate()
@@ -90,6 +92,8 @@ class StaticSolver(StepSolver):
         sought.prescribed, sought.external = self.loading.prescribed(t), self.loading.forces(t)
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
+        if self._all_prescribed:
+            return self._without_solve()
         start, linear = u, 0
         if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):
             start, linear = self._predict(u, sought.prescribed - np.where(self.loading.fixed, u, 0.0))
@@ -119,6 +123,14 @@ class StaticSolver(StepSolver):
         self._r.destroy()
         self._x.destroy()
         self._equilibrium.destroy()
+
+    def _without_solve(self) -> tuple[Float, StepResult]:
+        """Return the prescribed displacements, where there are no others: nothing to factor or to iterate."""
+        sought, reason = self._equilibrium, PETSc.SNES.ConvergedReason
+        u = sought.prescribed.copy()
+        if sought.residual(u.ravel()) is None:
+            return u, sought.result(int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
+        return u, sought.result(int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
 
     def _iterate(self, start: Float) -> int:
         """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""
@@ -195,4 +207,7 @@ class StaticSolver(StepSolver):
         if self._stop():
             return self._equilibrium.interrupted()
         values = self._displacement(snes.getSolution())
-        return self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)
+        verdict = self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)
+        # -snes_force_iteration: no solve is done before its first iteration.
+        forced = iteration == 0 and verdict is not None and verdict > 0 and forces_iteration(snes)
+        return None if forced else verdict

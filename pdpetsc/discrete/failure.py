@@ -1,0 +1,97 @@
+"""What a rank does that has failed, when it does not know where the others are."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from typing import NoReturn
+
+from mpi4py import MPI
+
+from pdpetsc.discrete.communicator import Comm, world
+from pdpetsc.errors import PdpetscError, places
+
+# Tag of messages that a rank has failed.
+FAILURE = 911
+# What a rank tells that says why the run ends, and will abort it.
+SPEAKS = ("speaks",)
+# How long a rank that failed waits for others to fail as well [s]: after a signal, which mpirun lets a kill follow in a
+# second; after what a function of the case or a library raised, likely on one rank; after what pdpetsc found, likely on
+# all.
+SIGNALLED, SURPRISED, FOUND = 0.4, 1.5, 5.0
+# Longer than any of them [s].
+LONG = 10.0
+# How long the last words take to be passed on [s].
+SPOKEN = 0.2
+
+
+def all_failed(error: BaseException, failure: PdpetscError) -> bool:
+    """Return whether all ranks failed together and may go on to communicate; True on one rank.
+
+    Parameters
+    ----------
+    error, failure : exception
+        What was raised, and the same as one sentence.
+
+    Notes
+    -----
+    Not collective: a rank that fails alone leaves the others in a call that waits for it, so it waits for a moment
+    only. Of several that fail each on their own the lowest returns, and the others wait for it to abort them.
+    """
+    comm = world()
+    if comm.size == 1 or failure.agreed:
+        return True
+    stopped = isinstance(error, KeyboardInterrupt)
+    patience = SIGNALLED if stopped else FOUND if isinstance(error, PdpetscError) else SURPRISED
+    lowest, together = _others(comm, (type(failure).__name__, *places(error)), patience)
+    # Ranks that a signal ends are anywhere, whatever their lines say.
+    if together and not stopped:
+        return True
+    if not lowest:
+        time.sleep(LONG)
+    return False
+
+
+def give_up(failure: PdpetscError) -> NoReturn:
+    """Say on stderr why this rank ends the run, and abort all ranks with exit status 1 (not collective)."""
+    comm = world()
+    # The abort sends signals to the others, which end them too: they shall not say so.
+    sent = [comm.isend(SPEAKS, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
+    with contextlib.suppress(OSError):
+        print(f"pdpetsc: {failure}", file=sys.stderr, flush=True)
+    time.sleep(SPOKEN)
+    comm.Abort(1)
+    del sent
+    raise SystemExit(1)
+
+
+def leave(status: int) -> NoReturn:
+    """End all ranks, which are all here, without the ends of MPI and PETSc."""
+    if MPI.COMM_WORLD.size == 1:
+        os._exit(status)
+    if MPI.COMM_WORLD.rank > 0:
+        time.sleep(LONG)
+    time.sleep(SPOKEN)
+    MPI.COMM_WORLD.Abort(status)
+    os._exit(status)
+
+
+def _others(comm: Comm, mine: tuple[str, ...], patience: float) -> tuple[bool, bool]:
+    """Return whether this is the lowest rank of those that have failed, and whether all have, at the same place."""
+    heard = {comm.rank: mine}
+    sent = [comm.isend(mine, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
+    end = time.monotonic() + patience
+    status = MPI.Status()
+    while len(heard) < comm.size and time.monotonic() < end:
+        while comm.iprobe(source=MPI.ANY_SOURCE, tag=FAILURE, status=status):
+            told = comm.recv(source=status.Get_source(), tag=FAILURE)
+            if told == SPEAKS:
+                return False, False
+            heard[status.Get_source()] = told
+        time.sleep(0.005)
+    everyone = len(heard) == comm.size
+    if everyone:
+        MPI.Request.waitall(sent)
+    return min(heard) == comm.rank, everyone and len(set(heard.values())) == 1

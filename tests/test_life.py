@@ -1,0 +1,546 @@
+"""The life of a run: what ends it ends all of it soon, on any ranks, with one sentence and a status."""
+
+import importlib.util
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.errors import FlatFamilies, described, notice, rebuilt
+from pdpetsc.kernels.compile import cache_lock, cache_trouble
+from tests.commands import ROOT, command
+
+# How long a job may take that fails on one rank; what is tested is that it does not wait for ever.
+SOON = 30.0
+
+CASE = """
+    import os
+    import sys
+    import time
+    import numpy as np
+    import pdpetsc as pd
+    from mpi4py import MPI
+
+    HERE = MPI.COMM_WORLD.rank
+
+
+    class Mine(pd.CaseError):
+        def __init__(self, one, two):
+            super().__init__(one + two)
+
+
+    def fail(what):
+        if what == "divides":
+            1 / 0
+        if what == "memory":
+            raise MemoryError
+        if what == "os":
+            raise OSError(28, "No space left on device")
+        if what == "exits":
+            sys.exit(0)
+        if what == "case":
+            raise Mine("the field ", "is wrong")
+        if what == "petsc":
+            from petsc4py import PETSc
+            PETSc.Vec().createSeq(3, comm=PETSc.COMM_SELF).setType("nothing")
+        if what == "waits":
+            with open(f"{os.environ['PIDS']}/{HERE}", "w") as file:
+                file.write(str(os.getpid()))
+            time.sleep(30.0 if HERE == 0 else 0.0)
+
+
+    def case(where="", what="divides", rank=-1, steps=4, n=4, options="{}"):
+        def maybe(place):
+            if place == where and (rank < 0 or HERE == rank):
+                fail(what)
+
+        class Lattice(pd.Lattice):
+            def chunk(self, rank, size):
+                maybe("particles")
+                return super().chunk(rank, size)
+
+        class Slab(pd.region.Slab):
+            def mask(self, view):
+                maybe("set-up")
+                return super().mask(view)
+
+        def influence(r):
+            maybe("model")
+            return np.ones_like(r)
+
+        def pull(x, t):
+            if t > 0.6:
+                maybe("solve")
+            return np.full(len(x), 0.1 * t)
+
+        def field(solution):
+            if solution.t > 0.6:
+                maybe("output")
+            maybe("declared")
+            return solution.volume
+
+        class Number(pd.StrainEnergy):
+            def evaluate(self, solution):
+                if solution.t > 0.6:
+                    maybe("history")
+                return super().evaluate(solution)
+
+        def results(history):
+            maybe("results")
+            return {"text": {"a": "b"}, "nan": {"a": float("nan")}, "list": [1.0]}.get(where, {"t": history["t"][-1]})
+
+        maybe("case")
+        dx = 1.0 / n
+        return pd.Case(
+            particles=Lattice((0.0, 0.0), (2.0, 1.0), dx), horizon=2.015 * dx, influence=influence,
+            material=pd.Hencky(E=1.0, nu=0.3),
+            conditions=[
+                pd.Displacement(Slab("x", high=dx), x=0.0, y=0.0),
+                pd.Displacement(pd.region.Slab("x", low=2.0 - dx), x=pull),
+            ],
+            steps=pd.Steps(steps), fields=[field], history={"E": Number()}, results=results,
+            picture=pd.Picture(field, "xyz" if where == "component" else ""), options=eval(options),
+        )
+"""
+
+
+@pytest.fixture
+def case(tmp_path):
+    path = tmp_path / "case.py"
+    path.write_text(textwrap.dedent(CASE))
+    return path
+
+
+def ended(case, *words, ranks=1, output=None, within=SOON, **variables):
+    """Run a case to its end, in time; return exit status, the sentences of stderr, all of stderr and the summary."""
+    output = case.parent / "out" if output is None else output
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **variables}
+    before = time.monotonic()
+    finished = subprocess.run(
+        command(case, "--quiet", *words, ranks=ranks, output=output), cwd=case.parent, env=environment,
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert time.monotonic() - before < within
+    return finished.returncode, sentences(finished.stderr), finished.stderr, summary(output)
+
+
+def sentences(text):
+    return [line for line in text.splitlines() if line.startswith("pdpetsc: ")]
+
+
+def summary(folder):
+    path = folder / "summary.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def one_sentence(found, status, words):
+    code, said, stderr, _ = found
+    assert code == status, stderr
+    assert len(said) == 1, stderr
+    assert words in said[0]
+    assert "Traceback" not in stderr
+
+
+ALONE = [
+    ("particles", "divides"), ("set-up", "case"), ("model", "exits"), ("declared", "divides"), ("solve", "memory"),
+    ("output", "os"), ("history", "case"), ("results", "divides"), ("case", "exits"), ("solve", "petsc"),
+]  # fmt: skip
+QUICK = {("set-up", "case", 2), ("solve", "memory", 3), ("output", "os", 2), ("results", "divides", 2)}
+
+
+@pytest.mark.parametrize(
+    ("where", "what", "ranks"),
+    [
+        pytest.param(where, what, ranks, marks=[] if (where, what, ranks) in QUICK else pytest.mark.long)
+        for where, what in ALONE
+        for ranks in (2, 3)
+    ],
+)
+def test_a_rank_that_fails_alone_ends_all(where, what, ranks, case):
+    found = ended(case, f"where={where}", f"what={what}", f"rank={ranks - 1}", ranks=ranks)
+    # What ranks evaluate without others they agree on, and the case was not run then; else the others wait in MPI.
+    status = 2 if where in ("particles", "case") else 1
+    words = {"divides": "division by zero", "memory": "out of memory", "os": "No space left", "exits": "sys.exit"}
+    one_sentence(found, status, words.get(what, {"case": "the field is wrong", "petsc": "nothing"}.get(what)))
+    if where != "case":
+        assert f"Rank {ranks - 1}" in found[1][0]
+    if where in ("solve", "output", "history", "results"):
+        assert found[3]["status"] == found[1][0].removeprefix("pdpetsc: ")
+        assert found[3]["results"] == {}
+    if what == "divides":
+        assert "case.py:19 (fail)" in found[1][0]
+
+
+@pytest.mark.parametrize("where", ["solve", "output", "results"])
+def test_what_fails_on_all_ranks_leaves_a_checkpoint_and_a_summary(where, case):
+    found = ended(case, f"where={where}", ranks=2 if where == "solve" else 1)
+    one_sentence(found, 1, f"in phase {where} at {case}:19 (fail): ZeroDivisionError")
+    assert found[3]["status"].startswith("Failed in phase")
+    assert (case.parent / "out" / "checkpoint.h5").exists()
+    assert len(found[3]["steps"]) == {"solve": 2, "output": 3, "results": 4}[where]
+
+
+@pytest.mark.parametrize(
+    ("where", "what", "words"),
+    [("text", "", "'a' is str"), ("nan", "", "'a' is nan"), ("list", "", "not list"), ("results", "exits", "sys.exit")],
+)
+def test_results_must_be_numbers(where, what, words, case):
+    found = ended(case, f"where={where}", f"what={what}", "steps=1")
+    one_sentence(found, 1, words)
+    assert "results" in found[3]["status"]
+    assert len(found[3]["steps"]) == 1
+
+
+@pytest.mark.parametrize(("where", "words"), [("declared", "division by zero"), ("component", "not 'xyz'")])
+def test_what_is_declared_wrong_leaves_an_earlier_run_alone(where, words, case):
+    folder = case.parent / "out"
+    assert ended(case, "steps=1")[0] == 0
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    one_sentence(ended(case, f"where={where}", "steps=2"), 2, words)
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_the_summary_says_running_until_the_end(case):
+    folder = case.parent / "out"
+    words = command(case, "--quiet", "where=solve", "what=waits", output=folder)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PIDS": str(case.parent)}
+    process = subprocess.Popen(words, env=environment)
+    wait_for(case.parent / "0")
+    assert summary(folder)["status"] == "running"
+    process.kill()
+    process.wait()
+    assert summary(folder)["status"] == "running"
+    assert summary(folder)["results"] == {}
+
+
+def test_a_picture_that_cannot_be_drawn_is_a_warning(case):
+    folder = case.parent / "out"
+    (folder / "picture.png").mkdir(parents=True)
+    code, said, _, found = ended(case, "steps=1", ranks=2)
+    assert code == 0
+    assert len(said) == 1
+    assert "its picture could not be drawn" in said[0]
+    assert found["status"] == "converged"
+
+
+@pytest.mark.parametrize("module_level", [True, False])
+def test_a_case_file_cannot_end_the_run_as_if_it_were_right(module_level, case):
+    if module_level:
+        case.write_text("import sys\nsys.exit(0)\n")
+        one_sentence(ended(case), 2, "called sys.exit in line 2")
+    else:
+        one_sentence(ended(case, "where=case", "what=exits"), 2, "called sys.exit in line 25")
+
+
+def test_a_restart_from_a_folder_names_the_checkpoint_in_it(case):
+    one_sentence(ended(case, "--restart", str(case.parent)), 2, f"the checkpoint in it is {case.parent}/checkpoint.h5")
+
+
+def test_errors_of_the_case_go_to_other_ranks_as_words():
+    class Mine(pd.CaseError):
+        exit_status = 2
+
+        def __init__(self, one, two):
+            super().__init__(one + two)
+
+    for error in (
+        Mine("a", "b"),
+        FlatFamilies("flat", [1, 2]),
+        pd.RunError("x", "y", "z", 3, True),
+        pd.SolveError("s"),
+    ):
+        other = rebuilt(pickle.loads(pickle.dumps(notice(error))))
+        assert str(other) == str(error)
+        assert other.exit_status == error.exit_status
+        assert isinstance(error, type(other))
+
+
+def test_a_defect_of_pdpetsc_leaves_its_traceback_in_the_folder(case, monkeypatch):
+    monkeypatch.setattr("pdpetsc.runner.find_families", None)
+    from pdpetsc.cli import load_case
+
+    folder = case.parent / "out"
+    with pytest.raises(pd.RunError, match="defect of pdpetsc") as caught:
+        pd.run(load_case(case)(), output=folder, quiet=True)
+    assert isinstance(caught.value.__cause__, TypeError)
+    assert "TypeError" in (folder / "traceback.txt").read_text()
+
+
+def test_run_raises_in_python_and_never_ends_the_process(case):
+    from pdpetsc.cli import load_case
+
+    function = load_case(case)
+    for words, kind in (
+        ({"where": "solve", "what": "exits"}, pd.RunError),
+        ({"where": "results"}, pd.RunError),
+        ({"where": "set-up", "what": "case"}, pd.CaseError),
+        ({"options": "{'snes_max_it': 0}", "steps": 1}, pd.SolveError),
+        ({"options": "{'-snes_max_it': 3}"}, pd.CaseError),
+        ({"options": "{'ksp_type': 'nothing'}"}, pd.CaseError),
+    ):
+        with pytest.raises(kind):
+            pd.run(function(**words), output=case.parent / "out", quiet=True)
+    assert described(ZeroDivisionError("x")).bug
+
+
+# Options: whose they are, and what becomes of those that are wrong.
+
+
+def test_files_of_options_lying_about_are_not_read(case):
+    (case.parent / ".petscrc").write_text("-snes_max_it 1\n-snes_rtol 1e-30\n")
+    code, said, _, found = ended(case, HOME=str(case.parent), PETSC_OPTIONS="-snes_atol 1e-30")
+    assert (code, said) == (0, [])
+    assert found["options"]["snes_max_it"] == {"value": "30", "from": "pdpetsc"}
+    assert found["options"]["snes_atol"] == {"value": "1e-30", "from": "environment"}
+    script = "import pdpetsc.runner\nfrom petsc4py import PETSc\nprint(PETSc.Options().getAll())"
+    words = [sys.executable, "-c", script]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    out = subprocess.run(words, cwd=case.parent, env=environment, capture_output=True, text=True, check=True).stdout
+    assert "snes_max_it" not in out
+
+
+def test_the_summary_names_the_options_and_those_that_nothing_used(case):
+    options = "{'snes_rtol': 1e-9, 'snes_rtl': 1, 'ksp_type': 'gmres'}"
+    code, said, _, found = ended(case, "steps=1", f"options={options}", "-ksp_type", "cg", "-snes_monitr")
+    assert code == 0
+    assert len(said) == 1
+    assert "nothing used the options" in said[0]
+    assert sorted(found["unused_options"]) == ["snes_monitr", "snes_rtl"]
+    assert found["options"]["snes_rtol"] == {"value": "1e-09", "from": "case"}
+    assert found["options"]["ksp_type"] == {"value": "cg", "from": "command line"}
+
+
+REFUSED = {
+    "-snes_rtol abc": "no numeric value",
+    "-pc_factor_mat_solver_type nothing": "nothing",
+    "-pc_type asm -sub_pc_type nothing": "PC type nothing",
+    "-pc_type gamg -mg_levels_pc_type nothing": "PC type nothing",
+    "-pc_type shell": "Shell PC",
+    "-mat_mumps_icntl_14 abc": "no integer value",
+    "-options_file /nowhere/x": "error 83",
+    "-snes_view :/nowhere/x": "-snes_view writes to /nowhere/x",
+    "-log_view :/nowhere/x": "-log_view writes to /nowhere/x",
+    "-pc_type python": "Python context",
+}
+
+
+@pytest.mark.parametrize("options", REFUSED)
+def test_what_petsc_refuses_is_one_sentence(options, case):
+    one_sentence(ended(case, *options.split()), 2, REFUSED[options])
+
+
+@pytest.mark.parametrize("options", ["-log_view :/nowhere/x", pytest.param("-pc_type shell", marks=pytest.mark.long)])
+def test_what_petsc_refuses_is_one_sentence_on_two_ranks(options, case):
+    one_sentence(ended(case, *options.split(), ranks=2), 2, REFUSED[options])
+
+
+def bar(right, **more):
+    ends = (
+        pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0),
+        pd.Displacement(right, x=lambda x, t: 0.1 * t * x[:, 0]),
+    )
+    lattice = pd.Lattice((0.0,), (8.0,), 1.0)
+    more = {"steps": pd.Steps(1), "fields": [], "history": {"E": pd.StrainEnergy()}, **more}
+    return pd.Case(particles=lattice, horizon=2.015, material=pd.BondBased(E=1.0), conditions=ends, **more)
+
+
+def test_an_iteration_that_is_asked_for_is_done(tmp_path):
+    for options, least, most in (({}, 0, 0), ({"snes_force_iteration": None}, 1, 3)):
+        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options=options, quiet=True)
+        (step,) = summary(tmp_path)["steps"]
+        assert least <= step["newton_iterations"] <= most
+
+
+def test_nothing_is_factored_where_every_displacement_is_prescribed(tmp_path):
+    """A preconditioner that cannot be set up shows that none is."""
+    rest = pd.region.Slab("x", low=1.0)
+    with pytest.raises(pd.CaseError, match="Shell PC"):
+        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options={"pc_type": "shell"}, quiet=True)
+    pd.run(bar(rest), output=tmp_path, options={"pc_type": "shell"}, quiet=True)
+    (step,) = summary(tmp_path)["steps"]
+    assert step["linear_iterations"] == 0
+    assert float((tmp_path / "history.csv").read_text().split()[-1].split(",")[2]) > 0.0
+
+
+# Signals and pipes.
+
+
+def wait_for(path):
+    end = time.monotonic() + 60.0
+    while not (path.exists() and path.read_text()):
+        assert time.monotonic() < end, f"{path} did not come"
+        time.sleep(0.02)
+
+
+def signalled(case, number, where, ranks=1, to=(0,), again=False):
+    """Start a job that waits in a phase and send a signal to ranks; return as ``ended``."""
+    folder = case.parent / "out"
+    words = command(case, "--quiet", f"where={where}", "what=waits", ranks=ranks, output=folder)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PIDS": str(case.parent)}
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(words, env=environment, **pipes)
+    for rank in range(ranks):
+        wait_for(case.parent / str(rank))
+    time.sleep(0.3)
+    before = time.monotonic()
+    pids = [int((case.parent / str(rank)).read_text()) for rank in to]
+    for _ in range(1 + again):
+        for pid in pids:
+            os.kill(pid, number)
+        time.sleep(0.6 if again else 0.0)
+    _, stderr = process.communicate(timeout=100)
+    assert time.monotonic() - before < 15.0
+    return process.returncode, sentences(stderr), stderr, summary(folder)
+
+
+@pytest.mark.parametrize(
+    ("number", "where", "ranks", "to"),
+    [
+        (signal.SIGHUP, "case", 1, (0,)),
+        (signal.SIGINT, "particles", 1, (0,)),
+        (signal.SIGTERM, "particles", 2, (1,)),
+        pytest.param(signal.SIGTERM, "particles", 2, (0, 1), marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, "case", 3, (1,), marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, "particles", 3, (0, 1, 2), marks=pytest.mark.long),
+    ],
+)
+def test_a_signal_in_the_set_up_ends_it_at_once(number, where, ranks, to, case):
+    one_sentence(signalled(case, number, where, ranks, to), 1, "Stopped by a signal")
+
+
+def test_a_second_signal_ends_a_solve_at_once(case):
+    found = signalled(case, signal.SIGINT, "solve", again=True)
+    one_sentence(found, 1, "Stopped by a signal in phase solve")
+    assert found[3]["status"].startswith("Stopped by a signal")
+
+
+def test_no_rank_outlives_mpirun(case):
+    words = command(case, "--quiet", "where=solve", "what=waits", ranks=2, output=case.parent / "out")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PIDS": str(case.parent)}
+    process = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    for rank in range(2):
+        wait_for(case.parent / str(rank))
+    process.kill()
+    process.wait()
+    end = time.monotonic() + 10.0
+    for rank in range(2):
+        while running(int((case.parent / str(rank)).read_text())):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+
+
+def running(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("to", ["/dev/full", "| head -n 1", "2>&1 | true"])
+def test_a_run_goes_on_when_nobody_reads_what_it_prints(to, case):
+    folder = case.parent / "out"
+    words = " ".join([*command(case, "-snes_monitor", output=folder), to])
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    shell = f"set -o pipefail; {words.replace('/dev/full', '> /dev/full')}"
+    finished = subprocess.run(["bash", "-c", shell], env=environment, capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert summary(folder)["status"] == "converged"
+    assert summary(folder)["results"] == {"t": 1.0}
+
+
+# The cache of kernels.
+
+KERNEL = """
+    from pdpetsc.kernels.compile import compiled
+
+    @compiled
+    def twice(x):
+        return 2.0 * x
+"""
+
+
+def kernel(folder):
+    """Return a kernel whose module is read anew."""
+    spec = importlib.util.spec_from_file_location("kernel", folder / "kernel.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.twice
+
+
+@pytest.fixture
+def cached(tmp_path, monkeypatch):
+    (tmp_path / "kernel.py").write_text(textwrap.dedent(KERNEL))
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr("pdpetsc.kernels.compile._trouble", [])
+    return tmp_path
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("content", [b"", b"nonsense", None])
+def test_a_damaged_cache_is_compiled_anew_and_mended(ending, content, cached):
+    assert kernel(cached)(2.0) == 4.0
+    (path,) = (cached / "cache").rglob(f"*.{ending}")
+    path.write_bytes(path.read_bytes()[:-100] if content is None else content)
+    assert kernel(cached)(2.0) == 4.0
+    assert cache_trouble()
+    again = kernel(cached)
+    assert again(2.0) == 4.0
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
+def test_a_full_disk_costs_the_cache_only(cached, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile._save_data", full)
+    assert kernel(cached)(2.0) == 4.0
+    assert "No space left" in cache_trouble()
+
+
+def test_no_cache_at_all_costs_the_cache_only(cached, monkeypatch):
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
+    assert kernel(cached)(2.0) == 4.0
+    assert "no locator" in cache_trouble()
+
+
+def test_the_lock_is_no_file_that_somebody_else_put_there(tmp_path, monkeypatch):
+    beside, temporary = tmp_path / "cache", tmp_path / "tmp"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(beside))
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    name = f"pdpetsc-{os.getuid()}.lock"
+    precious = tmp_path / "precious"
+    precious.write_text("keep")
+    for folder in (beside, temporary):
+        folder.mkdir()
+        (folder / name).symlink_to(precious)
+    with cache_lock():
+        assert precious.read_text() == "keep"
+    (temporary / name).unlink()
+    with cache_lock():
+        assert (temporary / name).stat().st_mode & 0o777 == 0o600
+
+
+def test_a_file_system_without_locks_is_gone_on_without(tmp_path, monkeypatch):
+    def refused(*_):
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("fcntl.flock", refused)
+    with cache_lock():
+        pass
+
+
+def test_a_lock_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("pdpetsc.kernels.compile.LONGEST_WAIT", 0.2)
+    with cache_lock(), cache_lock():
+        pass

@@ -80,7 +80,8 @@ def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
         code = getattr(function, "__code__", None)
         inside = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
         where = "".join(f" at {Path(frame.filename).name}:{frame.lineno}" for frame in (inside or frames)[-1:])
-        raise CaseError(f"The {what} {name_of(function)} failed{where}: {type(error).__name__}: {error}.") from error
+        said = f": {error}" if str(error) else ""
+        raise CaseError(f"The {what} {name_of(function)} failed{where}: {type(error).__name__}{said}.") from error
 
 
 def numbers_from(what: str, function: Callable[..., Any], *arguments: Any) -> Float:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Declared, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.scene.region import Region
 from pdpetsc.scene.schedule import Hold, Ramp, Schedule
@@ -58,28 +58,40 @@ class _Vector(Declared):
         SolveError
             A function or the schedule fails or does not return numbers.
         """
+        name = type(self).__name__
         schedule = self.schedule or (Hold() if callable(component) else Ramp())
-        factor = self._numbers(lambda: schedule(t), (), f"the schedule of a {type(self).__name__} condition", t)
+        factor = _evaluated(f"schedule of a {name} condition", schedule, (), t, t)
         if not callable(component):
             return np.full(len(x), component * factor)
-        what = f"the value of a {type(self).__name__} condition"
-        return np.asarray(factor * self._numbers(lambda: component(x, t), (len(x),), what, t))
+        return np.asarray(factor * _evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
 
-    def _numbers(self, call: Callable[[], object], shape: tuple[int, ...], what: str, t: float) -> Float:
-        """Return what a function of the case gives, as finite numbers of a shape."""
-        try:
-            values = np.broadcast_to(np.asarray(call(), dtype=float), shape)
-        except SolveError:
-            raise
-        except Exception as error:
-            raise SolveError(f"At step time {t:.6g} {what} fails with {type(error).__name__}: {error}.") from error
-        bad = np.flatnonzero(~np.isfinite(values.ravel()))
-        if len(bad):
-            raise SolveError(
-                f"At step time {t:.6g} {what} is {values.ravel()[bad[0]]} for {len(bad)} of {values.size} particles; "
-                f"it must return a number for each."
-            )
-        return values
+
+def _evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...], t: float, *arguments: Any) -> Float:
+    """Return what a function of the case gives at step time ``t``, as finite numbers of a shape.
+
+    Raises
+    ------
+    SolveError
+        It fails, or gives something else.
+    """
+    when = f"At step time {t:.6g}: "
+    try:
+        values = numbers_from(what, function, *arguments)
+    except CaseError as error:
+        raise SolveError(f"{when}{error}") from error
+    try:
+        values = np.broadcast_to(values, shape)
+    except ValueError:
+        raise SolveError(
+            f"{when}The {what} {name_of(function)} must return {shape or 'one'} numbers, not {values.shape}."
+        ) from None
+    bad = np.flatnonzero(~np.isfinite(values.ravel()))
+    if len(bad):
+        raise SolveError(
+            f"{when}The {what} {name_of(function)} is {values.ravel()[bad[0]]} for {len(bad)} of {values.size} "
+            f"particles; it must return a number for each."
+        )
+    return values
 
 
 @dataclass(frozen=True)

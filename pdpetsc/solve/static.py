@@ -129,8 +129,8 @@ class StaticSolver(StepSolver):
         sought, reason = self._equilibrium, PETSc.SNES.ConvergedReason
         u = sought.prescribed.copy()
         if sought.residual(u.ravel()) is None:
-            return u, sought.result(int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
-        return u, sought.result(int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
+            return u, sought.result(False, int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
+        return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
 
     def _iterate(self, start: Float) -> int:
         """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""

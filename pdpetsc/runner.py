@@ -22,7 +22,9 @@ from pdpetsc.errors import CaseError, OutputError, PdpetscError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
 from pdpetsc.output.checkpoint import read_checkpoint
-from pdpetsc.output.files import InCreationOrder, prepare_folder
+from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.fingerprint import declared_parts
+from pdpetsc.output.folder import holding
 from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
@@ -51,6 +53,7 @@ def run(
     restart: str | Path | None = None,
     quiet: bool = False,
     parameters: Mapping[str, Any] | None = None,
+    restart_anyway: bool = False,
 ) -> dict[str, float]:
     """Run a case and return its named results.
 
@@ -63,11 +66,13 @@ def run(
     options : mapping, optional
         PETSc options without dash; they win over the case's.
     restart : str or Path, optional
-        Checkpoint to go on from.
+        Checkpoint to go on from, or the folder of a run that holds one.
     quiet : bool
         Print nothing.
     parameters : mapping, optional
         Written to the summary: what the case was made with.
+    restart_anyway : bool
+        Go on from a checkpoint of a case that declares something else: another material, load, crack, ...
 
     Returns
     -------
@@ -87,9 +92,10 @@ def run(
     """
     comm = world()
     folder = Path(output)
-    prepare_folder(comm, folder)
-    with Reporter(comm, quiet) as report:
-        return _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))()
+    with holding(comm, folder), Reporter(comm, quiet) as report:
+        running = _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))
+        running.restart_anyway = restart_anyway
+        return running()
 
 
 # Stages of PETSc's log that phases belong to.
@@ -118,6 +124,7 @@ class _Run:
         self.folder = folder
         self.options = options
         self.restart = restart
+        self.restart_anyway = False
         self.report = report
         self.comm = world()
         self.timings: dict[str, float] = {}
@@ -175,7 +182,8 @@ class _Run:
     def _march(self, model: Model, loading: Loading, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
         case, cloud = self.case, model.cloud
         order = InCreationOrder(cloud)
-        start = Solution(model, loading, np.zeros((cloud.n_rows, model.dim)), 0.0, 0)
+        start, origin = Solution(model, loading, np.zeros((cloud.n_rows, model.dim)), 0.0, 0), None
+        declared = self.comm.bcast(declared_parts(case) if is_root(self.comm) else None)
         if self.restart is not None:
             if isinstance(solver, EventSolver):
                 raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
@@ -183,12 +191,13 @@ class _Run:
                 raise CaseError(
                     "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."
                 )
-            start = read_checkpoint(model, loading, order, Path(self.restart))
+            at_any_load = isinstance(solver, PathSolver)
+            origin = read_checkpoint(model, loading, order, self.restart, declared, self.restart_anyway, at_any_load)
+            start = origin.start
         step = start.step
         with self._timed("output"):
             checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
-            restart = None if self.restart is None else Path(self.restart)
-            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, restart)
+            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.history = keeper.history
             if not keeper.took_over:
                 self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
@@ -218,13 +227,12 @@ class _Run:
                     state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
                     keeper.write(state, converged.write_fields)
                 before = time.perf_counter()
+            keeper.save()
         except PdpetscError as error:
             status = str(error)
             if not isinstance(error, OutputError):
                 keeper.save()
             raise
-        else:
-            keeper.save()
         finally:
             self._finish(status, failed, solver.unit)
         return self._end()

@@ -181,10 +181,13 @@ class BondFailure:
         mine = np.flatnonzero((self.integrity < 1.0) & self._first)
         return self.keys[mine], np.stack([self.integrity[mine], self.worst[mine]], axis=1)
 
-    def restore(self, keys: GlobalIndex, states: Float) -> None:
-        """Set the states of those of the given bonds that are held here (not collective)."""
+    def restore(self, keys: GlobalIndex, states: Float) -> int:
+        """Set the states of those of the given bonds that are held here; return how many from their first end.
+
+        Not collective.
+        """
         if len(keys) == 0 or len(self.keys) == 0:
-            return
+            return 0
         _, index = np.unique(np.concatenate([keys, self.keys]), axis=0, return_inverse=True)
         index = index.reshape(-1)
         row = np.full(int(index.max()) + 1, -1, dtype=np.int64)
@@ -192,6 +195,7 @@ class BondFailure:
         found = row[index[len(keys) :]]
         here = found >= 0
         self.integrity[here], self.worst[here] = states[found[here]].T
+        return int(np.count_nonzero(here & self._first))
 
     def count_broken(self) -> int:
         """Return how many pairs have lost their bond (collective)."""

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
+import platform
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,18 +21,63 @@ from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
-from pdpetsc.output.files import InCreationOrder, rank_by_rank, replacing, reserve
+from pdpetsc.output.files import (
+    WRITE_ERRORS,
+    InCreationOrder,
+    begin_hdf5,
+    cannot_write,
+    open_hdf5,
+    rank_by_rank,
+    replacing,
+)
+from pdpetsc.output.fingerprint import differing
 from pdpetsc.solution import Solution
 
-FORMAT = 4
+FORMAT = 5
 # Damaged bonds that a rank looks at together.
 BLOCK = 100_000
+# Rows that have a checksum together.
+CHUNK = 16_384
+# Attributes, and the kind of value of each.
+ATTRIBUTES = {
+    "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
+    "pace": "numbers", "identity": "numbers", "virtual": "numbers", "damage": "text", "frozen": "whole",
+    "declared": "text", "row": "text", "checksum": "text",
+}  # fmt: skip
 
 
-def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> None:
+@dataclass(frozen=True)
+class Record:
+    """What a checkpoint says of the run it is of, besides the state of the body.
+
+    Attributes
+    ----------
+    run : str
+        Tells the files of one run from those of another.
+    declared : mapping of str to str
+        Fingerprints of the parts of the case.
+    row : mapping of str to float
+        The last row of ``history.csv``.
+    """
+
+    run: str = ""
+    declared: Mapping[str, str] = field(default_factory=dict)
+    row: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a run goes on from: the state, the checkpoint it was in, and what that says of its run."""
+
+    start: Solution
+    path: Path
+    record: Record
+
+
+def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, record: Record) -> None:
     """Write the converged state aside, then rename it over ``path`` (collective).
 
-    It holds the unknowns and the bonds that are damaged.
+    It holds the unknowns and the bonds that are damaged, with checksums.
 
     Raises
     ------
@@ -37,31 +89,28 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> 
     identity = _identity(cloud)
     keys, states = _damaged_bonds(model)
     counts = cloud.comm.gather(len(keys)) or []
-    with agreed(cloud.comm):
-        if is_root(cloud.comm):
-            size = sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
-            reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8 + size)
-    failure: OutputError | None = None
     virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
     damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
+    failure: OutputError | None = None
     if is_root(cloud.comm):
+        size = cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
         try:
-            with replacing(path) as aside, h5py.File(aside, "w") as file:
-                file.attrs.update(format=FORMAT, t=solution.t, step=solution.step, work=solution.work)
-                file.attrs["pace"] = np.asarray(solution.pace, dtype=float)
-                file.attrs.update(identity=identity, virtual=virtual)
-                file.attrs["damage"] = _law(model)
-                dataset = file.create_dataset("u", (cloud.n_global, cloud.dim), np.float64)
-                for rows, part in parts:
-                    dataset[rows] = part
-                for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
-                    if model.failure is not None:
-                        dataset = file.create_dataset(f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
-                        for rows, part in of_ranks:
-                            dataset[rows] = part
-        except (OutputError, RuntimeError) as error:
-            failure = OutputError(str(error))
+            with replacing(path) as aside:
+                begin_hdf5(aside, size + 2**16, libver="latest")
+                with open_hdf5(aside, "r+", libver="latest") as file:
+                    _write_attributes(file, solution, record, identity, virtual)
+                    dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
+                    for rows, part in parts:
+                        dataset[rows] = part
+                    for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
+                        if model.failure is not None:
+                            dataset = _dataset(file, f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
+                            for rows, part in of_ranks:
+                                dataset[rows] = part
+                    file.attrs["checksum"] = _checksum(file)
+        except WRITE_ERRORS as error:
+            failure = cannot_write(path, error)
     for _ in itertools.chain(parts, *damaged):  # other ranks send here, and after a failure root still has to receive
         pass
     with agreed(cloud.comm):
@@ -69,44 +118,232 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> 
             raise failure
 
 
-def read_checkpoint(model: Model, loading: Loading, order: InCreationOrder, path: Path) -> Solution:
-    """Return the state of a checkpoint; restore the bonds of the body (collective).
+def _write_attributes(file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Float) -> None:
+    model = solution.model
+    frozen = model.failure is not None and model.failure.frozen
+    file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
+    file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity, virtual=virtual)
+    file.attrs.update(damage=_law(model), frozen=int(frozen), row=json.dumps(dict(record.row)))
+    file.attrs["declared"] = json.dumps({**record.declared, "python": platform.python_version_tuple()[:2]})
+
+
+def _dataset(file: h5py.File, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
+    chunk = max(1, min(CHUNK, shape[0]))
+    return file.create_dataset(
+        name, shape, dtype, chunks=(chunk, *shape[1:]), maxshape=(None, *shape[1:]), fletcher32=True
+    )
+
+
+def find_checkpoint(path: str | Path) -> Path:
+    """Return the checkpoint that a path names, or that is in the folder of a run that it names (not collective).
 
     Raises
     ------
     CaseError
-        The file is missing, damaged, of another version or of another body.
+        There is none.
+    """
+    found = Path(path)
+    try:
+        if found.is_dir():
+            found = found / "checkpoint.h5"
+            if not found.exists():
+                raise CaseError(f"Cannot read the checkpoint {found}: the folder {path} holds none.")
+        if not stat.S_ISREG(found.stat().st_mode):
+            raise CaseError(f"Cannot read the checkpoint {found}: it is not a file.")
+    except (OSError, ValueError) as error:
+        if isinstance(error, CaseError):
+            raise
+        raise CaseError(f"Cannot read the checkpoint {found}: {getattr(error, 'strerror', None) or error}.") from None
+    return found
+
+
+def read_checkpoint(
+    model: Model, loading: Loading, order: InCreationOrder, path: str | Path, declared: Mapping[str, str] | None = None,
+    anyway: bool = False, any_load: bool = False,
+) -> Origin:  # fmt: skip
+    """Return the state of a checkpoint; restore the bonds of the body (collective).
+
+    Parameters
+    ----------
+    path : str or Path
+        The checkpoint, or the folder that it is in.
+    declared : mapping of str to str, optional
+        Fingerprints of the parts of the case; not looked at where absent.
+    anyway : bool
+        Take it for a case that declares something else, as far as it has the same number of particles and dimensions.
+    any_load : bool
+        Whether the step time may be any number, as along a path, not only 0 to 1.
+
+    Raises
+    ------
+    CaseError
+        The file is missing, damaged, of another version, body or case.
     """
     cloud = model.cloud
+    comm, rank = cloud.comm, cloud.comm.rank
     identity = _identity(cloud)
-    rank = cloud.comm.rank
-    with agreed(cloud.comm):
+    n_virtual = comm.bcast(cloud.n_virtual, root=comm.size - 1)
+    found, lacking = 0, 0
+    with agreed(comm):
+        path = find_checkpoint(path)
         try:
-            with h5py.File(path, "r") as file:
-                if file.attrs.get("format") != FORMAT:
+            with open_hdf5(path, "r") as file:
+                if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
                     raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
-                found = np.asarray(file.attrs["identity"])
-                if found.shape != identity.shape or not np.allclose(found, identity, rtol=1e-9, atol=0.0):
-                    raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
-                if file.attrs["damage"] != _law(model):
-                    raise CaseError(f"{path} is of a case with damage {file.attrs['damage']}, this has {_law(model)}.")
-                if model.failure is not None and "bonds" in file:
-                    for begin in range(0, len(file["bonds/keys"]), BLOCK):
-                        rows = slice(begin, begin + BLOCK)
-                        model.failure.restore(
-                            np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
-                        )
+                values = _attributes(file)
+                _refuse_other_body(path, values, identity, anyway)
+                _refuse_other_case(path, values, model, declared, anyway)
+                _check_values(values, n_virtual * cloud.dim, any_load)
+                _check_datasets(file, cloud)
                 part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
-                t, step, work = float(file.attrs["t"]), int(file.attrs["step"]), float(file.attrs["work"])
-                pace = tuple(float(value) for value in file.attrs["pace"])
-                virtual = np.asarray(file.attrs["virtual"]).reshape(-1, cloud.dim)
-        except (OSError, KeyError, ValueError) as error:
-            if isinstance(error, CaseError):
-                raise
-            raise CaseError(f"Cannot read the checkpoint {path}: {error}.") from None
+                _must(bool(np.isfinite(part).all()), "a displacement is not a number")
+                if "bonds" in file and model.failure is not None:
+                    found = len(file["bonds/keys"])
+                    for keys, states in _blocks(file, cloud.n_global):
+                        lacking += model.failure.restore(keys, states)
+        except CaseError:
+            raise
+        except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
+            words = str(error).strip().rstrip(".") or type(error).__name__
+            raise CaseError(f"Cannot read the checkpoint {path}: {words}; restart from another one.") from None
+    lacking = found - int(total(comm, lacking))
+    if lacking and not anyway:
+        raise CaseError(
+            f"Cannot read the checkpoint {path}: this body has {lacking} of its damaged bonds not or twice."
+        )
+    if model.failure is not None:
+        model.failure.frozen = bool(values["frozen"])
     model.take_failure()
     u = order.from_parts(part)
-    return Solution(model, loading, np.concatenate([u, virtual]) if cloud.n_virtual else u, t, step, work, pace)
+    if cloud.n_virtual:
+        u = np.concatenate([u, values["virtual"].reshape(-1, cloud.dim)])
+    if not model.all_admissible(u):
+        raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
+    pace = tuple(float(value) for value in values["pace"])
+    start = Solution(model, loading, u, float(values["t"]), int(values["step"]), float(values["work"]), pace)
+    return Origin(start, path, Record(values["run"], json.loads(values["declared"]), json.loads(values["row"])))
+
+
+def _must(condition: bool, what: str) -> None:
+    if not condition:
+        raise ValueError(what)
+
+
+def _attributes(file: h5py.File) -> dict[str, Any]:
+    """Return the attributes of a checkpoint; raises where one is missing, too many, of a wrong kind, or changed."""
+    names = set(file.attrs)
+    _must(names == set(ATTRIBUTES), f"attributes {sorted(names ^ set(ATTRIBUTES))} are missing or too many")
+    values: dict[str, Any] = {}
+    for name, kind in ATTRIBUTES.items():
+        value = file.attrs[name]
+        if kind == "text":
+            _must(isinstance(value, str), f"{name} is no text")
+            values[name] = value
+            continue
+        array = np.asarray(value)
+        _must(array.dtype.kind == ("i" if kind == "whole" else "f"), f"{name} is of the wrong type")
+        _must(array.ndim == (1 if kind == "numbers" else 0), f"{name} has the wrong shape")
+        _must(bool(np.isfinite(array).all()), f"{name} is not finite")
+        values[name] = array
+    _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
+    return values
+
+
+def _checksum(file: h5py.File) -> str:
+    """Return a checksum of the attributes, and of names, types and shapes of the datasets."""
+    digest = hashlib.sha256()
+    for name in sorted(set(file.attrs) - {"checksum"}):
+        value = file.attrs[name]
+        array = np.asarray(value.encode() if isinstance(value, str) else value)
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
+    for name in ("u", "bonds/keys", "bonds/states"):
+        if name in file:
+            digest.update(f"{name} {file[name].dtype.str} {file[name].shape}\n".encode())
+    return digest.hexdigest()
+
+
+def _refuse_other_body(path: Path, values: Mapping[str, Any], identity: Float, anyway: bool) -> None:
+    found = values["identity"]
+    same = found.shape == identity.shape and np.allclose(found, identity, rtol=1e-9, atol=0.0)
+    fits = found.shape == identity.shape and np.array_equal(found[:2], identity[:2])
+    if not (same or (anyway and fits)):
+        raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
+
+
+def _refuse_other_case(
+    path: Path, values: Mapping[str, Any], model: Model, declared: Mapping[str, str] | None, anyway: bool
+) -> None:
+    if anyway:
+        return
+    if values["damage"] != _law(model):
+        raise CaseError(f"{path} is of a case with damage {values['damage']}, this has {_law(model)}.")
+    if declared is None:
+        return
+    found = dict(json.loads(values["declared"]))
+    python = tuple(found.pop("python"))
+    other = differing(found, declared)
+    if other:
+        here = platform.python_version_tuple()[:2]
+        why = (
+            f" (or only Python {'.'.join(python)}, which wrote it, reads functions otherwise)" if python != here else ""
+        )
+        raise CaseError(
+            f"{path} is of another case: its {_listed(other)} {'differ' if len(other) > 1 else 'differs'}{why}; "
+            f"declare the same, or go on all the same with --restart-anyway (restart_anyway=True)."
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> None:
+    """Raise where a value has no meaning."""
+    t, pace = float(values["t"]), values["pace"]
+    _must(any_load or 0.0 <= t <= 1.0, f"its step time {t:g} is not in 0 to 1")
+    _must(int(values["step"]) >= 0, f"its step is {int(values['step'])}")
+    _must(int(values["frozen"]) in (0, 1), f"frozen is {int(values['frozen'])}")
+    _must(len(pace) in (0, 1, 4), f"its pace has {len(pace)} numbers")
+    _must(len(pace) == 0 or pace[0] > 0.0, "its pace does not lead on")
+    _must(len(pace) != 1 or t + pace[0] > t, "its pace does not lead on")
+    _must(bool((pace >= 0.0).all()), "its pace is negative")
+    _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
+
+
+def _check_datasets(file: h5py.File, cloud: Cloud) -> None:
+    """Raise where datasets are missing, too many, elsewhere, or of a wrong type or shape."""
+    broken = ["bonds"] if "bonds" in file else []
+    _must(sorted(file) == sorted(["u", *broken]), f"it holds {', '.join(sorted(file))}")
+    for name in file:
+        _must(isinstance(file.get(name, getlink=True), h5py.HardLink), f"{name} is a link")
+    shapes: dict[str, tuple[tuple[int, ...], Any]] = {"u": ((cloud.n_global, cloud.dim), np.float64)}
+    if broken:
+        bonds = file["bonds"]
+        _must(isinstance(bonds, h5py.Group) and sorted(bonds) == ["keys", "states"], "its bonds are incomplete")
+        for name in bonds:
+            _must(isinstance(bonds.get(name, getlink=True), h5py.HardLink), f"bonds/{name} is a link")
+        _must(isinstance(bonds["keys"], h5py.Dataset) and bonds["keys"].ndim == 2, "bonds/keys has the wrong shape")
+        count = bonds["keys"].shape[0]
+        shapes |= {"bonds/keys": ((count, 3), np.int64), "bonds/states": ((count, 2), np.float64)}
+    _must((values := file.attrs["damage"]) == "none" or bool(broken), f"it lacks the bonds of {values}")
+    for name, (shape, dtype) in shapes.items():
+        data = file[name]
+        _must(isinstance(data, h5py.Dataset), f"{name} is no dataset")
+        _must(data.shape == shape and data.dtype == dtype, f"{name} is {data.shape} {data.dtype}, not {shape}")
+        _must(not data.external and not data.is_virtual, f"the data of {name} are in another file")
+        plain = bool(data.fletcher32) and data.compression is None and data.scaleoffset is None
+        _must(plain and data.chunks is not None, f"{name} has no checksums")
+
+
+def _blocks(file: h5py.File, n: int) -> Iterator[tuple[GlobalIndex, Float]]:
+    """Yield keys and states of damaged bonds, some at a time; raises where they have no meaning."""
+    for begin in range(0, len(file["bonds/keys"]), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        keys, states = np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
+        _must(bool(((keys[:, :2] >= 0) & (keys[:, :2] < n)).all()), "a damaged bond has an end that is no particle")
+        _must(bool(((states[:, 0] >= 0.0) & (states[:, 0] <= 1.0)).all()), "an integrity is not in 0 to 1")
+        _must(bool((np.isfinite(states[:, 1]) & (states[:, 1] >= 0.0)).all()), "a stretch of a bond is no number")
+        yield keys, states
 
 
 def _identity(cloud: Cloud) -> Float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pdpetsc.build import make_cloud, make_model, rehearse
 from pdpetsc.case import Case
-from pdpetsc.discrete.communicator import is_root, total, world
+from pdpetsc.discrete.communicator import agreed, is_root, total, world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, OutputError, PdpetscError
@@ -271,10 +271,11 @@ class _Run:
         results: dict[str, float] = self.summary["results"]
         self.report.results(results)
         self.report.say(f"results in {self.folder}")
-        if self.case.picture is not None and is_root(self.comm):
-            with self._timed("picture"):
-                path = draw(self.folder, self.case.picture, self.folder.name)
-            self.report.say(f"picture in {path}")
+        if self.case.picture is not None:
+            with self._timed("picture"), agreed(self.comm):
+                if is_root(self.comm):
+                    path = draw(self.folder, self.case.picture, self.folder.name)
+                    self.report.say(f"picture in {path}")
         return results
 
     def _describe(self, model: Model) -> None:

@@ -10,7 +10,7 @@ import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -34,6 +34,10 @@ from pdpetsc.output.fingerprint import differing
 from pdpetsc.solution import Solution
 
 FORMAT = 5
+# What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
+# checksum is wrong, because it does not survive every damage.
+HEAD = 512
+SEAL = "pdpetsc checkpoint, sha256 of what follows the first 512 bytes: "
 # Damaged bonds that a rank looks at together.
 BLOCK = 100_000
 # Rows that have a checksum together.
@@ -97,7 +101,7 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
         size = cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
         try:
             with replacing(path) as aside:
-                begin_hdf5(aside, size + 2**16, libver="latest")
+                begin_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD)
                 with open_hdf5(aside, "r+", libver="latest") as file:
                     _write_attributes(file, solution, record, identity, virtual)
                     dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
@@ -109,6 +113,7 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
                             for rows, part in of_ranks:
                                 dataset[rows] = part
                     file.attrs["checksum"] = _checksum(file)
+                seal(aside)
         except WRITE_ERRORS as error:
             failure = cannot_write(path, error)
     for _ in itertools.chain(parts, *damaged):  # other ranks send here, and after a failure root still has to receive
@@ -118,13 +123,46 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
             raise failure
 
 
+def seal(path: Path) -> None:
+    """Write the checksum of an HDF5 file into the room before it (not collective); raises OSError."""
+    with path.open("r+b") as file:
+        file.write(f"{SEAL}{_digest(file)}\n".encode())
+
+
+def _digest(file: IO[bytes]) -> str:
+    """Return the checksum of what follows the head, and go back to the beginning."""
+    digest = hashlib.sha256()
+    file.seek(HEAD)
+    while block := file.read(2**20):
+        digest.update(block)
+    file.seek(0)
+    return digest.hexdigest()
+
+
+def _check_seal(path: Path) -> None:
+    """Raise CaseError where a file is no checkpoint or has changed since it was written."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+            if head.startswith(b"\x89HDF"):
+                raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
+            if not head.startswith(SEAL.encode()):
+                raise CaseError(f"Cannot read the checkpoint {path}: it is none of pdpetsc, or its beginning is lost.")
+            if head[len(SEAL) :].rstrip(b"\0") != f"{_digest(file)}\n".encode():
+                raise CaseError(f"Cannot read the checkpoint {path}: it is damaged; restart from another one.")
+    except OSError as error:
+        if isinstance(error, CaseError):
+            raise
+        raise CaseError(f"Cannot read the checkpoint {path}: {error.strerror or error}.") from None
+
+
 def _write_attributes(file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Float) -> None:
     model = solution.model
     frozen = model.failure is not None and model.failure.frozen
     file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
     file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity, virtual=virtual)
     file.attrs.update(damage=_law(model), frozen=int(frozen), row=json.dumps(dict(record.row)))
-    file.attrs["declared"] = json.dumps({**record.declared, "python": platform.python_version_tuple()[:2]})
+    file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
 
 
 def _dataset(file: h5py.File, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
@@ -186,6 +224,9 @@ def read_checkpoint(
     found, lacking = 0, 0
     with agreed(comm):
         path = find_checkpoint(path)
+        if is_root(comm):
+            _check_seal(path)
+    with agreed(comm):
         try:
             with open_hdf5(path, "r") as file:
                 if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
@@ -221,7 +262,7 @@ def read_checkpoint(
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
     pace = tuple(float(value) for value in values["pace"])
     start = Solution(model, loading, u, float(values["t"]), int(values["step"]), float(values["work"]), pace)
-    return Origin(start, path, Record(values["run"], json.loads(values["declared"]), json.loads(values["row"])))
+    return Origin(start, path, Record(values["run"], values["declared"], values["row"]))
 
 
 def _must(condition: bool, what: str) -> None:
@@ -246,19 +287,21 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
         _must(bool(np.isfinite(array).all()), f"{name} is not finite")
         values[name] = array
     _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
+    for name in ("declared", "row"):
+        values[name] = json.loads(values[name])
+        _must(isinstance(values[name], dict), f"{name} is no table")
+    python = values["declared"].pop("python", None)
+    values["python"] = python if isinstance(python, str) else ""
     return values
 
 
 def _checksum(file: h5py.File) -> str:
-    """Return a checksum of the attributes, and of names, types and shapes of the datasets."""
+    """Return a checksum of the attributes."""
     digest = hashlib.sha256()
     for name in sorted(set(file.attrs) - {"checksum"}):
         value = file.attrs[name]
         array = np.asarray(value.encode() if isinstance(value, str) else value)
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
-    for name in ("u", "bonds/keys", "bonds/states"):
-        if name in file:
-            digest.update(f"{name} {file[name].dtype.str} {file[name].shape}\n".encode())
     return digest.hexdigest()
 
 
@@ -279,18 +322,19 @@ def _refuse_other_case(
         raise CaseError(f"{path} is of a case with damage {values['damage']}, this has {_law(model)}.")
     if declared is None:
         return
-    found = dict(json.loads(values["declared"]))
-    python = tuple(found.pop("python"))
-    other = differing(found, declared)
+    other = differing(values["declared"], declared)
     if other:
-        here = platform.python_version_tuple()[:2]
-        why = (
-            f" (or only Python {'.'.join(python)}, which wrote it, reads functions otherwise)" if python != here else ""
-        )
+        changed = values["python"] != _python()
+        why = f" (or only Python {values['python']}, which wrote it, reads functions otherwise)" if changed else ""
+        verb = "differ" if len(other) > 1 or other[0].endswith("s") else "differs"
         raise CaseError(
-            f"{path} is of another case: its {_listed(other)} {'differ' if len(other) > 1 else 'differs'}{why}; "
-            f"declare the same, or go on all the same with --restart-anyway (restart_anyway=True)."
+            f"{path} is of another case: its {_listed(other)} {verb}{why}; declare the same, or go on with it by "
+            f"--restart-anyway (restart_anyway=True)."
         )
+
+
+def _python() -> str:
+    return ".".join(platform.python_version_tuple()[:2])
 
 
 def _listed(names: Sequence[str]) -> str:

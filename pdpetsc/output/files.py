@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -59,7 +61,25 @@ def cannot_write(path: Path, error: Exception) -> OutputError:
     """Return the one sentence for a file that could not be written."""
     if isinstance(error, OutputError):
         return error
-    return OutputError(f"Cannot write {path}: {getattr(error, 'strerror', None) or str(error).rstrip('.')}.")
+    # HDF5 says everything it knows, in several lines; the system's words are among them.
+    text = " ".join(str(error).split())
+    found = re.search(r"error message = '([^']+)'", text)
+    if found:
+        _hush_hdf5()
+    words = found.group(1) if found else getattr(error, "strerror", None) or text.rstrip(".")
+    return OutputError(f"Cannot write {path.with_name(path.name.removesuffix('.part'))}: {words}.")
+
+
+def _hush_hdf5() -> None:
+    """Let objects of h5py vanish quietly: what HDF5 could not write it tries again, and says so, when they go."""
+    before = sys.unraisablehook
+
+    def hook(found: Any) -> None:
+        if "h5py" not in repr(found.object):
+            before(found)
+
+    if getattr(before, "__name__", "") != "hook":
+        sys.unraisablehook = hook
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -194,6 +194,7 @@ class _Run:
             at_any_load = isinstance(solver, PathSolver)
             origin = read_checkpoint(model, loading, order, self.restart, declared, self.restart_anyway, at_any_load)
             start = origin.start
+            solver.resume(start.tangent_at)
         step = start.step
         with self._timed("output"):
             checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
@@ -225,6 +226,7 @@ class _Run:
                 failed.clear()
                 with self._timed("output"):
                     state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
+                    state.tangent_at = solver.tangent_at
                     keeper.write(state, converged.write_fields)
                 before = time.perf_counter()
             keeper.save()

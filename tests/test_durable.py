@@ -501,8 +501,11 @@ def test_a_summary_that_cannot_be_written_is_one_error_and_the_one_before_stays(
 def saved(tmp_path_factory):
     """A body, and a checkpoint of it with damaged bonds."""
     place = tmp_path_factory.mktemp("saved")
-    pd.run(strip(pull=0.4), output=place, quiet=True)
-    case = strip(pull=0.4)
+    case = dataclasses.replace(strip(pull=0.4), material=pd.BondBased(E=10.0, kinematics="finite"))
+    pd.run(case, output=place, quiet=True)
+    with h5py.File(place / "checkpoint.h5") as file:
+        shapes = {name: file[name].shape[1:] for name in ("u", "tangent", "bonds/keys", "bonds/states")}
+    assert shapes == {"u": (2,), "tangent": (2,), "bonds/keys": (3,), "bonds/states": (2,)}
     cloud = make_cloud(world(), case)
     model = make_model(case, cloud, find_families(cloud))
     loading, order = Loading(model, case.conditions, 1.0), InCreationOrder(cloud)
@@ -617,6 +620,9 @@ NONSENSE = {
     "u compressed": instead("u", compression="gzip"),
     "u elsewhere": linked,
     "u another name": soft,
+    "tangent no number": entry("tangent", (0, 0), np.inf),
+    "tangent too short": lambda file: instead("tangent", data=file["tangent"][:-1])(file),
+    "tangent of a cell": attribute("tangent_virtual", np.ones(2)),
     "u put together": virtual,
     "u in another file": outside,
 }
@@ -675,6 +681,63 @@ def test_a_path_that_is_no_checkpoint(words, message, saved, tmp_path):
     os.mkfifo(tmp_path / "fifo")
     with pytest.raises(pd.CaseError, match=message):
         read(words if words.startswith("/") else tmp_path / words, declared)
+
+
+# What a continued run computes.
+
+
+class Until(pd.Quantity):
+    """Ends the run once the step time is beyond a number, in a file of its own."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def evaluate(self, solution):
+        if solution.t > self.after:
+            raise pd.Interrupted("enough")
+        return 0.0
+
+
+@pytest.mark.parametrize("after", [0.1, 0.25])
+def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_path):
+    """Bonds that soften in many sweeps magnify whatever differs where they begin, to 1e-5 of the fields."""
+    sys.path.append(str(ROOT / "runs/fracture"))
+    import plate_with_hole
+
+    fields = [pd.displacement, pd.stress, pd.reaction, pd.local_damage, pd.energy_density]
+    plate = plate_with_hole.case(law="linear", steps=15)
+    plate = dataclasses.replace(
+        plate, material=pd.BondBased(E=210e3, kinematics="finite"), scheme=None, stabilisation=None,
+        fields=fields, picture=None,
+    )  # fmt: skip
+    for name, end, words in (("whole", 0.3, {}), ("part", after, {}), ("rest", 0.3, {"restart": tmp_path / "part"})):
+        case = dataclasses.replace(plate, history={**plate.history, "until": Until(end)})
+        with pytest.raises(pd.Interrupted):
+            pd.run(case, output=tmp_path / name, quiet=True, **words)
+    assert json.loads((tmp_path / "whole" / "summary.json").read_text())["steps"][3]["sweeps"] > 100
+    with h5py.File(tmp_path / "whole/fields.h5") as one, h5py.File(tmp_path / "rest/fields.h5") as other:
+        steps = [name for name in other if name.startswith("step_")]
+        assert len(steps) > 1 and set(steps) < set(one)
+        for step in steps:
+            for name in one[step]:
+                a, b = np.asarray(one[step][name]), np.asarray(other[step][name])
+                assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), (step, name)
+
+
+def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
+    """They are those with the bonds as they were, not as they are after the next step."""
+    for name, history_ in (("whole", strip().history), ("bare", {"work": pd.ExternalWork()})):
+        case = dataclasses.replace(strip(steps=6), history=history_, results=None)
+        pd.run(case, output=tmp_path / name, quiet=True)
+        part = {**history_, "until": Until(0.4)}
+        with pytest.raises(pd.Interrupted):
+            pd.run(dataclasses.replace(case, history=part), output=tmp_path / f"{name} part", quiet=True)
+        pd.run(case, output=tmp_path / f"{name} rest", restart=tmp_path / f"{name} part", quiet=True)
+        one, other = (
+            np.genfromtxt(tmp_path / f"{name}{end}" / "history.csv", delimiter=",", names=True)["work"]
+            for end in ("", " rest")
+        )
+        assert np.allclose(one[-len(other) :][1:], other[1:], rtol=1e-12)
 
 
 # Fields.

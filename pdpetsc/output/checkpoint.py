@@ -45,7 +45,8 @@ CHUNK = 16_384
 # Attributes, and the kind of value of each.
 ATTRIBUTES = {
     "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
-    "pace": "numbers", "identity": "numbers", "virtual": "numbers", "damage": "text", "frozen": "whole",
+    "pace": "numbers", "identity": "numbers", "virtual": "numbers",
+    "tangent_virtual": "numbers", "damage": "text", "frozen": "whole",
     "declared": "text", "row": "text", "checksum": "text",
 }  # fmt: skip
 
@@ -81,7 +82,8 @@ class Origin:
 def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, record: Record) -> None:
     """Write the converged state aside, then rename it over ``path`` (collective).
 
-    It holds the unknowns and the bonds that are damaged, with checksums.
+    It holds the unknowns, the bonds that are damaged, and the displacement whose tangent the next step begins with, so
+    that this begins on the same way to the last digit. All have checksums.
 
     Raises
     ------
@@ -93,12 +95,14 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
     identity = _identity(cloud)
     keys, states = _damaged_bonds(model)
     counts = cloud.comm.gather(len(keys)) or []
-    virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
+    at = np.empty((0, cloud.dim)) if solution.tangent_at is None else solution.tangent_at
+    virtual = cloud.comm.bcast((u[cloud.n_owned :].ravel(), at[cloud.n_owned :].ravel()), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
+    tangent = iter(()) if solution.tangent_at is None else order.parts_on_root(at[: cloud.n_owned])
     damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
     failure: OutputError | None = None
     if is_root(cloud.comm):
-        size = cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
+        size = 2 * cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
         try:
             with replacing(path) as aside:
                 begin_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD)
@@ -107,6 +111,10 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
                     dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
                     for rows, part in parts:
                         dataset[rows] = part
+                    if solution.tangent_at is not None:
+                        dataset = _dataset(file, "tangent", (cloud.n_global, cloud.dim), np.float64)
+                        for rows, part in tangent:
+                            dataset[rows] = part
                     for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
                         if model.failure is not None:
                             dataset = _dataset(file, f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
@@ -116,7 +124,9 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
                 seal(aside)
         except WRITE_ERRORS as error:
             failure = cannot_write(path, error)
-    for _ in itertools.chain(parts, *damaged):  # other ranks send here, and after a failure root still has to receive
+    for _ in itertools.chain(
+        parts, tangent, *damaged
+    ):  # other ranks send here, and after a failure root still has to receive
         pass
     with agreed(cloud.comm):
         if failure is not None:
@@ -156,11 +166,14 @@ def _check_seal(path: Path) -> None:
         raise CaseError(f"Cannot read the checkpoint {path}: {error.strerror or error}.") from None
 
 
-def _write_attributes(file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Float) -> None:
+def _write_attributes(
+    file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Sequence[Float]
+) -> None:
     model = solution.model
     frozen = model.failure is not None and model.failure.frozen
     file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
-    file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity, virtual=virtual)
+    file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity)
+    file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
     file.attrs.update(damage=_law(model), frozen=int(frozen), row=json.dumps(dict(record.row)))
     file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
 
@@ -236,8 +249,11 @@ def read_checkpoint(
                 _refuse_other_case(path, values, model, declared, anyway)
                 _check_values(values, n_virtual * cloud.dim, any_load)
                 _check_datasets(file, cloud)
-                part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
-                _must(bool(np.isfinite(part).all()), "a displacement is not a number")
+                mine = slice(int(order.starts[rank]), int(order.starts[rank + 1]))
+                part = np.asarray(file["u"][mine])
+                tangent = np.asarray(file["tangent"][mine]) if "tangent" in file else None
+                for array in (part, tangent):
+                    _must(array is None or bool(np.isfinite(array).all()), "a displacement is not a number")
                 if "bonds" in file and model.failure is not None:
                     found = len(file["bonds/keys"])
                     for keys, states in _blocks(file, cloud.n_global):
@@ -255,14 +271,17 @@ def read_checkpoint(
     if model.failure is not None:
         model.failure.frozen = bool(values["frozen"])
     model.take_failure()
-    u = order.from_parts(part)
-    if cloud.n_virtual:
-        u = np.concatenate([u, values["virtual"].reshape(-1, cloud.dim)])
+    u = _with_virtual(cloud, order.from_parts(part), values["virtual"])
+    at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), values["tangent_virtual"])
     if not model.all_admissible(u):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
     pace = tuple(float(value) for value in values["pace"])
-    start = Solution(model, loading, u, float(values["t"]), int(values["step"]), float(values["work"]), pace)
+    start = Solution(model, loading, u, float(values["t"]), int(values["step"]), float(values["work"]), pace, at)
     return Origin(start, path, Record(values["run"], values["declared"], values["row"]))
+
+
+def _with_virtual(cloud: Cloud, u: Float, virtual: Float) -> Float:
+    return np.concatenate([u, virtual.reshape(-1, cloud.dim)]) if cloud.n_virtual else u
 
 
 def _must(condition: bool, what: str) -> None:
@@ -357,10 +376,15 @@ def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> 
 def _check_datasets(file: h5py.File, cloud: Cloud) -> None:
     """Raise where datasets are missing, too many, elsewhere, or of a wrong type or shape."""
     broken = ["bonds"] if "bonds" in file else []
-    _must(sorted(file) == sorted(["u", *broken]), f"it holds {', '.join(sorted(file))}")
+    tangent = ["tangent"] if "tangent" in file else []
+    _must(sorted(file) == sorted(["u", *broken, *tangent]), f"it holds {', '.join(sorted(file))}")
+    size = len(file.attrs["virtual"]) if tangent else 0
+    _must(len(file.attrs["tangent_virtual"]) == size, f"its tangent is not of {size} numbers of a cell")
     for name in file:
         _must(isinstance(file.get(name, getlink=True), h5py.HardLink), f"{name} is a link")
-    shapes: dict[str, tuple[tuple[int, ...], Any]] = {"u": ((cloud.n_global, cloud.dim), np.float64)}
+    shapes: dict[str, tuple[tuple[int, ...], Any]] = {
+        name: ((cloud.n_global, cloud.dim), np.float64) for name in ("u", *tangent)
+    }
     if broken:
         bonds = file["bonds"]
         _must(isinstance(bonds, h5py.Group) and sorted(bonds) == ["keys", "states"], "its bonds are incomplete")

@@ -72,7 +72,7 @@ def draw_field(
                 raise CaseError(f"{path_of} has no step yet.")
             number = numbers[-1] if step is None else step
             if number not in numbers or "displacement" not in file[f"step_{number:05d}"]:
-                raise CaseError(f"{path_of} has no displacement of step {number}.")
+                raise CaseError(f"{path_of} has no displacement of step {number:05d}.")
             fields = file[f"step_{number:05d}"]
             if name not in fields:
                 raise CaseError(f"{path_of} has no field {name!r}; it has {', '.join(fields)}.")

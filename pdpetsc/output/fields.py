@@ -124,6 +124,12 @@ class FieldWriter:
             if self._index is not None:
                 self._index.add(step)
 
+    def flush(self) -> None:
+        """Wait until everything is on the disk."""
+        with agreed(self._cloud.comm):
+            if self._index is not None:
+                self._index.flush()
+
     def _store(self, path: Path, values: dict[str, NDArray[Any]], t: float = 0.0) -> None:
         """Write named arrays of the own particles into a new file."""
         comm, n = self._cloud.comm, self._cloud.n_global

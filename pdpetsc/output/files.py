@@ -23,6 +23,8 @@ from pdpetsc.errors import OutputError
 
 # Room that stays free on the disk, for the small files that end a run.
 RESERVE = 2**20
+# What may wait for the disk waits no longer than this [s].
+WAIT = 1.0
 # What h5py raises where a file cannot be written.
 WRITE_ERRORS = (OSError, RuntimeError, ValueError)
 # What file systems answer that cannot flush a folder.
@@ -30,11 +32,16 @@ _NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, wait: bool = True) -> Iterator[Path]:
     """Give a path beside ``path`` to write to, and put it in place of ``path`` when the body succeeded.
 
     There is no such file when the body begins. It is on the disk before it takes the place of ``path``, so that at
     every moment, also after a loss of power, ``path`` is whole: the old one or the new one.
+
+    Parameters
+    ----------
+    wait : bool
+        Wait for the disk. Without it only a loss of power can take the file, and what can be made again may do without.
 
     Raises
     ------
@@ -46,9 +53,11 @@ def replacing(path: Path) -> Iterator[Path]:
         with contextlib.suppress(FileNotFoundError):
             aside.unlink()
         yield aside
-        flush(aside)
+        if wait:
+            flush(aside)
         os.replace(aside, path)
-        flush(path.parent)
+        if wait:
+            flush(path.parent)
     except BaseException as error:
         with contextlib.suppress(OSError):
             aside.unlink()
@@ -82,9 +91,9 @@ def _hush_hdf5() -> None:
         sys.unraisablehook = hook
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str, wait: bool = True) -> None:
     """Replace a file by one with this text; raises OutputError with ``path`` as it was."""
-    with replacing(path) as aside:
+    with replacing(path, wait) as aside:
         descriptor = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         try:
             _write_all(descriptor, text.encode())

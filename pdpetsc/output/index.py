@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.output.files import cannot_write, flush, open_hdf5, replacing, write_whole
+from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing, write_whole
 from pdpetsc.output.folder import FIELDS
 
 _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
@@ -56,7 +57,8 @@ class Index:
     """Keeps both files in agreement with the steps that are there; on one rank only.
 
     ``fields.h5`` holds a link to each file, so that ``fields.h5["step_00005/displacement"]`` is where it is.
-    Adding a step takes a time that hardly depends on how many there are.
+    Adding a step takes a time that hardly depends on how many there are. Both files can be made again from those that
+    they name, so they reach the disk once a second, and at ``flush``.
 
     Parameters
     ----------
@@ -78,17 +80,20 @@ class Index:
         self._xdmf = folder / "fields.xdmf"
         self._n = n
         self._last = steps[-1].number if steps else -1
+        self._flushed = time.monotonic()
+        self._waiting = False
         self._grids = [self._grid(step) for step in steps]
         with replacing(self._links) as aside, open_hdf5(aside, "x") as file:
             file.attrs["pdpetsc"] = "fields.h5: links to the files in fields/"
             file["particles"] = h5py.ExternalLink(f"{FIELDS}/particles.h5", "/")
             for step in steps:
                 file[step.group] = h5py.ExternalLink(step.file, "/")
-        self._write_xdmf()
+        write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]))
 
     def add(self, step: Step) -> None:
         """Take in a step whose file is there, in place of the last one where it has the same number."""
-        with replacing(self._links) as aside:
+        wait = time.monotonic() - self._flushed > WAIT
+        with replacing(self._links, wait) as aside:
             shutil.copyfile(self._links, aside, follow_symlinks=False)
             with open_hdf5(aside, "r+") as file:
                 if step.group not in file:
@@ -97,10 +102,20 @@ class Index:
             self._grids.pop()
         self._last = step.number
         self._grids.append(self._grid(step))
-        self._write_xdmf()
+        write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]), wait)
+        self._waiting = not wait
+        if wait:
+            self._flushed = time.monotonic()
 
-    def _write_xdmf(self) -> None:
-        write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]))
+    def flush(self) -> None:
+        """Wait until both files are on the disk; raises OutputError."""
+        if self._waiting:
+            for path in (self._links, self._xdmf, self._links.parent):
+                try:
+                    flush(path)
+                except OSError as error:
+                    raise cannot_write(path, error) from error
+            self._flushed, self._waiting = time.monotonic(), False
 
     def _grid(self, step: Step) -> str:
         """Return what ParaView reads of a step."""

@@ -103,10 +103,18 @@ class Keeper:
             self._broken.write(solution.step, solution.t)
         self._record(solution, write_fields)
         if self._every > 0 and solution.step % self._every == 0:
-            self.save()
+            self._checkpoint_now()
 
     def save(self) -> None:
-        """Let all rows be on the disk, and write the checkpoint of the last step, unless it is there or not wanted."""
+        """Let everything be on the disk, and write the checkpoint of the last step, unless it is there or not wanted.
+
+        This is how a run ends.
+        """
+        if self._fields is not None:
+            self._fields.flush()
+        self._checkpoint_now()
+
+    def _checkpoint_now(self) -> None:
         self._rows.flush()
         if self._broken is not None:
             self._broken.flush()

@@ -14,10 +14,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
-from pdpetsc.output.files import append, cannot_write, flush, write_whole
-
-# Rows wait no longer for the disk than this [s]; only a loss of power can take those that wait.
-WAIT = 1.0
+from pdpetsc.output.files import WAIT, append, cannot_write, flush, write_whole
 
 
 class Table:

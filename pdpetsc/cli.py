@@ -31,7 +31,8 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
   NAME=VALUE      a parameter of that function
   -o DIR          folder for the results (default: out/CASE)
-  --restart FILE  go on from a checkpoint
+  --restart FILE  go on from a checkpoint, or from the one in a folder
+  --restart-anyway  go on from it also where material, loads or cracks of the case have changed
   --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
   --quiet         print errors only
   --version       print the version
@@ -57,6 +58,7 @@ class Arguments:
     parameters: dict[str, str] = field(default_factory=dict)
     output: Path | None = None
     restart: Path | None = None
+    restart_anyway: bool = False
     solver: str | None = None
     quiet: bool = False
     version: bool = False
@@ -87,12 +89,14 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version"):
-            setattr(found, word[2:], True)
+        elif word in ("--quiet", "--version", "--restart-anyway"):
+            setattr(found, word[2:].replace("-", "_"), True)
         elif word in ("-h", "--help"):
             found.help = True
         elif word.startswith("--"):
-            raise CaseError(f"Unknown option {word}; pdpetsc has -o, --restart, --solver, --quiet, --version and -h.")
+            raise CaseError(
+                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --quiet, --version, -h."
+            )
         elif _OPTION.match(word):
             found.petsc.append(word)
             if words and not _OPTION.match(words[0]) and not _ASSIGNMENT.match(words[0]):
@@ -296,7 +300,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
-    run(case, output, None, arguments.restart, arguments.quiet, parameters)
+    run(case, output, None, arguments.restart, arguments.quiet, parameters, arguments.restart_anyway)
     return 0
 
 

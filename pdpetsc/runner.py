@@ -29,7 +29,9 @@ from pdpetsc.loading import Loading
 from pdpetsc.model import Model
 from pdpetsc.model.apart import pieces_left
 from pdpetsc.output.checkpoint import read_checkpoint
-from pdpetsc.output.files import InCreationOrder, prepare_folder
+from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.fingerprint import declared_parts
+from pdpetsc.output.folder import holding, set_aside
 from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
@@ -58,6 +60,7 @@ def run(
     restart: str | Path | None = None,
     quiet: bool = False,
     parameters: Mapping[str, Any] | None = None,
+    restart_anyway: bool = False,
 ) -> dict[str, float]:
     """Run a case and return its named results.
 
@@ -70,11 +73,13 @@ def run(
     options : mapping, optional
         PETSc options without dash; they win over the case's.
     restart : str or Path, optional
-        Checkpoint to go on from.
+        Checkpoint to go on from, or the folder of a run that holds one.
     quiet : bool
         Print nothing.
     parameters : mapping, optional
         Written to the summary: what the case was made with.
+    restart_anyway : bool
+        Go on from a checkpoint of a case that declares something else: another material, load, crack, ...
 
     Returns
     -------
@@ -100,9 +105,10 @@ def run(
     """
     comm = world()
     folder = Path(output)
-    prepare_folder(comm, folder)
-    with Reporter(comm, quiet) as report:
-        return _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))()
+    with holding(comm, folder), Reporter(comm, quiet) as report:
+        running = _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))
+        running.restart_anyway = restart_anyway
+        return running()
 
 
 # Stages of PETSc's log that phases belong to.
@@ -132,6 +138,7 @@ class _Run:
         self.folder = folder
         self.options = options
         self.restart = restart
+        self.restart_anyway = False
         self.report = report
         self.comm = world()
         self.timings: dict[str, float] = {}
@@ -300,7 +307,8 @@ class _Run:
     def _march(self, model: Model, loading: Loading, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
         case, cloud = self.case, model.cloud
         order = InCreationOrder(cloud)
-        start = Solution(model, loading, np.zeros((cloud.n_rows, model.dim)), 0.0, 0)
+        start, origin = Solution(model, loading, np.zeros((cloud.n_rows, model.dim)), 0.0, 0), None
+        declared = self.comm.bcast(declared_parts(case) if is_root(self.comm) else None)
         if self.restart is not None:
             if isinstance(solver, EventSolver):
                 raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
@@ -308,16 +316,20 @@ class _Run:
                 raise CaseError(
                     "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."
                 )
-            start = read_checkpoint(model, loading, order, Path(self.restart))
+            at_any_load = isinstance(solver, PathSolver)
+            origin = read_checkpoint(model, loading, order, self.restart, declared, self.restart_anyway, at_any_load)
+            start = origin.start
+            solver.resume(start.tangent_at)
         step = start.step
         self.phase = "output"
         self._try_records(start)
         with self._timed("output"):
             checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
-            restart = None if self.restart is None else Path(self.restart)
             # From here on the folder is this run's.
+            if origin is None or not origin.inside(self.folder):
+                set_aside(self.comm, self.folder, None if origin is None else origin.path)
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
-            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, restart)
+            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.keeper, self.history = keeper, keeper.history
             if not keeper.took_over:
                 self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
@@ -345,6 +357,7 @@ class _Run:
             self.failed.clear()
             with self._timed("output"):
                 state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
+                state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields)
             before, self.phase = time.perf_counter(), "solve"
         keeper.save()

@@ -32,6 +32,8 @@ class Solution:
         What loads and supports have done since the undeformed state [energy].
     pace : tuple of float
         What the stepping needs to go on from here as if it had not stopped.
+    tangent_at : (n_rows, dim) float64, optional
+        Where the tangent is of that the next step begins with [length], if it is not of here.
 
     Notes
     -----
@@ -40,7 +42,7 @@ class Solution:
 
     def __init__(
         self, model: Model, loading: Loading, unknowns: Float, t: float, step: int, work: float = 0.0,
-        pace: tuple[float, ...] = (),
+        pace: tuple[float, ...] = (), tangent_at: Float | None = None,
     ) -> None:  # fmt: skip
         self.model = model
         self.loading = loading
@@ -49,6 +51,7 @@ class Solution:
         self.step = step
         self.work = work
         self.pace = pace
+        self.tangent_at = tangent_at
 
     @property
     def x(self) -> Float:

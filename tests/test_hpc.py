@@ -201,7 +201,7 @@ for name in ("turn", "together"):
     writer = FieldWriter(cloud, order, folder / name, [])
     writer.together = name == "together" and h5py.get_config().mpi
     for step in range(2):
-        writer._store(f"step_{step:05d}", {"y": cloud.x[: cloud.n_owned] + step, "n": cloud.gid[: cloud.n_owned]}, 0.5)
+        writer.put(step, 0.5, {"y": cloud.x[: cloud.n_owned] + step, "n": cloud.gid[: cloud.n_owned]})
 """
 
 

@@ -208,16 +208,20 @@ class BondFailure:
         mine = np.flatnonzero((self.integrity < 1.0) & self._first)
         return self.keys[mine], np.stack([self.integrity[mine], self.worst[mine]], axis=1)
 
-    def restore(self, keys: GlobalIndex, states: Float) -> None:
-        """Set the states of those of the given bonds that are held here (not collective)."""
+    def restore(self, keys: GlobalIndex, states: Float) -> int:
+        """Set the states of those of the given bonds that are held here; return how many from their first end.
+
+        Not collective.
+        """
         given, bonds, mine = self._matched(keys)
-        if len(bonds) == 0:
-            return
+        if len(bonds) == 0 or len(given) == 0:
+            return 0
         row = np.full(max(int(given.max()), int(mine.max())) + 1, -1, dtype=np.int64)
         row[given] = np.arange(len(keys))
         found = row[mine]
         here = found >= 0
         self.integrity[bonds[here]], self.worst[bonds[here]] = states[found[here]].T
+        return int(np.count_nonzero(self._first[bonds[here]]))
 
     def _matched(self, keys: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
         """Return a number for every given key (n, 3), bonds held here that may be among them, and their numbers.

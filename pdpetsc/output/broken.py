@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, agreed, is_root, total
+from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.model.failure import BondFailure
-from pdpetsc.output.records import write_rows
+from pdpetsc.output.records import Table
 
 
 class BrokenBonds:
@@ -24,25 +24,19 @@ class BrokenBonds:
         Where the file goes.
     failure : BondFailure
         The state of the bonds; those that are broken already count as listed.
-    before, step : Path, int
-        What an earlier run wrote, of which the rows up to ``step`` are taken over.
+    kept : sequence of rows
+        What an earlier run wrote before this one goes on.
 
     Notes
     -----
-    Construction and ``write`` are collective; rank 0 writes.
+    Construction and every method are collective; rank 0 writes.
     """
 
-    def __init__(
-        self, comm: Comm, folder: Path, failure: BondFailure, before: Path | None = None, step: int = 0
-    ) -> None:
+    def __init__(self, comm: Comm, folder: Path, failure: BondFailure, kept: Sequence[Sequence[float]] = ()) -> None:
         self._comm = comm
-        self._path = folder / "broken_bonds.csv"
         self._failure = failure
         self._listed = ~failure.intact
-        header = ["step", "t", "i", "j", "length", *"xyz"[: failure.middle.shape[1]]]
-        with agreed(comm):
-            kept = _earlier(before, header, step) if before is not None and is_root(comm) else []
-            write_rows(comm, self._path, "w", [header, *kept])
+        self._table = Table(comm, folder / "broken_bonds.csv", [broken_header(failure), *map(_row, kept)])
 
     def write(self, step: int, t: float) -> None:
         """Append the bonds that broke in a step, with the ids of their ends, their length and their middle."""
@@ -53,19 +47,22 @@ class BrokenBonds:
         self._listed[new] = True
         rows = np.column_stack([failure.keys[new], failure.length[new], failure.middle[new]])
         parts: list[Float] | None = self._comm.gather(rows)
-        with agreed(self._comm):
-            if parts is not None:
-                _, first = np.unique(np.concatenate(parts)[:, :3], axis=0, return_index=True)
-                found = np.concatenate(parts)[first]
-                rows_of = [[step, repr(t), int(r[0]), int(r[1]), *map(repr, r[3:].tolist())] for r in found]
-                write_rows(self._comm, self._path, "a", rows_of)
+        found: list[list[str]] = []
+        if parts is not None:
+            _, first = np.unique(np.concatenate(parts)[:, :3], axis=0, return_index=True)
+            found = [_row([step, t, r[0], r[1], *r[3:]]) for r in np.concatenate(parts)[first].tolist()]
+        self._table.append(found)
+
+    def flush(self) -> None:
+        """Wait until all rows are on the disk."""
+        self._table.flush()
 
 
-def _earlier(path: Path, header: list[str], step: int) -> list[list[str]]:
-    """Return the rows up to ``step`` of a table with this header, none where there is no such table."""
-    try:
-        with path.open(newline="") as file:
-            first, *rows = csv.reader(file)
-    except (OSError, ValueError):
-        return []
-    return [row for row in rows if first == header and int(row[0]) <= step]
+def broken_header(failure: BondFailure) -> list[str]:
+    """Return the columns of the table (not collective)."""
+    return ["step", "t", "i", "j", "length", *"xyz"[: failure.middle.shape[1]]]
+
+
+def _row(values: Sequence[float]) -> list[str]:
+    """Return a row as it is written: step and ids as whole numbers."""
+    return [str(int(value)) if n in (0, 2, 3) else repr(float(value)) for n, value in enumerate(values)]

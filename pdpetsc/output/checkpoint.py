@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
+import platform
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -14,18 +21,73 @@ from pdpetsc.discrete.communicator import agreed, is_root, total
 from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Model
-from pdpetsc.output.files import InCreationOrder, rank_by_rank, replacing, reserve
+from pdpetsc.output.files import (
+    WRITE_ERRORS,
+    InCreationOrder,
+    begin_hdf5,
+    cannot_write,
+    open_hdf5,
+    rank_by_rank,
+    replacing,
+)
+from pdpetsc.output.fingerprint import differing
 from pdpetsc.solution import Solution
 
-FORMAT = 4
+FORMAT = 5
+# What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
+# checksum is wrong, because it does not survive every damage.
+HEAD = 512
+SEAL = "pdpetsc checkpoint, sha256 of what follows the first 512 bytes: "
 # Damaged bonds that a rank looks at together.
 BLOCK = 100_000
+# Rows that have a checksum together.
+CHUNK = 16_384
+# Attributes, and the kind of value of each.
+ATTRIBUTES = {
+    "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
+    "pace": "numbers", "identity": "numbers", "virtual": "numbers",
+    "tangent_virtual": "numbers", "damage": "text", "frozen": "whole",
+    "declared": "text", "row": "text", "checksum": "text",
+}  # fmt: skip
 
 
-def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> None:
+@dataclass(frozen=True)
+class Record:
+    """What a checkpoint says of the run it is of, besides the state of the body.
+
+    Attributes
+    ----------
+    run : str
+        Tells the files of one run from those of another.
+    declared : mapping of str to str
+        Fingerprints of the parts of the case.
+    row : mapping of str to float
+        The last row of ``history.csv``.
+    """
+
+    run: str = ""
+    declared: Mapping[str, str] = field(default_factory=dict)
+    row: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a run goes on from: the state, the checkpoint it was in, and what that says of its run."""
+
+    start: Solution
+    path: Path
+    record: Record
+
+    def inside(self, folder: Path) -> bool:
+        """Return whether the checkpoint lies in a folder."""
+        return self.path.parent.resolve() == folder.resolve()
+
+
+def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, record: Record) -> None:
     """Write the converged state aside, then rename it over ``path`` (collective).
 
-    It holds the unknowns and the bonds that are damaged.
+    It holds the unknowns, the bonds that are damaged, and the displacement whose tangent the next step begins with, so
+    that this begins on the same way to the last digit. All have checksums.
 
     Raises
     ------
@@ -37,76 +99,323 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path) -> 
     identity = _identity(cloud)
     keys, states = _damaged_bonds(model)
     counts = cloud.comm.gather(len(keys)) or []
-    with agreed(cloud.comm):
-        if is_root(cloud.comm):
-            size = sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
-            reserve(path.with_suffix(".new"), cloud.n_global * cloud.dim * 8 + size)
-    failure: OutputError | None = None
-    virtual = cloud.comm.bcast(u[cloud.n_owned :].ravel(), root=cloud.comm.size - 1)
+    at = np.empty((0, cloud.dim)) if solution.tangent_at is None else solution.tangent_at
+    virtual = cloud.comm.bcast((u[cloud.n_owned :].ravel(), at[cloud.n_owned :].ravel()), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
+    tangent = iter(()) if solution.tangent_at is None else order.parts_on_root(at[: cloud.n_owned])
     damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
+    failure: OutputError | None = None
     if is_root(cloud.comm):
+        size = 2 * cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
         try:
-            with replacing(path) as aside, h5py.File(aside, "w") as file:
-                file.attrs.update(format=FORMAT, t=solution.t, step=solution.step, work=solution.work)
-                file.attrs["pace"] = np.asarray(solution.pace, dtype=float)
-                file.attrs.update(identity=identity, virtual=virtual)
-                file.attrs["damage"] = _law(model)
-                dataset = file.create_dataset("u", (cloud.n_global, cloud.dim), np.float64)
-                for rows, part in parts:
-                    dataset[rows] = part
-                for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
-                    if model.failure is not None:
-                        dataset = file.create_dataset(f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
-                        for rows, part in of_ranks:
+            with replacing(path) as aside:
+                begin_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD)
+                with open_hdf5(aside, "r+", libver="latest") as file:
+                    _write_attributes(file, solution, record, identity, virtual)
+                    dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
+                    for rows, part in parts:
+                        dataset[rows] = part
+                    if solution.tangent_at is not None:
+                        dataset = _dataset(file, "tangent", (cloud.n_global, cloud.dim), np.float64)
+                        for rows, part in tangent:
                             dataset[rows] = part
-        except (OutputError, RuntimeError) as error:
-            failure = OutputError(str(error))
-    for _ in itertools.chain(parts, *damaged):  # other ranks send here, and after a failure root still has to receive
+                    for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
+                        if model.failure is not None:
+                            dataset = _dataset(file, f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
+                            for rows, part in of_ranks:
+                                dataset[rows] = part
+                    file.attrs["checksum"] = _checksum(file)
+                seal(aside)
+        except WRITE_ERRORS as error:
+            failure = cannot_write(path, error)
+    for _ in itertools.chain(
+        parts, tangent, *damaged
+    ):  # other ranks send here, and after a failure root still has to receive
         pass
     with agreed(cloud.comm):
         if failure is not None:
             raise failure
 
 
-def read_checkpoint(model: Model, loading: Loading, order: InCreationOrder, path: Path) -> Solution:
-    """Return the state of a checkpoint; restore the bonds of the body (collective).
+def seal(path: Path) -> None:
+    """Write the checksum of an HDF5 file into the room before it (not collective); raises OSError."""
+    with path.open("r+b") as file:
+        file.write(f"{SEAL}{_digest(file)}\n".encode())
+
+
+def _digest(file: IO[bytes]) -> str:
+    """Return the checksum of what follows the head, and go back to the beginning."""
+    digest = hashlib.sha256()
+    file.seek(HEAD)
+    while block := file.read(2**20):
+        digest.update(block)
+    file.seek(0)
+    return digest.hexdigest()
+
+
+def _check_seal(path: Path) -> None:
+    """Raise CaseError where a file is no checkpoint or has changed since it was written."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+            if head.startswith(b"\x89HDF"):
+                raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
+            if not head.startswith(SEAL.encode()):
+                raise CaseError(f"Cannot read the checkpoint {path}: it is none of pdpetsc, or its beginning is lost.")
+            if head[len(SEAL) :].rstrip(b"\0") != f"{_digest(file)}\n".encode():
+                raise CaseError(f"Cannot read the checkpoint {path}: it is damaged; restart from another one.")
+    except OSError as error:
+        if isinstance(error, CaseError):
+            raise
+        raise CaseError(f"Cannot read the checkpoint {path}: {error.strerror or error}.") from None
+
+
+def _write_attributes(
+    file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Sequence[Float]
+) -> None:
+    model = solution.model
+    frozen = model.failure is not None and model.failure.frozen
+    file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
+    file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity)
+    file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
+    file.attrs.update(damage=_law(model), frozen=int(frozen), row=json.dumps(dict(record.row)))
+    file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
+
+
+def _dataset(file: h5py.File, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
+    chunk = max(1, min(CHUNK, shape[0]))
+    return file.create_dataset(
+        name, shape, dtype, chunks=(chunk, *shape[1:]), maxshape=(None, *shape[1:]), fletcher32=True
+    )
+
+
+def find_checkpoint(path: str | Path) -> Path:
+    """Return the checkpoint that a path names, or that is in the folder of a run that it names (not collective).
 
     Raises
     ------
     CaseError
-        The file is missing, damaged, of another version or of another body.
+        There is none.
+    """
+    found = Path(path)
+    try:
+        if found.is_dir():
+            found = found / "checkpoint.h5"
+            if not found.exists():
+                raise CaseError(f"Cannot read the checkpoint {found}: the folder {path} holds none.")
+        if not stat.S_ISREG(found.stat().st_mode):
+            raise CaseError(f"Cannot read the checkpoint {found}: it is not a file.")
+    except (OSError, ValueError) as error:
+        if isinstance(error, CaseError):
+            raise
+        raise CaseError(f"Cannot read the checkpoint {found}: {getattr(error, 'strerror', None) or error}.") from None
+    return found
+
+
+def read_checkpoint(
+    model: Model, loading: Loading, order: InCreationOrder, path: str | Path, declared: Mapping[str, str] | None = None,
+    anyway: bool = False, any_load: bool = False,
+) -> Origin:  # fmt: skip
+    """Return the state of a checkpoint; restore the bonds of the body (collective).
+
+    Parameters
+    ----------
+    path : str or Path
+        The checkpoint, or the folder that it is in.
+    declared : mapping of str to str, optional
+        Fingerprints of the parts of the case; not looked at where absent.
+    anyway : bool
+        Take it for a case that declares something else, as far as it has the same number of particles and dimensions.
+    any_load : bool
+        Whether the step time may be any number, as along a path, not only 0 to 1.
+
+    Raises
+    ------
+    CaseError
+        The file is missing, damaged, of another version, body or case.
     """
     cloud = model.cloud
+    comm, rank = cloud.comm, cloud.comm.rank
     identity = _identity(cloud)
-    rank = cloud.comm.rank
-    with agreed(cloud.comm):
+    n_virtual = comm.bcast(cloud.n_virtual, root=comm.size - 1)
+    found, lacking = 0, 0
+    with agreed(comm):
+        path = find_checkpoint(path)
+        if is_root(comm):
+            _check_seal(path)
+    with agreed(comm):
         try:
-            with h5py.File(path, "r") as file:
-                if file.attrs.get("format") != FORMAT:
+            with open_hdf5(path, "r") as file:
+                if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
                     raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
-                found = np.asarray(file.attrs["identity"])
-                if found.shape != identity.shape or not np.allclose(found, identity, rtol=1e-9, atol=0.0):
-                    raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
-                if file.attrs["damage"] != _law(model):
-                    raise CaseError(f"{path} is of a case with damage {file.attrs['damage']}, this has {_law(model)}.")
-                if model.failure is not None and "bonds" in file:
-                    for begin in range(0, len(file["bonds/keys"]), BLOCK):
-                        rows = slice(begin, begin + BLOCK)
-                        model.failure.restore(
-                            np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
-                        )
-                part = np.asarray(file["u"][int(order.starts[rank]) : int(order.starts[rank + 1])])
-                t, step, work = float(file.attrs["t"]), int(file.attrs["step"]), float(file.attrs["work"])
-                pace = tuple(float(value) for value in file.attrs["pace"])
-                virtual = np.asarray(file.attrs["virtual"]).reshape(-1, cloud.dim)
-        except (OSError, KeyError, ValueError) as error:
-            if isinstance(error, CaseError):
-                raise
-            raise CaseError(f"Cannot read the checkpoint {path}: {error}.") from None
+                values = _attributes(file)
+                _refuse_other_body(path, values, identity, anyway)
+                _refuse_other_case(path, values, model, declared, anyway)
+                _check_values(values, n_virtual * cloud.dim, any_load)
+                _check_datasets(file, cloud)
+                mine = slice(int(order.starts[rank]), int(order.starts[rank + 1]))
+                part = np.asarray(file["u"][mine])
+                tangent = np.asarray(file["tangent"][mine]) if "tangent" in file else None
+                for array in (part, tangent):
+                    _must(array is None or bool(np.isfinite(array).all()), "a displacement is not a number")
+                if "bonds" in file and model.failure is not None:
+                    found = len(file["bonds/keys"])
+                    for keys, states in _blocks(file, cloud.n_global):
+                        lacking += model.failure.restore(keys, states)
+        except CaseError:
+            raise
+        except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
+            words = str(error).strip().rstrip(".") or type(error).__name__
+            raise CaseError(f"Cannot read the checkpoint {path}: {words}; restart from another one.") from None
+    lacking = found - int(total(comm, lacking))
+    if lacking and not anyway:
+        raise CaseError(
+            f"Cannot read the checkpoint {path}: this body has {lacking} of its damaged bonds not or twice."
+        )
+    if model.failure is not None:
+        model.failure.frozen = bool(values["frozen"])
     model.take_failure()
-    u = order.from_parts(part)
-    return Solution(model, loading, np.concatenate([u, virtual]) if cloud.n_virtual else u, t, step, work, pace)
+    u = _with_virtual(cloud, order.from_parts(part), values["virtual"])
+    at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), values["tangent_virtual"])
+    if not model.all_admissible(u):
+        raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
+    pace = tuple(float(value) for value in values["pace"])
+    start = Solution(model, loading, u, float(values["t"]), int(values["step"]), float(values["work"]), pace, at)
+    return Origin(start, path, Record(values["run"], values["declared"], values["row"]))
+
+
+def _with_virtual(cloud: Cloud, u: Float, virtual: Float) -> Float:
+    return np.concatenate([u, virtual.reshape(-1, cloud.dim)]) if cloud.n_virtual else u
+
+
+def _must(condition: bool, what: str) -> None:
+    if not condition:
+        raise ValueError(what)
+
+
+def _attributes(file: h5py.File) -> dict[str, Any]:
+    """Return the attributes of a checkpoint; raises where one is missing, too many, of a wrong kind, or changed."""
+    names = set(file.attrs)
+    _must(names == set(ATTRIBUTES), f"attributes {sorted(names ^ set(ATTRIBUTES))} are missing or too many")
+    values: dict[str, Any] = {}
+    for name, kind in ATTRIBUTES.items():
+        value = file.attrs[name]
+        if kind == "text":
+            _must(isinstance(value, str), f"{name} is no text")
+            values[name] = value
+            continue
+        array = np.asarray(value)
+        _must(array.dtype.kind == ("i" if kind == "whole" else "f"), f"{name} is of the wrong type")
+        _must(array.ndim == (1 if kind == "numbers" else 0), f"{name} has the wrong shape")
+        _must(bool(np.isfinite(array).all()), f"{name} is not finite")
+        values[name] = array
+    _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
+    for name in ("declared", "row"):
+        values[name] = json.loads(values[name])
+        _must(isinstance(values[name], dict), f"{name} is no table")
+    python = values["declared"].pop("python", None)
+    values["python"] = python if isinstance(python, str) else ""
+    return values
+
+
+def _checksum(file: h5py.File) -> str:
+    """Return a checksum of the attributes."""
+    digest = hashlib.sha256()
+    for name in sorted(set(file.attrs) - {"checksum"}):
+        value = file.attrs[name]
+        array = np.asarray(value.encode() if isinstance(value, str) else value)
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def _refuse_other_body(path: Path, values: Mapping[str, Any], identity: Float, anyway: bool) -> None:
+    found = values["identity"]
+    same = found.shape == identity.shape and np.allclose(found, identity, rtol=1e-9, atol=0.0)
+    fits = found.shape == identity.shape and np.array_equal(found[:2], identity[:2])
+    if not (same or (anyway and fits)):
+        raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
+
+
+def _refuse_other_case(
+    path: Path, values: Mapping[str, Any], model: Model, declared: Mapping[str, str] | None, anyway: bool
+) -> None:
+    if anyway:
+        return
+    if values["damage"] != _law(model):
+        raise CaseError(f"{path} is of a case with damage {values['damage']}, this has {_law(model)}.")
+    if declared is None:
+        return
+    other = differing(values["declared"], declared)
+    if other:
+        changed = values["python"] != _python()
+        why = f" (or only Python {values['python']}, which wrote it, reads functions otherwise)" if changed else ""
+        verb = "differ" if len(other) > 1 or other[0].endswith("s") else "differs"
+        raise CaseError(
+            f"{path} is of another case: its {_listed(other)} {verb}{why}; declare the same, or go on with it by "
+            f"--restart-anyway (restart_anyway=True)."
+        )
+
+
+def _python() -> str:
+    return ".".join(platform.python_version_tuple()[:2])
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> None:
+    """Raise where a value has no meaning."""
+    t, pace = float(values["t"]), values["pace"]
+    _must(any_load or 0.0 <= t <= 1.0, f"its step time {t:g} is not in 0 to 1")
+    _must(int(values["step"]) >= 0, f"its step is {int(values['step'])}")
+    _must(int(values["frozen"]) in (0, 1), f"frozen is {int(values['frozen'])}")
+    _must(len(pace) in (0, 1, 4), f"its pace has {len(pace)} numbers")
+    _must(len(pace) == 0 or pace[0] > 0.0, "its pace does not lead on")
+    _must(len(pace) != 1 or t + pace[0] > t, "its pace does not lead on")
+    _must(bool((pace >= 0.0).all()), "its pace is negative")
+    _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
+
+
+def _check_datasets(file: h5py.File, cloud: Cloud) -> None:
+    """Raise where datasets are missing, too many, elsewhere, or of a wrong type or shape."""
+    broken = ["bonds"] if "bonds" in file else []
+    tangent = ["tangent"] if "tangent" in file else []
+    _must(sorted(file) == sorted(["u", *broken, *tangent]), f"it holds {', '.join(sorted(file))}")
+    size = len(file.attrs["virtual"]) if tangent else 0
+    _must(len(file.attrs["tangent_virtual"]) == size, f"its tangent is not of {size} numbers of a cell")
+    for name in file:
+        _must(isinstance(file.get(name, getlink=True), h5py.HardLink), f"{name} is a link")
+    shapes: dict[str, tuple[tuple[int, ...], Any]] = {
+        name: ((cloud.n_global, cloud.dim), np.float64) for name in ("u", *tangent)
+    }
+    if broken:
+        bonds = file["bonds"]
+        _must(isinstance(bonds, h5py.Group) and sorted(bonds) == ["keys", "states"], "its bonds are incomplete")
+        for name in bonds:
+            _must(isinstance(bonds.get(name, getlink=True), h5py.HardLink), f"bonds/{name} is a link")
+        _must(isinstance(bonds["keys"], h5py.Dataset) and bonds["keys"].ndim == 2, "bonds/keys has the wrong shape")
+        count = bonds["keys"].shape[0]
+        shapes |= {"bonds/keys": ((count, 3), np.int64), "bonds/states": ((count, 2), np.float64)}
+    _must((values := file.attrs["damage"]) == "none" or bool(broken), f"it lacks the bonds of {values}")
+    for name, (shape, dtype) in shapes.items():
+        data = file[name]
+        _must(isinstance(data, h5py.Dataset), f"{name} is no dataset")
+        _must(data.shape == shape and data.dtype == dtype, f"{name} is {data.shape} {data.dtype}, not {shape}")
+        _must(not data.external and not data.is_virtual, f"the data of {name} are in another file")
+        plain = bool(data.fletcher32) and data.compression is None and data.scaleoffset is None
+        _must(plain and data.chunks is not None, f"{name} has no checksums")
+
+
+def _blocks(file: h5py.File, n: int) -> Iterator[tuple[GlobalIndex, Float]]:
+    """Yield keys and states of damaged bonds, some at a time; raises where they have no meaning."""
+    for begin in range(0, len(file["bonds/keys"]), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        keys, states = np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
+        _must(bool(((keys[:, :2] >= 0) & (keys[:, :2] < n)).all()), "a damaged bond has an end that is no particle")
+        _must(bool(((states[:, 0] >= 0.0) & (states[:, 0] <= 1.0)).all()), "an integrity is not in 0 to 1")
+        _must(bool((np.isfinite(states[:, 1]) & (states[:, 1] >= 0.0)).all()), "a stretch of a bond is no number")
+        yield keys, states
 
 
 def _identity(cloud: Cloud) -> Float:

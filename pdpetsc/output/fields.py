@@ -1,7 +1,8 @@
-"""Fields per step in ``fields.h5`` with ``fields.xdmf`` beside it, which ParaView opens."""
+"""Fields per step: a file for each step in ``fields/``, which ``fields.h5`` and ``fields.xdmf`` make one of."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,22 @@ from numpy.typing import NDArray
 
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
-from pdpetsc.errors import OutputError
-from pdpetsc.output.files import InCreationOrder, on_several_nodes, replacing, reserve
+from pdpetsc.errors import CaseError
+from pdpetsc.output.files import (
+    WRITE_ERRORS,
+    InCreationOrder,
+    begin_hdf5,
+    cannot_write,
+    on_several_nodes,
+    open_hdf5,
+    replacing,
+)
+from pdpetsc.output.folder import FIELDS
+from pdpetsc.output.index import Index, Step, part_of, remove, steps_in, storable
 from pdpetsc.solution import Field, Solution, in_space
 
-# Room for the headers of a group or dataset [bytes].
+# Room for the headers of a file or dataset [bytes].
 HEADERS = 2**14
-_KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 
 
 class FieldWriter:
@@ -27,18 +37,20 @@ class FieldWriter:
     Vectors and tensors have three dimensions on disk whatever the body has. On several nodes every rank writes its part
     of the ids, if h5py has parallel HDF5; on one node, where that is a third as fast, and with any other build, rank 0
     writes the parts one after another. No rank holds a whole field.
-    The file is closed between steps: what was written stays readable whatever happens later.
+    What is written is never opened for writing again: every step has a file, which is made aside and renamed.
 
     Parameters
     ----------
     cloud : Cloud
         The particles.
     folder : Path
-        Where ``fields.h5`` and ``fields.xdmf`` go.
+        Where ``fields/``, ``fields.h5`` and ``fields.xdmf`` go.
     fields : sequence of Field
         What is written; the names on disk are the functions' names.
+    run : str
+        Of which run the files are.
     first : int
-        Steps before it that the folder holds are kept: a restart goes on in its own folder.
+        Steps of this run up to it that the folder holds are kept: a restart goes on in its own folder.
 
     Attributes
     ----------
@@ -47,154 +59,161 @@ class FieldWriter:
 
     Raises
     ------
+    CaseError
+        Fields have no names, or the same, on all ranks.
     OutputError
-        The disk is full or the file cannot be written, on all ranks.
+        The disk is full or a file cannot be written, on all ranks.
 
     Notes
     -----
-    Construction and ``write`` are collective.
+    Construction and every method are collective.
     """
 
     def __init__(
-        self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field], first: int = 0
-    ) -> None:
+        self, cloud: Cloud, order: InCreationOrder, folder: Path, fields: Sequence[Field], run: str = "", first: int = 0
+    ) -> None:  # fmt: skip
         self._cloud = cloud
         self._order = order
-        self._path = folder / "fields.h5"
-        self._xdmf = folder / "fields.xdmf"
-        self._fields = fields
-        self._steps: list[tuple[int, float, dict[str, int]]] = []
+        self._folder = folder
+        self._run = run
+        self._fields = dict(zip(_names(fields), fields, strict=True))
         self.together = on_several_nodes(cloud.comm) and h5py.get_config().mpi
+        self._index: Index | None = None
+        earlier: list[Step] = []
+        there = False
         with agreed(cloud.comm):
             if is_root(cloud.comm):
-                self._steps = _kept_steps(self._path, first)
-                if not self._steps:
-                    self._path.unlink(missing_ok=True)
-        if not cloud.comm.bcast(bool(self._steps)):
+                try:
+                    (folder / FIELDS).mkdir(exist_ok=True)
+                    earlier = steps_in(folder, run, cloud.n_global) if first > 0 else []
+                    there = first > 0 and _is_of(folder / FIELDS / "particles.h5", run, cloud.n_global)
+                except OSError as error:
+                    raise cannot_write(folder / FIELDS, error) from error
+        if not cloud.comm.bcast(there):
             n = cloud.n_owned
-            self._store("particles", {"position": cloud.x[:n], "id": cloud.gid[:n], "volume": cloud.volume[:n]})
+            values = {"position": cloud.x[:n], "id": cloud.gid[:n], "volume": cloud.volume[:n]}
+            self._store(folder / FIELDS / "particles.h5", {name: storable(array) for name, array in values.items()})
+        with agreed(cloud.comm):
+            if is_root(cloud.comm):
+                self._index = Index(folder, cloud.n_global, [step for step in earlier if step.number <= first])
+                # The steps after the first will be computed again.
+                remove(folder, [step for step in earlier if step.number > first])
 
     def write(self, solution: Solution) -> None:
-        """Append one step."""
-        values = {field.__name__: in_space(field)(solution) for field in self._fields}
-        group = f"step_{solution.step:05d}"
-        widths = self._store(group, values, solution.t)
-        self._steps.append((solution.step, solution.t, widths))
+        """Write the fields of a step."""
+        values = {name: np.asarray(in_space(field)(solution)) for name, field in self._fields.items()}
+        n = self._cloud.n_owned
         with agreed(self._cloud.comm):
-            if is_root(self._cloud.comm):
-                with replacing(self._xdmf) as aside:
-                    aside.write_text(self._markup())
+            for name, array in values.items():
+                if array.shape[:1] != (n,) or array.ndim > 3 or max(array.shape[1:], default=1) > 3:
+                    raise CaseError(
+                        f"The field {name} must be ({n},), or with one or two dimensions of at most 3 after that, not "
+                        f"{array.shape}."
+                    )
+                if array.dtype.kind not in "biuf":
+                    raise CaseError(f"The field {name} must hold numbers, not {array.dtype}.")
+        self.put(solution.step, solution.t, values)
 
-    def _store(self, group: str, values: dict[str, NDArray[Any]], t: float = 0.0) -> dict[str, int]:
-        """Write named arrays into a new group of step time ``t``; return the number of components of each."""
+    def put(self, number: int, t: float, values: dict[str, NDArray[Any]]) -> None:
+        """Write named arrays of the own particles as the fields of a step."""
+        stored = {name: storable(array) for name, array in values.items()}
+        parts = [part_of(name, array.shape, array.dtype) for name, array in stored.items()]
+        step = Step(number, t, parts)
+        self._store(self._folder / step.file, stored, t)
+        with agreed(self._cloud.comm):
+            if self._index is not None:
+                self._index.add(step)
+
+    def flush(self) -> None:
+        """Wait until everything is on the disk."""
+        with agreed(self._cloud.comm):
+            if self._index is not None:
+                self._index.flush()
+
+    def _store(self, path: Path, values: dict[str, NDArray[Any]], t: float = 0.0) -> None:
+        """Write named arrays of the own particles into a new file."""
         comm, n = self._cloud.comm, self._cloud.n_global
-        padded = {name: _padded(array) for name, array in values.items()}
-        with agreed(comm):
-            if is_root(comm):
-                rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in padded.values())
-                reserve(self._path, n * rows + HEADERS * (1 + len(padded)))
-        write = self._at_once if self.together else self._in_turn
-        failure = write(group, padded, t)
-        with agreed(comm):
-            if failure is not None:
-                raise OutputError(f"Cannot write {group} to {self._path}: {failure}.")
-        return {name: int(np.prod(array.shape[1:])) for name, array in padded.items()}
+        with contextlib.ExitStack() as stack:
+            aside: Path | None = None
+            with agreed(comm):
+                if is_root(comm):
+                    rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in values.values())
+                    aside = stack.enter_context(replacing(path))
+                    begin_hdf5(aside, n * rows + HEADERS * (1 + len(values)), track_order=True)
+            aside = comm.bcast(aside)
+            assert aside is not None
+            failure = (self._at_once if self.together else self._in_turn)(aside, values, t)
+            with agreed(comm):
+                if failure is not None:
+                    raise cannot_write(path, failure) from failure
+            with agreed(comm):
+                stack.close()
 
-    def _at_once(self, group: str, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
+    def _at_once(self, path: Path, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
         """Write with parallel HDF5, every rank its part of the ids; return what went wrong."""
         comm, starts = self._cloud.comm, self._order.starts
         mine = slice(int(starts[comm.rank]), int(starts[comm.rank + 1]))
         try:
-            with h5py.File(self._path, "a", driver="mpio", comm=comm) as file:
+            with h5py.File(path, "r+", driver="mpio", comm=comm) as file:
+                self._sign(file, t)
                 for name, array in values.items():
-                    shape = (self._cloud.n_global, *array.shape[1:])
-                    dataset = file.create_dataset(f"{group}/{name}", shape, array.dtype)
+                    dataset = file.create_dataset(name, (self._cloud.n_global, *array.shape[1:]), array.dtype)
                     with dataset.collective:
                         dataset[mine] = self._order.rows(array)
-                file[group].attrs["t"] = t
-        except (OSError, RuntimeError) as error:
+        except WRITE_ERRORS as error:
             return error
         return None
 
-    def _in_turn(self, group: str, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
+    def _in_turn(self, path: Path, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
         """Write on rank 0, the parts of the others one after another; return what went wrong."""
         n = self._cloud.n_global
         failure: Exception | None = None
-        file = None
+        file: h5py.File | None = None
+        try:
+            if is_root(self._cloud.comm):
+                file = open_hdf5(path, "r+")
+                self._sign(file, t)
+        except WRITE_ERRORS as error:
+            failure = error
         for name, array in values.items():
             dataset = None
-            for rows_of, part in self._order.parts_on_root(array):
+            for rows, part in self._order.parts_on_root(array):
                 # Root goes on receiving after a failure, so that no rank is left in a send.
+                if failure is not None or file is None:
+                    continue
                 try:
-                    if file is None and failure is None:
-                        file = h5py.File(self._path, "a")
-                    if dataset is None and file is not None and failure is None:
-                        dataset = file.create_dataset(f"{group}/{name}", (n, *part.shape[1:]), part.dtype)
-                    if dataset is not None and failure is None:
-                        dataset[rows_of] = part
-                except (OSError, RuntimeError) as error:
+                    if dataset is None:
+                        dataset = file.create_dataset(name, (n, *part.shape[1:]), part.dtype)
+                    dataset[rows] = part
+                except WRITE_ERRORS as error:
                     failure = error
         try:
             if file is not None:
-                if failure is None:
-                    file[group].attrs["t"] = t
                 file.close()
-        except (OSError, RuntimeError) as error:
-            failure = error
+        except WRITE_ERRORS as error:
+            failure = failure or error
         return failure
 
-    def _markup(self) -> str:
-        n, h5 = self._cloud.n_global, self._path.name
-        lines = [
-            '<?xml version="1.0"?>',
-            '<Xdmf Version="3.0"><Domain>',
-            '<Grid Name="steps" GridType="Collection" CollectionType="Temporal">',
-        ]
-        for step, t, widths in self._steps:
-            lines += [
-                f'<Grid Name="step {step}" GridType="Uniform"><Time Value="{t!r}"/>',
-                f'<Topology TopologyType="Polyvertex" NumberOfElements="{n}"/>',
-                '<Geometry GeometryType="XYZ">'
-                f'<DataItem Dimensions="{n} 3" NumberType="Float" Precision="8" Format="HDF">'
-                f"{h5}:/particles/position</DataItem></Geometry>",
-                '<Attribute Name="volume" AttributeType="Scalar" Center="Node">'
-                f'<DataItem Dimensions="{n}" NumberType="Float" Precision="8" Format="HDF">'
-                f"{h5}:/particles/volume</DataItem></Attribute>",
-            ]
-            for name, width in widths.items():
-                lines.append(
-                    f'<Attribute Name="{name}" AttributeType="{_KINDS.get(width, "Matrix")}" Center="Node">'
-                    f'<DataItem Dimensions="{n}{f" {width}" if width > 1 else ""}" NumberType="Float" Precision="8" '
-                    f'Format="HDF">{h5}:/step_{step:05d}/{name}</DataItem></Attribute>'
-                )
-            lines.append("</Grid>")
-        return "\n".join([*lines, "</Grid></Domain></Xdmf>", ""])
+    def _sign(self, file: h5py.File, t: float) -> None:
+        file.attrs["t"] = t
+        file.attrs["run"] = self._run
 
 
-def _kept_steps(path: Path, first: int) -> list[tuple[int, float, dict[str, int]]]:
-    """Delete the steps from ``first`` on in a file of fields; return number, time and components of the others."""
-    if first == 0 or not path.exists():
-        return []
-    kept = []
+def _names(fields: Sequence[Field]) -> list[str]:
+    """Return the names of fields; raises CaseError where they cannot be told apart or are none."""
+    names = [str(getattr(field, "__name__", "")) for field in fields]
+    for name in names:
+        if not name or "/" in name or "\0" in name or name.strip(".") == "":
+            raise CaseError(f"A field is written under the name of its function, and {name!r} is none; use a def.")
+        if names.count(name) > 1:
+            raise CaseError(f"Two fields are named {name!r}; give their functions different names.")
+    return names
+
+
+def _is_of(path: Path, run: str, n: int) -> bool:
+    """Return whether a file of particles is whole and of this run."""
     try:
-        with h5py.File(path, "a") as file:
-            for group in sorted(name for name in file if name.startswith("step_")):
-                number = int(group.removeprefix("step_"))
-                if number >= first:
-                    del file[group]
-                    continue
-                widths = {name: int(np.prod(data.shape[1:])) for name, data in file[group].items()}
-                kept.append((number, float(file[group].attrs["t"]), widths))
-    except (OSError, KeyError, RuntimeError) as error:
-        raise OutputError(f"Cannot go on in {path}: {error}; restart into another folder.") from error
-    return kept
-
-
-def _padded(values: NDArray[Any]) -> NDArray[Any]:
-    """Return vectors as (n, 3) and tensors as (n, 9), zero where the body has no such dimension."""
-    if values.ndim == 1:
-        return values
-    shape = (len(values), *(3,) * (values.ndim - 1))
-    padded = np.zeros(shape, dtype=values.dtype)
-    padded[tuple(slice(0, size) for size in values.shape)] = values
-    return padded.reshape(len(values), -1)
+        with open_hdf5(path, "r") as file:
+            return bool(file.attrs["run"] == run) and all(len(file[name]) == n for name in ("position", "id", "volume"))
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
+        return False

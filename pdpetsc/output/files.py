@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import re
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, agreed, exchange, is_root, total
-from pdpetsc.errors import CaseError, OutputError
+from pdpetsc.discrete.communicator import Comm, exchange, is_root, total
+from pdpetsc.errors import OutputError
 
 # Room that stays free on the disk, for the small files that end a run.
 RESERVE = 2**20
+# What may wait for the disk waits no longer than this [s].
+WAIT = 1.0
+# What h5py raises where a file cannot be written.
+WRITE_ERRORS = (OSError, RuntimeError, ValueError)
+# What file systems answer that cannot flush a folder.
+_NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES)
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, wait: bool = True) -> Iterator[Path]:
     """Give a path beside ``path`` to write to, and put it in place of ``path`` when the body succeeded.
+
+    There is no such file when the body begins. It is on the disk before it takes the place of ``path``, so that at
+    every moment, also after a loss of power, ``path`` is whole: the old one or the new one.
+
+    Parameters
+    ----------
+    wait : bool
+        Wait for the disk. Without it only a loss of power can take the file, and what can be made again may do without.
 
     Raises
     ------
@@ -32,43 +50,144 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     aside = path.with_name(path.name + ".part")
     try:
+        with contextlib.suppress(FileNotFoundError):
+            aside.unlink()
         yield aside
+        if wait:
+            flush(aside)
         os.replace(aside, path)
-    except OSError as error:
+        if wait:
+            flush(path.parent)
+    except BaseException as error:
         with contextlib.suppress(OSError):
             aside.unlink()
-        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
+        if isinstance(error, WRITE_ERRORS):
+            raise cannot_write(path, error) from error
+        raise
+
+
+def cannot_write(path: Path, error: Exception) -> OutputError:
+    """Return the one sentence for a file that could not be written."""
+    if isinstance(error, OutputError):
+        return error
+    # HDF5 says everything it knows, in several lines; the system's words are among them.
+    text = " ".join(str(error).split())
+    found = re.search(r"error message = '([^']+)'", text)
+    if found:
+        _hush_hdf5()
+    words = found.group(1) if found else getattr(error, "strerror", None) or text.rstrip(".")
+    return OutputError(f"Cannot write {path.with_name(path.name.removesuffix('.part'))}: {words}.")
+
+
+def _hush_hdf5() -> None:
+    """Let objects of h5py vanish quietly: what HDF5 could not write it tries again, and says so, when they go."""
+    before = sys.unraisablehook
+
+    def hook(found: Any) -> None:
+        if "h5py" not in repr(found.object):
+            before(found)
+
+    if getattr(before, "__name__", "") != "hook":
+        sys.unraisablehook = hook
+
+
+def write_whole(path: Path, text: str, wait: bool = True) -> None:
+    """Replace a file by one with this text; raises OutputError with ``path`` as it was."""
+    with replacing(path, wait) as aside:
+        descriptor = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        try:
+            _write_all(descriptor, text.encode())
+        finally:
+            os.close(descriptor)
+
+
+def append(path: Path, text: str) -> None:
+    """Add text to the end of a file; raises OutputError with the file as it was, as far as the disk lets it."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            before = os.fstat(descriptor).st_size
+            try:
+                _write_all(descriptor, text.encode())
+            except OSError:
+                with contextlib.suppress(OSError):
+                    os.ftruncate(descriptor, before)
+                raise
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+def flush(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk; raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if not (path.is_dir() and error.errno in _NO_FLUSH):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def open_hdf5(path: Path, mode: str, **options: Any) -> h5py.File:
+    """Open an HDF5 file without HDF5's locks.
+
+    Files are replaced whole, so nobody reads what is being written: a lock would only disturb the others, and fails on
+    file systems that have none.
+    """
+    try:
+        return h5py.File(path, mode, locking=False, **options)
+    except ValueError as error:
+        if "locking" not in str(error):
+            raise
+        return h5py.File(path, mode, **options)  # an HDF5 that is built without locks
 
 
 def reserve(path: Path, size: int) -> None:
     """Make sure that a file can grow by ``size`` bytes, before anything in it is changed.
 
-    An HDF5 file whose write stops half way is lost whole. The blocks are allocated here, so that a full disk, a quota
-    or a file size limit shows while the file is still as it was.
+    The blocks are allocated here, so that a full disk, a quota or a file size limit shows in one place, with numbers.
 
     Raises
     ------
     OutputError
-        There is no room; the file is unchanged.
+        There is no room.
     """
+    name = path.name.removesuffix(".part")
     free = shutil.disk_usage(path.parent).free
     if size + RESERVE > free:
         raise OutputError(
-            f"The disk of {path.parent} has {free / 2**20:.1f} MiB left and {path.name} needs {size / 2**20:.1f} MiB "
+            f"The disk of {path.parent} has {free / 2**20:.1f} MiB left and {name} needs {size / 2**20:.1f} MiB "
             f"more; results are complete up to the step before."
         )
-    if not path.exists():
-        return
     with path.open("r+b") as file:
         before = os.fstat(file.fileno()).st_size
         try:
             os.posix_fallocate(file.fileno(), before, size)
         except OSError as error:
-            os.ftruncate(file.fileno(), before)
+            if error.errno in (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS):
+                return  # a file system that cannot reserve
             raise OutputError(
-                f"{path} cannot grow by {size / 2**20:.1f} MiB ({error.strerror}); results are complete up to the step "
-                f"before."
+                f"{path.with_name(name)} cannot grow by {size / 2**20:.1f} MiB ({error.strerror}); results are "
+                f"complete up to the step before."
             ) from error
+
+
+def begin_hdf5(path: Path, size: int, **options: Any) -> None:
+    """Make a new HDF5 file with room for ``size`` bytes, marked as pdpetsc's; raises OutputError."""
+    try:
+        with open_hdf5(path, "x", **options) as file:
+            file.attrs["pdpetsc"] = path.name.removesuffix(".part")
+        reserve(path, size)
+    except WRITE_ERRORS as error:
+        raise cannot_write(path, error) from error
 
 
 def on_several_nodes(comm: Comm) -> bool:
@@ -77,19 +196,6 @@ def on_several_nodes(comm: Comm) -> bool:
     alone = here.size == comm.size
     here.Free()
     return int(total(comm, int(not alone))) > 0
-
-
-def prepare_folder(comm: Comm, folder: Path) -> None:
-    """Make the output folder and check that it can be written to (collective); raises CaseError on all ranks."""
-    with agreed(comm):
-        if is_root(comm):
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                probe = folder / ".pdpetsc-probe"
-                probe.write_bytes(b"x")
-                probe.unlink()
-            except OSError as error:
-                raise CaseError(f"Cannot write to the output folder {folder}: {error.strerror or error}.") from None
 
 
 def rank_by_rank(comm: Comm, values: NDArray[Any], counts: list[int]) -> Iterator[tuple[slice, NDArray[Any]]]:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from pdpetsc.discrete.communicator import Comm, is_root
 from pdpetsc.model import Model
-from pdpetsc.output.broken import BrokenBonds
-from pdpetsc.output.checkpoint import write_checkpoint
+from pdpetsc.output.broken import BrokenBonds, broken_header
+from pdpetsc.output.checkpoint import Origin, Record, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder
-from pdpetsc.output.records import HistoryWriter, earlier_history
+from pdpetsc.output.records import HistoryWriter, whole_rows
 from pdpetsc.quantities import Quantity
 from pdpetsc.solution import Field, Solution
 
 
 class Keeper:
     """Writes converged steps to the folder of a run.
+
+    Before it writes anything, what an earlier run left in the folder is set aside, unless this run goes on from there.
+    The checkpoint of a step is written last, and what belongs to the step is on the disk by then.
 
     Parameters
     ----------
@@ -25,15 +30,17 @@ class Keeper:
     quantities : mapping of str to Quantity
         Columns of ``history.csv`` after step and step time.
     fields : sequence of Field
-        What ``fields.h5`` holds; no such file where empty.
+        What is written as fields; no such files where empty.
     checkpoints : int
         A checkpoint every so many steps, and at the end; 0 for none.
     start : Solution
         The state from which the run goes on; written too.
     order : InCreationOrder
         Of the particles in files.
-    restart : Path, optional
-        Checkpoint that ``start`` is from: what lies beside it up to there is taken over.
+    origin : Origin, optional
+        The checkpoint that ``start`` is from: what lies beside it up to there and belongs to it is taken over.
+    declared : mapping of str to str
+        Fingerprints of the parts of the case, for the checkpoints.
 
     Attributes
     ----------
@@ -44,6 +51,8 @@ class Keeper:
 
     Raises
     ------
+    CaseError
+        The folder holds files of another origin under the names that the run writes to.
     OutputError
         A file cannot be written.
 
@@ -54,29 +63,33 @@ class Keeper:
 
     def __init__(
         self, folder: Path, quantities: Mapping[str, Quantity], fields: Sequence[Field], checkpoints: int,
-        start: Solution, order: InCreationOrder, restart: Path | None = None,
+        start: Solution, order: InCreationOrder, origin: Origin | None = None,
+        declared: Mapping[str, str] | None = None,
     ) -> None:  # fmt: skip
-        cloud, comm = start.model.cloud, start.model.cloud.comm
+        model, cloud, comm = start.model, start.model.cloud, start.model.cloud.comm
         self._quantities = quantities
         self._order = order
         self._every = checkpoints
         self._checkpoint = folder / "checkpoint.h5"
         self._last = start
         self._saved = start.step
+        self._declared = dict(declared or {})
+        self._row: dict[str, float] = {}
         self.history: dict[str, list[float]] = {name: [] for name in ("step", "t", *quantities)}
-        beside = None if restart is None else restart.parent
-        rows = [] if beside is None else earlier_history(comm, beside / "history.csv", list(self.history), start.step)
-        self.took_over = rows is not None
+        header = None if model.failure is None else broken_header(model.failure)
+        rows, broken = (None, []) if origin is None else _beside(comm, origin, list(self.history), header)
+        self.took_over = origin is None or rows is not None
         for row in rows or []:
             self._remember(row)
-        # A run that goes on in its own folder appends its fields to those that are there.
-        first = start.step if beside is not None and beside.resolve() == folder.resolve() else 0
-        self._fields = FieldWriter(cloud, order, folder, fields, first) if fields else None
+        # A run that goes on in its own folder adds to what is there.
+        own = origin is not None and origin.inside(folder)
+        self._run: str = origin.record.run if own and origin is not None else comm.bcast(uuid.uuid4().hex)
         self._rows = HistoryWriter(comm, folder, list(self.history), rows or ())
-        self._broken = None
-        if start.model.failure is not None:
-            earlier = None if beside is None else beside / "broken_bonds.csv"
-            self._broken = BrokenBonds(comm, folder, start.model.failure, earlier, start.step)
+        self._broken = None if model.failure is None else BrokenBonds(comm, folder, model.failure, broken)
+        first = start.step if own else 0
+        self._fields = FieldWriter(cloud, order, folder, fields, self._run, first) if fields else None
+        # The work of the next step needs these forces, and by then bonds may have failed.
+        _ = start.internal_force
         self._record(start, write_fields=True)
 
     @property
@@ -93,12 +106,24 @@ class Keeper:
             self._broken.write(solution.step, solution.t)
         self._record(solution, write_fields)
         if self._every > 0 and solution.step % self._every == 0:
-            self.save()
+            self._checkpoint_now()
 
     def save(self) -> None:
-        """Write the checkpoint of the last step, unless it is there already or not wanted."""
+        """Let everything be on the disk, and write the checkpoint of the last step, unless it is there or not wanted.
+
+        This is how a run ends.
+        """
+        if self._fields is not None:
+            self._fields.flush()
+        self._checkpoint_now()
+
+    def _checkpoint_now(self) -> None:
+        self._rows.flush()
+        if self._broken is not None:
+            self._broken.flush()
         if self._every > 0 and self._saved != self._last.step:
-            write_checkpoint(self._last, self._order, self._checkpoint)
+            record = Record(self._run, self._declared, self._row)
+            write_checkpoint(self._last, self._order, self._checkpoint, record)
             self._saved = self._last.step
 
     def _record(self, solution: Solution, write_fields: bool) -> None:
@@ -108,7 +133,34 @@ class Keeper:
         row += [quantity.evaluate(solution) for quantity in self._quantities.values()]
         self._remember(row)
         self._rows.write(row)
+        self._row = dict(zip(self.history, row, strict=True))
 
     def _remember(self, row: Sequence[float]) -> None:
         for name, value in zip(self.history, row, strict=True):
             self.history[name].append(value)
+
+
+def _beside(
+    comm: Comm, origin: Origin, names: Sequence[str], broken: Sequence[str] | None
+) -> tuple[list[list[float]] | None, list[list[float]]]:
+    """Return the rows of history before a checkpoint and of broken bonds up to it, from the files beside it.
+
+    The history is None where there is none with these columns, or it is of another run: one that lacks the last row
+    before the checkpoint was written (collective).
+    """
+    found: tuple[list[list[float]] | None, list[list[float]]] = None, []
+    if is_root(comm):
+        step = origin.start.step
+        rows = whole_rows(origin.path.parent / "history.csv", names)
+        if rows is not None:
+            known = [origin.record.row.get(name) for name in names]
+            same = [row for row in rows if row[0] == known[0]]
+            if not same or list(map(repr, same[-1])) != list(map(repr, known)):
+                rows = None
+        of_bonds = whole_rows(origin.path.parent / "broken_bonds.csv", broken) if broken is not None else None
+        found = (
+            None if rows is None else [row for row in rows if row[0] < step],
+            [row for row in of_bonds or [] if row[0] <= step],
+        )
+    shared: tuple[list[list[float]] | None, list[list[float]]] = comm.bcast(found)
+    return shared

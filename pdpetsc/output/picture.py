@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
+from pdpetsc.output.files import open_hdf5, replacing
 from pdpetsc.quantities import refuse_component
 from pdpetsc.solution import Field, stress
 
@@ -46,7 +46,13 @@ class Picture(Declared):
 
 
 def draw(folder: Path, picture: Picture, title: str) -> Path:
-    """Draw the last step of ``fields.h5`` in ``folder`` and return the picture's path (one rank only)."""
+    """Draw the last step of ``fields.h5`` in ``folder`` and return the picture's path (one rank only).
+
+    Raises
+    ------
+    OutputError
+        The picture cannot be written.
+    """
     path = folder / "picture.png"
     draw_field(folder, path, picture.field.__name__, picture.component, picture.scale, title)
     return path
@@ -61,26 +67,31 @@ def draw_field(
     ------
     CaseError
         There is no such file, step, field or component.
+    OutputError
+        The picture cannot be written.
     """
     from matplotlib.figure import Figure
 
     label = f"{name} {component}".strip()
+    path_of = folder / "fields.h5"
     try:
-        file = h5py.File(folder / "fields.h5", "r")
-    except OSError as error:
-        raise CaseError(f"Cannot read {folder / 'fields.h5'}: no such file, or not one of pdpetsc.") from error
-    with file:
-        steps = sorted(group for group in file if group.startswith("step_"))
-        wanted = steps[-1] if step is None else f"step_{step:05d}"
-        if wanted not in steps or "displacement" not in file[wanted]:
-            raise CaseError(f"{folder / 'fields.h5'} has no displacement of step {wanted.removeprefix('step_')}.")
-        if name not in file[wanted]:
-            raise CaseError(f"{folder / 'fields.h5'} has no field {name!r}; it has {', '.join(file[wanted])}.")
-        stride = max(1, -(-len(file["particles/id"]) // MOST))
-        x = np.asarray(file["particles/position"][::stride])
-        y = x + scale * np.asarray(file[wanted]["displacement"][::stride])
-        volume = np.asarray(file["particles/volume"][::stride])
-        values = _component(np.asarray(file[wanted][name][::stride]), component)
+        with open_hdf5(path_of, "r") as file:
+            numbers = sorted(int(group.removeprefix("step_")) for group in file if group.startswith("step_"))
+            if not numbers:
+                raise CaseError(f"{path_of} has no step yet.")
+            number = numbers[-1] if step is None else step
+            if number not in numbers or "displacement" not in file[f"step_{number:05d}"]:
+                raise CaseError(f"{path_of} has no displacement of step {number:05d}.")
+            fields = file[f"step_{number:05d}"]
+            if name not in fields:
+                raise CaseError(f"{path_of} has no field {name!r}; it has {', '.join(fields)}.")
+            stride = max(1, -(-len(file["particles/id"]) // MOST))
+            x = np.asarray(file["particles/position"][::stride])
+            y = x + scale * np.asarray(fields["displacement"][::stride])
+            volume = np.asarray(file["particles/volume"][::stride])
+            values = _component(np.asarray(fields[name][::stride]), component)
+    except (OSError, KeyError, RuntimeError) as error:
+        raise CaseError(f"Cannot read {path_of}: no such file, not one of pdpetsc, or without fields/.") from error
     dim = max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     axes = figure.add_subplot(projection="3d" if dim == 3 else None)
@@ -102,7 +113,8 @@ def draw_field(
         else:
             axes.set_aspect("equal", adjustable="datalim")
     axes.set_title(title)
-    figure.savefig(path, dpi=130)
+    with replacing(path) as aside:
+        figure.savefig(aside, dpi=130, format=path.suffix.removeprefix(".") or "png")
 
 
 def _true_to_scale(axes: Any, y: Float) -> None:

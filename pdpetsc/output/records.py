@@ -1,44 +1,102 @@
-"""``history.csv``, one row per step, and ``summary.json``."""
+"""Tables of rows per step, among them ``history.csv``, and ``summary.json``."""
 
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
-from pdpetsc.errors import OutputError
-from pdpetsc.output.files import replacing
+from pdpetsc.output.files import WAIT, append, cannot_write, flush, write_whole
 
 
-def earlier_history(comm: Comm, path: Path, names: Sequence[str], first: int) -> list[list[float]] | None:
-    """Return the rows before step ``first`` of a ``history.csv`` with these columns, or None (collective)."""
-    rows: list[list[float]] | None = None
-    if is_root(comm):
+class Table:
+    """A table of which any beginning is one: rows are added at its end, and a torn last one is left out by readers.
+
+    Parameters
+    ----------
+    comm : Comm
+        All ranks; rank 0 writes.
+    path : Path
+        The file, which is replaced.
+    rows : sequence of rows
+        Its header, and what it begins with.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, on all ranks.
+
+    Notes
+    -----
+    Construction and every method are collective.
+    """
+
+    def __init__(self, comm: Comm, path: Path, rows: Sequence[Sequence[Any]]) -> None:
+        self._comm = comm
+        self._path = path
+        self._flushed = time.monotonic()
+        self._waiting = False
+        with agreed(comm):
+            if is_root(comm):
+                write_whole(path, _text(rows))
+
+    def append(self, rows: Sequence[Sequence[Any]]) -> None:
+        """Add rows, those of rank 0."""
+        with agreed(self._comm):
+            if is_root(self._comm):
+                append(self._path, _text(rows))
+                self._waiting = True
+                if time.monotonic() - self._flushed > WAIT:
+                    self._flush()
+
+    def flush(self) -> None:
+        """Wait until all rows are on the disk."""
+        with agreed(self._comm):
+            if is_root(self._comm) and self._waiting:
+                self._flush()
+
+    def _flush(self) -> None:
         try:
-            with path.open(newline="") as file:
-                header, *body = csv.reader(file)
-            values = [[float(value) for value in row] for row in body]
-            if header == [*names] and all(len(row) == len(header) for row in values):
-                rows = [row for row in values if row[0] < first]
-        except (OSError, ValueError):
-            rows = None
-    shared: list[list[float]] | None = comm.bcast(rows)
-    return shared
+            flush(self._path)
+        except OSError as error:
+            raise cannot_write(self._path, error) from error
+        self._flushed, self._waiting = time.monotonic(), False
 
 
-def write_rows(comm: Comm, path: Path, mode: str, rows: Sequence[Sequence[Any]]) -> None:
-    """Write or append rows to a table on rank 0 (not collective); raises OutputError there."""
-    if not is_root(comm):
-        return
+def _text(rows: Sequence[Sequence[Any]]) -> str:
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    return text.getvalue()
+
+
+def whole_rows(path: Path, header: Sequence[str]) -> list[list[float]] | None:
+    """Return the rows of numbers of a table up to the first one that is torn; None where no such table is there."""
     try:
-        with path.open(mode, newline="") as file:
-            csv.writer(file).writerows(rows)
-    except OSError as error:
-        raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
+        text = path.read_bytes().decode(errors="replace")
+    except OSError:
+        return None
+    whole = text[: text.rfind("\n") + 1]
+    found: list[list[float]] = []
+    try:
+        rows = csv.reader(io.StringIO(whole, newline=""))
+        if next(rows, None) != [*header]:
+            return None
+        for words in rows:
+            row = [float(word) for word in words]
+            if len(row) != len(header) or not row[0].is_integer():
+                break
+            found.append(row)
+    except (ValueError, csv.Error):
+        pass
+    return found
 
 
 class HistoryWriter:
@@ -57,36 +115,45 @@ class HistoryWriter:
 
     Notes
     -----
-    Construction and ``write`` are collective; rank 0 writes.
+    Construction and every method are collective; rank 0 writes.
     """
 
     def __init__(self, comm: Comm, folder: Path, names: Sequence[str], kept: Sequence[Sequence[float]] = ()) -> None:
-        self._comm = comm
-        self._path = folder / "history.csv"
-        with agreed(comm):
-            write_rows(comm, self._path, "w", [names])
-        for row in kept:
-            self.write(row)
+        self._table = Table(comm, folder / "history.csv", [names, *map(_history_row, kept)])
 
     def write(self, row: Sequence[float]) -> None:
         """Append a row: step, step time and the values in the order of the names."""
-        with agreed(self._comm):
-            write_rows(self._comm, self._path, "a", [[int(row[0]), *(repr(float(value)) for value in row[1:])]])
+        self._table.append([_history_row(row)])
+
+    def flush(self) -> None:
+        """Wait until all rows are on the disk."""
+        self._table.flush()
 
 
-def write_summary(comm: Comm, folder: Path, summary: dict[str, Any]) -> None:
-    """Write ``summary.json`` (collective; rank 0 writes). Numbers that JSON cannot hold become null."""
+def _history_row(row: Sequence[float]) -> list[Any]:
+    return [int(row[0]), *(repr(float(value)) for value in row[1:])]
+
+
+def write_summary(comm: Comm, folder: Path, summary: Mapping[str, Any]) -> None:
+    """Replace ``summary.json`` whole (collective; rank 0 writes). Numbers that JSON cannot hold become null.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written, on all ranks; the summary before stays.
+    """
     with agreed(comm):
         if is_root(comm):
-            with replacing(folder / "summary.json") as aside:
-                aside.write_text(json.dumps(_plain(summary), indent=1) + "\n")
+            write_whole(folder / "summary.json", json.dumps(_plain(summary), indent=1) + "\n")
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
     if isinstance(value, bool | str | int) or value is None:
         return value
     if isinstance(value, float):

@@ -53,10 +53,22 @@ class Solver(ABC):
         What its iterations are called.
     advice : str
         What a user may try when it failed.
+    resumed : (n_rows, dim) float64 or None
+        Where the tangent is of that the first step begins with [length], where it is not that of its start.
     """
 
     unit: str
     advice: str
+    resumed: Float | None = None
+
+    @property
+    def tangent_at(self) -> Float | None:
+        """Return where the tangent is of that the next step begins with (n_rows, dim) [length]; None for its start."""
+        return None
+
+    def resume(self, tangent_at: Float | None) -> None:
+        """Begin the next step with the tangent of there, as the run did that this one goes on from (not collective)."""
+        self.resumed = tangent_at
 
     @property
     @abstractmethod

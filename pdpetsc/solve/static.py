@@ -56,6 +56,7 @@ class StaticSolver(StepSolver):
         self.model = model
         self.loading = loading
         self._stop = stop
+        self._filled_at: Float | None = None
         self._equilibrium = Equilibrium(model, loading, assembler)
         self._scales = self._equilibrium.scales
         self._all_prescribed = int(total(model.cloud.comm, np.count_nonzero(~loading.fixed))) == 0
@@ -68,6 +69,13 @@ class StaticSolver(StepSolver):
         self.snes.setConvergenceTest(self._test)
         read_options(self.destroy, self.snes)
         self.snes.setLineSearchPreCheck(self._shorten)
+
+    @property
+    def tangent_at(self) -> Float | None:
+        """Return the displacement of the last Newton iteration but one, whose tangent the next step begins with."""
+        sought, failure = self._equilibrium, self.model.failure
+        held = not self.model.linear and (failure is None or not failure.frozen)
+        return self._filled_at if held and sought.tangent.holds(sought.damping is not None) else None
 
     @property
     def matrix_bytes(self) -> int:
@@ -175,7 +183,9 @@ class StaticSolver(StepSolver):
         if force is None:
             return u, 0
         if not sought.tangent.holds(sought.damping is not None):
-            sought.tangent.update(u, sought.damping, effort(self.snes.getKSP()))
+            self._filled_at = u if self.resumed is None else self.resumed
+            sought.tangent.update(self._filled_at, sought.damping, effort(self.snes.getKSP()))
+        self.resumed = None
         b = sought.external - force - self.model.tangent_times(u, jump)
         self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
         ksp = self.snes.getKSP()
@@ -194,7 +204,9 @@ class StaticSolver(StepSolver):
         r.array = residual.ravel() / self._scales.force
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._equilibrium.assemble(self._displacement(x), effort(snes.getKSP()))
+        values = self._displacement(x)
+        self._filled_at = self._equilibrium.at_prescribed(values)
+        self._equilibrium.assemble(values, effort(snes.getKSP()))
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""

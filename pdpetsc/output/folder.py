@@ -1,0 +1,271 @@
+"""The folder of a run: one run at a time in it, and nothing of an earlier one taken for its own."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import re
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pdpetsc.discrete.communicator import Comm, agreed, is_root
+from pdpetsc.errors import CaseError, OutputError
+from pdpetsc.output.files import open_hdf5
+
+LOCK = ".pdpetsc-lock"
+# Where a run that starts anew puts what the run before it left.
+EARLIER = "earlier"
+# Folder of the files of fields.
+FIELDS = "fields"
+_STEP = re.compile(r"step_\d{5,}\.h5")
+
+
+@dataclass(frozen=True)
+class Holder:
+    """The process that a folder belongs to; ``started`` tells two processes with the same number apart."""
+
+    host: str
+    pid: int
+    started: str
+
+    @property
+    def words(self) -> str:
+        """Return it as the lock file has it."""
+        return json.dumps({"host": self.host, "pid": self.pid, "started": self.started}) + "\n"
+
+    @property
+    def gone(self) -> bool:
+        """Return whether it is known that the process has ended: it was on this machine and is not there any more."""
+        return self.host == socket.gethostname() and self.started != _started(self.pid)
+
+
+@contextlib.contextmanager
+def holding(comm: Comm, folder: Path) -> Iterator[None]:
+    """Make the output folder, and keep it for this run while the body runs (collective).
+
+    A file in it names host and process. It needs no locks of the file system; a run that was killed leaves it behind,
+    and the next one on the same machine sees that its process is gone.
+
+    Raises
+    ------
+    CaseError
+        Another run is in the folder, or it cannot be written to; on all ranks.
+    """
+    me = Holder(socket.gethostname(), os.getpid(), _started(os.getpid()))
+    with agreed(comm):
+        if is_root(comm):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                _take(folder, me)
+            except OSError as error:
+                if isinstance(error, CaseError):
+                    raise
+                raise CaseError(f"Cannot write to the output folder {folder}: {error.strerror or error}.") from None
+    try:
+        yield
+    finally:
+        if is_root(comm):
+            with contextlib.suppress(OSError):
+                if _read(folder / LOCK) == me.words:
+                    (folder / LOCK).unlink()
+
+
+def _take(folder: Path, me: Holder) -> None:
+    """Put the lock of this process into a folder; raises CaseError where another one holds it, OSError."""
+    lock = folder / LOCK
+    own = folder / f"{LOCK}-{me.host}-{me.pid}"
+    _clear(folder)
+    with contextlib.suppress(FileNotFoundError):
+        own.unlink()
+    try:
+        _create(own, me.words)
+        for _ in range(3):
+            try:
+                # A link appears with all its content or not at all, and only where nothing has the name.
+                os.link(own, lock, follow_symlinks=False)
+                return
+            except FileExistsError:
+                _refuse_or_clear(folder, lock)
+            except OSError as error:
+                if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV):
+                    raise
+                try:
+                    _create(lock, me.words)  # a file system without links
+                    return
+                except FileExistsError:
+                    _refuse_or_clear(folder, lock)
+        raise CaseError(f"Another run is starting in {folder}; choose another folder.")
+    finally:
+        with contextlib.suppress(OSError):
+            own.unlink()
+
+
+def _create(path: Path, text: str) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    try:
+        os.write(descriptor, text.encode())
+    finally:
+        os.close(descriptor)
+
+
+def _read(path: Path) -> str:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        return os.read(descriptor, 4096).decode(errors="replace")
+    finally:
+        os.close(descriptor)
+
+
+def _refuse_or_clear(folder: Path, lock: Path) -> None:
+    """Remove the lock of a process that has ended; raises CaseError where it has not, or nobody can tell."""
+    try:
+        text = _read(lock)
+    except FileNotFoundError:
+        return
+    except OSError:
+        text = ""
+    holder = _holder(text)
+    if holder is None:
+        raise CaseError(
+            f"{lock} does not say which run it is of; remove it if none runs in {folder}, or choose another folder."
+        )
+    if not holder.gone:
+        here = holder.host == socket.gethostname()
+        raise CaseError(
+            f"Process {holder.pid} on {holder.host} runs in {folder}; choose another folder"
+            f"{'.' if here else f', or remove {lock} if that process has ended.'}"
+        )
+    # Two that find the same old lock must not remove each other's new one: what was removed is looked at again.
+    away = lock.with_name(f"{LOCK}-{socket.gethostname()}-{os.getpid()}.old")
+    try:
+        os.rename(lock, away)
+    except FileNotFoundError:
+        return
+    if _read(away) != text:
+        with contextlib.suppress(FileExistsError):
+            os.link(away, lock)
+    away.unlink()
+
+
+def _clear(folder: Path) -> None:
+    """Remove what processes of this machine that were killed while they took the folder left."""
+    for path in folder.glob(f"{LOCK}-{socket.gethostname()}-*"):
+        number = path.name.removesuffix(".old").rsplit("-", 1)[-1]
+        if number.isdigit() and not _started(int(number)):
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _holder(text: str) -> Holder | None:
+    try:
+        found = json.loads(text)
+        return Holder(str(found["host"]), int(found["pid"]), str(found["started"]))
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _started(pid: int) -> str:
+    """Return when a process of this machine started, in words that no other process has; empty where there is none."""
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return ""
+    except PermissionError:
+        pass
+    try:
+        # The name in brackets may hold anything; the start in clock ticks since the boot is the 20th word after it.
+        words = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+        return f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {words[19]}" if words[0] != "Z" else ""
+    except (OSError, IndexError):
+        return "unknown"
+
+
+def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
+    """Move what an earlier run left in the folder into ``earlier/``, in place of what is there (collective).
+
+    Only files that pdpetsc wrote are touched. A summary that this run has written since it took the folder stays.
+
+    Parameters
+    ----------
+    keep : Path, optional
+        Checkpoint that this run goes on from.
+
+    Raises
+    ------
+    CaseError
+        A file of another origin has a name that the run would write to, or the checkpoint would be removed.
+    OutputError
+        A file cannot be moved.
+    """
+    with agreed(comm):
+        if not is_root(comm):
+            return
+        try:
+            taken = (folder / LOCK).stat().st_mtime_ns if (folder / LOCK).exists() else time.time_ns()
+            found = _of_earlier_run(folder, taken)
+            if not found:
+                return
+            place = folder / EARLIER
+            if keep is not None and keep.resolve().parent == place.resolve():
+                raise CaseError(f"A run in {folder} would replace {place}, which it goes on from; take another folder.")
+            if place.is_symlink() or (place.exists() and not place.is_dir()):
+                raise CaseError(f"{place} is not a folder, and the earlier results would go there; move it away.")
+            for path in _of_earlier_run(place, time.time_ns()) if place.exists() else []:
+                path.unlink()
+            (place / FIELDS).mkdir(parents=True, exist_ok=True)
+            for path in found:
+                os.replace(path, place / path.relative_to(folder))
+            with contextlib.suppress(OSError):
+                (place / FIELDS).rmdir()
+        except OSError as error:
+            if isinstance(error, CaseError):
+                raise
+            raise OutputError(
+                f"Cannot move the earlier results out of {folder}: {error.strerror or error}; choose another folder."
+            ) from error
+
+
+def _of_earlier_run(folder: Path, before: int) -> list[Path]:
+    """Return the files of a run in a folder, the checkpoint first; raises CaseError where one is not pdpetsc's."""
+    names = ("checkpoint.h5", "history.csv", "broken_bonds.csv", "fields.h5", "fields.xdmf", "picture.png")
+    paths = [folder / name for name in names]
+    summary = folder / "summary.json"
+    if summary.exists() and summary.lstat().st_mtime_ns <= before:
+        paths.append(summary)
+    if (folder / FIELDS).is_symlink() or ((folder / FIELDS).exists() and not (folder / FIELDS).is_dir()):
+        raise CaseError(f"{folder / FIELDS} is not a folder, and fields would be written there; move it away.")
+    if (folder / FIELDS).is_dir():
+        inside = sorted((folder / FIELDS).iterdir())
+        paths += [path for path in inside if _STEP.fullmatch(path.name) or path.name == "particles.h5"]
+    found = [path for path in paths if os.path.lexists(path)]
+    for path in found:
+        if path.is_symlink() or not path.is_file() or not _marked(path):
+            raise CaseError(f"{path} was not written by pdpetsc, or is damaged; move it away or choose another folder.")
+    return found
+
+
+def _marked(path: Path) -> bool:
+    """Return whether pdpetsc wrote a file, by what is in it."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if path.suffix == ".csv":
+        return head.startswith(b"step,t")
+    if path.suffix == ".xdmf":
+        return b"<Xdmf" in head and b'<Grid Name="steps"' in head
+    if path.suffix == ".json":
+        return b'"parameters"' in head or b'"versions"' in head or b'"status"' in head
+    if path.suffix == ".png":
+        return head.startswith(b"\x89PNG")
+    if b"pdpetsc" in head:
+        return True
+    try:
+        with open_hdf5(path, "r") as file:
+            # The second and the third are files of earlier versions.
+            return "pdpetsc" in file.attrs or {"format", "identity"} <= set(file.attrs) or "particles" in file
+    except (OSError, RuntimeError, ValueError, KeyError):
+        return False

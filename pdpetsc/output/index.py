@@ -1,0 +1,191 @@
+"""``fields.h5`` and ``fields.xdmf``, which make one file of the files of all steps, for scripts and ParaView."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import escape, quoteattr
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing, write_whole
+from pdpetsc.output.folder import FIELDS
+
+_KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
+_NUMBERS = {"f": "Float", "i": "Int", "u": "UInt"}
+_HEAD = """<?xml version="1.0"?>
+<Xdmf Version="3.0"><Domain>
+<Grid Name="steps" GridType="Collection" CollectionType="Temporal">
+"""
+_FOOT = "</Grid></Domain></Xdmf>\n"
+
+
+@dataclass(frozen=True)
+class Part:
+    """How an array is on disk: its name, components per particle and type of number."""
+
+    name: str
+    width: int
+    dtype: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step whose fields are on disk."""
+
+    number: int
+    t: float
+    parts: Sequence[Part]
+
+    @property
+    def group(self) -> str:
+        """Return its name in ``fields.h5``."""
+        return f"step_{self.number:05d}"
+
+    @property
+    def file(self) -> str:
+        """Return the name of its file, from the folder of the run."""
+        return f"{FIELDS}/{self.group}.h5"
+
+
+class Index:
+    """Keeps both files in agreement with the steps that are there; on one rank only.
+
+    ``fields.h5`` holds a link to each file, so that ``fields.h5["step_00005/displacement"]`` is where it is.
+    Adding a step takes a time that hardly depends on how many there are. Both files can be made again from those that
+    they name, so they reach the disk once a second, and at ``flush``.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run.
+    n : int
+        Particles.
+    steps : sequence of Step
+        What is there already, in order.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written; both are as they were, or agree with the steps.
+    """
+
+    def __init__(self, folder: Path, n: int, steps: Sequence[Step]) -> None:
+        self._links = folder / "fields.h5"
+        self._xdmf = folder / "fields.xdmf"
+        self._n = n
+        self._last = steps[-1].number if steps else -1
+        self._flushed = time.monotonic()
+        self._waiting = False
+        self._grids = [self._grid(step) for step in steps]
+        with replacing(self._links) as aside, open_hdf5(aside, "x") as file:
+            file.attrs["pdpetsc"] = "fields.h5: links to the files in fields/"
+            file["particles"] = h5py.ExternalLink(f"{FIELDS}/particles.h5", "/")
+            for step in steps:
+                file[step.group] = h5py.ExternalLink(step.file, "/")
+        write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]))
+
+    def add(self, step: Step) -> None:
+        """Take in a step whose file is there, in place of the last one where it has the same number."""
+        wait = time.monotonic() - self._flushed > WAIT
+        with replacing(self._links, wait) as aside:
+            shutil.copyfile(self._links, aside, follow_symlinks=False)
+            with open_hdf5(aside, "r+") as file:
+                if step.group not in file:
+                    file[step.group] = h5py.ExternalLink(step.file, "/")
+        if self._last == step.number:
+            self._grids.pop()
+        self._last = step.number
+        self._grids.append(self._grid(step))
+        write_whole(self._xdmf, "".join([_HEAD, *self._grids, _FOOT]), wait)
+        self._waiting = not wait
+        if wait:
+            self._flushed = time.monotonic()
+
+    def flush(self) -> None:
+        """Wait until both files are on the disk; raises OutputError."""
+        if self._waiting:
+            for path in (self._links, self._xdmf, self._links.parent):
+                try:
+                    flush(path)
+                except OSError as error:
+                    raise cannot_write(path, error) from error
+            self._flushed, self._waiting = time.monotonic(), False
+
+    def _grid(self, step: Step) -> str:
+        """Return what ParaView reads of a step."""
+        particles = f"{FIELDS}/particles.h5"
+        lines = [
+            f'<Grid Name="step {step.number}" GridType="Uniform"><Time Value="{step.t!r}"/>',
+            f'<Topology TopologyType="Polyvertex" NumberOfElements="{self._n}"/>',
+            f'<Geometry GeometryType="XYZ">{self._item(Part("position", 3, "f8"), particles)}</Geometry>',
+            self._attribute(Part("volume", 1, "f8"), particles),
+            *(self._attribute(part, step.file) for part in step.parts),
+            "</Grid>\n",
+        ]
+        return "\n".join(lines)
+
+    def _attribute(self, part: Part, file: str) -> str:
+        kind = _KINDS.get(part.width, "Matrix")
+        return (
+            f'<Attribute Name={quoteattr(part.name)} AttributeType="{kind}" Center="Node">'
+            f"{self._item(part, file)}</Attribute>"
+        )
+
+    def _item(self, part: Part, file: str) -> str:
+        shape = f"{self._n} {part.width}" if part.width > 1 else f"{self._n}"
+        number, size = _NUMBERS[part.dtype[0]], int(part.dtype[1:])
+        return (
+            f'<DataItem Dimensions="{shape}" NumberType="{number}" Precision="{size}" Format="HDF">'
+            f"{escape(f'{file}:/{part.name}')}</DataItem>"
+        )
+
+
+def part_of(name: str, shape: tuple[int, ...], dtype: np.dtype) -> Part:  # type: ignore[type-arg]
+    """Return how an array (n, ...) of this type is on disk."""
+    return Part(name, int(np.prod(shape[1:])), f"{dtype.kind}{dtype.itemsize}")
+
+
+def storable(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return vectors as (n, 3) and tensors as (n, 9), zero where the body has no such dimension, of a type XDMF has."""
+    if values.dtype.kind == "b":
+        values = values.astype(np.uint8)
+    elif not (values.dtype.kind in "iu" or values.dtype in (np.float32, np.float64)):
+        values = values.astype(np.float64)
+    if values.ndim == 1:
+        return values
+    shape = (len(values), *(3,) * (values.ndim - 1))
+    padded = np.zeros(shape, dtype=values.dtype)
+    padded[tuple(slice(0, size) for size in values.shape)] = values
+    return padded.reshape(len(values), -1)
+
+
+def steps_in(folder: Path, run: str, n: int) -> list[Step]:
+    """Return the steps of a run whose fields are in its folder, in order; what cannot be read is left out."""
+    found = []
+    for path in (folder / FIELDS).glob("step_*.h5"):
+        try:
+            with open_hdf5(path, "r") as file:
+                if file.attrs["run"] != run or any(len(data) != n for data in file.values()):
+                    continue
+                parts = [part_of(name, data.shape, data.dtype) for name, data in file.items()]
+                found.append(Step(int(path.stem.removeprefix("step_")), float(file.attrs["t"]), parts))
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError):
+            continue
+    return sorted(found, key=lambda step: step.number)
+
+
+def remove(folder: Path, steps: Sequence[Step]) -> None:
+    """Remove the files of steps that no index names any more; raises OutputError."""
+    for step in steps:
+        try:
+            (folder / step.file).unlink()
+        except OSError as error:
+            raise cannot_write(folder / step.file, error) from error
+    if steps:
+        flush(folder / FIELDS)

@@ -1,0 +1,802 @@
+"""Nothing that was computed is lost, and a restart takes only what belongs to it."""
+
+import dataclasses
+import functools
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+
+import h5py
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.build import make_cloud, make_model
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.loading import Loading
+from pdpetsc.output import checkpoint, folder
+from pdpetsc.output.checkpoint import read_checkpoint
+from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.fingerprint import declared_parts, fingerprint
+from pdpetsc.output.index import Index, Step, part_of, storable
+from pdpetsc.output.records import whole_rows, write_summary
+from tests.commands import ROOT, command, field, run
+
+CASE = """
+import pdpetsc as pd
+
+
+def case(pull=0.5, steps=3, E=10.0, dx=1.0):
+    left, right = pd.region.Slab("x", high=2.0), pd.region.Slab("x", low=8.0)
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (10.0, 4.0), dx),
+        horizon=2.015 * dx,
+        material=pd.BondBased(E=E),
+        damage=pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0),
+        conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=lambda x, t: pull * t, y=0.0)],
+        steps=pd.Steps(steps),
+        history={"force": pd.Reaction("x", right), "work": pd.ExternalWork(), "broken": pd.BrokenBonds()},
+        results=lambda h: {"force": h["force"][-1]},
+    )
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A case file: a strip of bonds that soften and break."""
+    path = tmp_path / "scene.py"
+    path.write_text(CASE)
+    return path
+
+
+@functools.cache
+def _case_function():
+    names = {}
+    exec(compile(CASE, "scene.py", "exec"), names)
+    return names["case"]
+
+
+def strip(**parameters):
+    return _case_function()(**parameters)
+
+
+class Stop(pd.Quantity):
+    """Ends the run once the step time is beyond a number; otherwise the broken bonds."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def evaluate(self, solution):
+        if solution.t > self.after:
+            raise pd.Interrupted("enough")
+        return pd.BrokenBonds().evaluate(solution)
+
+
+def stopped(after, **parameters):
+    """Return the strip's case, which a run leaves early."""
+    case = strip(**parameters)
+    return dataclasses.replace(case, history={**case.history, "broken": Stop(after)})
+
+
+def history(place):
+    return (place / "history.csv").read_text()
+
+
+# What belongs to a restart.
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"material": pd.BondBased(E=11.0)}, "its material differs"),
+        ({"conditions": None}, "its conditions differ"),
+        ({"influence": pd.influence.Gaussian()}, "its influence differs"),
+        ({"cracks": [pd.Segment((4.9, -1.0), (4.9, 1.2))]}, "its cracks differ"),
+        ({"material": pd.BondBased(E=11.0), "conditions": None}, "its material and conditions differ"),
+        ({"damage": pd.LinearSoftening(pd.ConstantCritical(0.03), 3.0)}, "its damage differs"),
+    ],
+    ids=["material", "conditions", "influence", "cracks", "two", "damage"],
+)
+def test_a_restart_of_another_case_is_refused_and_says_what_differs(changes, what, tmp_path):
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5), output=tmp_path / "part", quiet=True)
+    if "conditions" in changes:
+        changes = {**changes, "conditions": strip(pull=0.6).conditions}
+    other = dataclasses.replace(strip(), **changes)
+    with pytest.raises(pd.CaseError, match=what):
+        pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", quiet=True)
+    assert not (tmp_path / "rest" / "history.csv").exists()
+    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", restart_anyway=True, quiet=True)
+
+
+def test_steps_solver_and_records_may_differ(tmp_path):
+    pd.run(strip(), output=tmp_path / "whole", quiet=True)
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5), output=tmp_path / "part", quiet=True)
+    other = dataclasses.replace(
+        strip(),
+        steps=pd.Steps(6),
+        history={},
+        fields=[pd.displacement],
+        results=None,
+        checkpoints=2,
+        options={"snes_rtol": 1e-9},
+        picture=pd.Picture(pd.local_damage, ""),
+    )
+    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", quiet=True)
+    assert json.loads((tmp_path / "rest" / "summary.json").read_text())["status"] == "converged"
+
+
+def test_the_command_line_refuses_another_load_and_goes_on_anyway(scene, tmp_path):
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5), output=tmp_path / "part", quiet=True)
+    words = ("pull=0.6", "--quiet", "--restart", tmp_path / "part")
+    refused = run(scene, *words, output=tmp_path / "rest")
+    assert refused.returncode == 2
+    assert "its conditions differ; declare the same, or go on with it by --restart-anyway" in refused.stderr
+    assert run(scene, *words, "--restart-anyway", output=tmp_path / "rest").returncode == 0
+
+
+def test_a_fingerprint_is_that_of_the_source_in_any_process(scene):
+    """Sets in the code have another order in each process, and another place in the file changes nothing."""
+    text = (
+        "import sys, petsc4py\npetsc4py.init()\nsys.path.insert(0, sys.argv[1])\nimport json\n"
+        "from pdpetsc.cli import load_case\nfrom pathlib import Path\n"
+        "from pdpetsc.output.fingerprint import declared_parts\n"
+        "print(json.dumps(declared_parts(load_case(Path(sys.argv[2]))())))\n"
+    )
+    more = '"a" if len({"p", "q", "r"}) > 9 else "x"'
+    scene.write_text(scene.read_text().replace('pd.region.Slab("x", high', f"pd.region.Slab({more}, high"))
+    moved = scene.with_name("moved.py")
+    moved.write_text("# A comment.\n\n\n" + scene.read_text())
+    found = []
+    for path, seed in ((scene, "1"), (moved, "2")):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed}
+        words = [sys.executable, "-c", text, str(ROOT), str(path)]
+        found.append(json.loads(subprocess.run(words, capture_output=True, env=environment, check=True).stdout))
+    assert found[0] == found[1] == declared_parts(strip())
+
+
+LEVEL = 1.0
+
+
+class Load:
+    """A load that is called."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def __call__(self, x, t):
+        return self.size * t
+
+
+def test_a_fingerprint_sees_what_a_function_does():
+    def load(size, more=0.0):
+        return lambda x, t: LEVEL * size * t + more
+
+    one = fingerprint(load(1.0))
+    assert fingerprint(load(1)) == one == fingerprint(load(1.0, -0.0))
+    assert len({one, fingerprint(load(2.0)), fingerprint(load(1.0, 1.0)), fingerprint(lambda x, t: t)}) == 4
+    assert fingerprint(Load(1.0)) == fingerprint(Load(1.0)) != fingerprint(Load(2.0))
+    assert fingerprint(functools.partial(load, 1.0)) != fingerprint(functools.partial(load, 2.0))
+    array = np.arange(3.0)
+    assert fingerprint(array) == fingerprint(array.copy()) != fingerprint(array + 1e-16 + 1.0)
+    assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
+    global LEVEL
+    LEVEL = 2.0
+    try:
+        assert fingerprint(load(1.0)) != one
+    finally:
+        LEVEL = 1.0
+    circle = []
+    circle.append(circle)
+    assert fingerprint(circle) == fingerprint(circle)
+
+
+def test_a_file_of_particles_counts_by_its_content(tmp_path):
+    for name, volume in (("a.txt", 1.0), ("b.txt", 1.0), ("c.txt", 2.0)):
+        (tmp_path / name).write_text(f"0 0 1 {volume}\n1 0 1 1\n")
+    a, b, c = (fingerprint(pd.TextFile(tmp_path / name)) for name in ("a.txt", "b.txt", "c.txt"))
+    assert a == b != c
+
+
+def test_what_means_the_same_has_the_same_fingerprint():
+    case = pd.Case(pd.Lattice(0.0, 4.0, 1.0), 2.015, pd.Hencky(E=1.0), [])
+    same = dataclasses.replace(
+        case, scheme=pd.SubHorizons(), material=[(pd.region.All(), pd.Hencky(E=1))], steps=pd.Steps(7)
+    )
+    assert declared_parts(case) == declared_parts(same)
+
+
+def test_a_new_run_does_not_leave_the_checkpoint_of_another(tmp_path):
+    """Its own first checkpoint comes late; a chain that looks for one must not find that of the run before."""
+    pd.run(strip(), output=tmp_path, quiet=True)
+    (tmp_path / "notes.txt").write_text("mine")
+    kept = (tmp_path / "checkpoint.h5").read_bytes()
+    with pytest.raises(pd.Interrupted):
+        pd.run(dataclasses.replace(stopped(-1.0, E=20.0), checkpoints=0), output=tmp_path, quiet=True)
+    assert not (tmp_path / "checkpoint.h5").exists()
+    assert (tmp_path / "earlier" / "checkpoint.h5").read_bytes() == kept
+    assert field(tmp_path / "earlier", "displacement").shape == (40, 3)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    with pytest.raises(pd.CaseError, match="which it goes on from"):
+        pd.run(strip(), output=tmp_path, restart=tmp_path / "earlier", quiet=True)
+    assert (tmp_path / "earlier" / "checkpoint.h5").read_bytes() == kept
+
+
+def test_a_case_that_is_wrong_leaves_the_run_before_where_it_is(tmp_path):
+    pd.run(strip(), output=tmp_path, quiet=True)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+    wrong = dataclasses.replace(strip(), conditions=[])
+    with pytest.raises(pd.CaseError):
+        pd.run(wrong, output=tmp_path, quiet=True)
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+
+
+@pytest.mark.parametrize("name", ["history.csv", "checkpoint.h5", "fields.h5", "fields", "fields/step_00000.h5"])
+def test_files_of_another_origin_are_not_touched(name, tmp_path):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("my measurements\n1,2\n")
+    with pytest.raises(pd.CaseError, match="move it away"):
+        pd.run(strip(), output=tmp_path, quiet=True)
+    assert path.read_text() == "my measurements\n1,2\n"
+
+
+@pytest.mark.parametrize("name", ["history.csv", "checkpoint.h5.part", ".pdpetsc-lock", "summary.json.part"])
+def test_links_are_not_followed(name, tmp_path):
+    target = tmp_path / "precious"
+    target.write_text("mine")
+    place = tmp_path / "out"
+    place.mkdir()
+    (place / name).symlink_to(target)
+    if name in ("history.csv", ".pdpetsc-lock"):
+        with pytest.raises(pd.CaseError):
+            pd.run(strip(), output=place, quiet=True)
+    else:
+        pd.run(strip(), output=place, quiet=True)
+    assert target.read_text() == "mine"
+
+
+def test_the_history_of_another_run_is_not_taken_over(tmp_path):
+    """A checkpoint that was copied into another folder finds a history with the same columns there."""
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5), output=tmp_path / "one", quiet=True)
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5, E=20.0), output=tmp_path / "two", quiet=True)
+    shutil.copy(tmp_path / "one" / "checkpoint.h5", tmp_path / "two" / "checkpoint.h5")
+    pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "two", quiet=True)
+    assert [line.split(",")[0] for line in history(tmp_path / "rest").split()] == ["step", "2", "3"]
+
+
+# Two runs in one folder.
+
+
+def test_a_folder_takes_one_run(scene, tmp_path):
+    place = tmp_path / "out"
+    with folder.holding(world(), place):
+        refused = run(scene, "--quiet", output=place)
+        assert refused.returncode == 2
+        assert f"Process {os.getpid()} on {socket.gethostname()} runs in {place}" in refused.stderr
+        assert len(refused.stderr.splitlines()) == 1
+        assert (place / folder.LOCK).exists()
+        with pytest.raises(pd.CaseError, match="choose another folder"):
+            pd.run(strip(), output=place, quiet=True)
+    assert not list(place.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("holder", "message"),
+    [
+        ({"host": "elsewhere", "pid": 7, "started": "x"}, "Process 7 on elsewhere .* or remove .*lock if that process"),
+        ({"host": socket.gethostname(), "pid": 2**22 + 1, "started": "x"}, None),
+        ({"host": socket.gethostname(), "pid": 1, "started": "another boot 5"}, None),
+        ("", "does not say which run it is of; remove it"),
+        ({"pid": 7}, "does not say which run it is of; remove it"),
+    ],
+    ids=["other host", "gone", "number used again", "empty", "torn"],
+)
+def test_a_lock_that_was_left_behind(holder, message, tmp_path):
+    (tmp_path / folder.LOCK).write_text(json.dumps(holder) if holder else "")
+    if message is None:
+        with folder.holding(world(), tmp_path):
+            assert str(os.getpid()) in (tmp_path / folder.LOCK).read_text()
+        assert not list(tmp_path.iterdir())
+    else:
+        with pytest.raises(pd.CaseError, match=message), folder.holding(world(), tmp_path):
+            pass
+        assert (tmp_path / folder.LOCK).exists()
+
+
+def test_a_lock_needs_no_links(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(1, "no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    with folder.holding(world(), tmp_path):
+        with pytest.raises(pd.CaseError, match="choose another folder"), folder.holding(world(), tmp_path):
+            pass
+        assert (tmp_path / folder.LOCK).exists()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_fails_releases_its_folder(tmp_path):
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.0), output=tmp_path, quiet=True)
+    assert not (tmp_path / folder.LOCK).exists()
+
+
+# Writes that fail or end the process.
+
+
+@pytest.fixture(scope="session")
+def failing_writes(tmp_path_factory):
+    """A library that lets the n-th change of a file below a folder fail."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    made = tmp_path_factory.mktemp("shim") / "failing_writes.so"
+    words = [compiler, "-shared", "-fPIC", "-O1", "-o", str(made), str(ROOT / "tests/failing_writes.c"), "-ldl"]
+    subprocess.run(words, check=True)
+    return made
+
+
+def sweep(library, scene, place, how, first, stride):
+    """Let every ``stride``-th change of a file fail; return what became of each."""
+    place.mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "LD_PRELOAD": str(library), "OMP_NUM_THREADS": "1"}
+    words = [sys.executable, ROOT / "tests/kill_everywhere.py", scene, place, how, first, stride]
+    finished = subprocess.run([*map(str, words)], env=environment, capture_output=True, text=True, timeout=1200)
+    assert finished.returncode == 0, finished.stderr
+    return [json.loads(line) for line in finished.stdout.splitlines()][1:]
+
+
+@pytest.mark.parametrize("stride", [61, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("how", ["kill", "full", "broken"])
+def test_no_write_that_fails_costs_what_is_done(how, stride, failing_writes, scene, tmp_path):
+    """The step in progress is all that is lost, and the run that goes on ends with the same files."""
+    found = sweep(failing_writes, scene, tmp_path / "out", how, 1 if stride == 1 else 11, stride)
+    assert len(found) > 3
+    before = -1
+    for one in found:
+        rows, steps, saved = one["left"]
+        assert one["again"] == 0, one
+        assert one["same"], one
+        assert one["left again"] == [3, [0, 1, 2, 3], 3], one
+        assert steps == list(range(len(steps))), one
+        # Whatever the checkpoint goes on from is there, and the history is at most one step behind the fields.
+        assert rows >= saved and len(steps) - 1 in (rows, rows + 1), one
+        assert rows >= before, one
+        before = rows if how == "kill" else before
+        lines = one["said"].splitlines()
+        if how == "kill":
+            assert one["status"] == -signal.SIGKILL
+        elif one["status"] != 0:
+            assert one["status"] in (1, 2), one
+            assert len(lines) == 1 and lines[0].startswith("pdpetsc: "), one
+        else:
+            # Only what need not be kept may fail without a word: the lock's removal.
+            assert rows == 3 and saved == 3 and not lines, one
+
+
+@pytest.mark.parametrize(
+    ("how", "n"),
+    [
+        ("kill", 120),
+        *(
+            pytest.param(how, n, marks=pytest.mark.long)
+            for how in ("kill", "full", "broken")
+            for n in range(9, 250, 30)
+        ),
+    ],
+)
+def test_no_write_that_fails_costs_what_is_done_on_two_ranks(how, n, failing_writes, scene, tmp_path):
+    whole, place = tmp_path / "whole", tmp_path / "out"
+    pd.run(strip(), output=whole, quiet=True)
+    environment = {
+        **os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "FAILING_UNDER": str(place),
+        "FAILING_AT": str(n), "FAILING_HOW": how, "FAILING_RANK": "0",
+    }  # fmt: skip
+    words = command(scene, "--quiet", ranks=2, output=place)
+    words = [*words[:2], "env", f"LD_PRELOAD={failing_writes}", *words[2:]]
+    finished = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=100, check=False)
+    assert finished.returncode != 0
+    if how != "kill":
+        said = [line for line in finished.stderr.splitlines() if line.startswith("pdpetsc: ")]
+        assert len(said) == 1 and "Traceback" not in finished.stderr, finished.stderr
+        assert finished.returncode in (1, 2)
+    restart = ("--restart", place) if (place / "checkpoint.h5").exists() else ()
+    again = run(scene, "--quiet", *restart, output=place, ranks=2)
+    assert again.returncode == 0, again.stderr
+    one, other = (np.loadtxt(f / "history.csv", delimiter=",", skiprows=1) for f in (whole, place))
+    assert np.allclose(one, other, rtol=1e-6, atol=1e-6)
+    assert np.allclose(field(whole, "displacement"), field(place, "displacement"), atol=1e-8)
+
+
+def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp_path):
+    """With HDF5's own locks, as ParaView opens them, from before the first step to after the last."""
+    place = tmp_path / "out"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "HDF5_USE_FILE_LOCKING": "TRUE"}
+    held = []
+
+    class Look(pd.Quantity):
+        def evaluate(self, solution):
+            held.append(h5py.File(place / "fields.h5", "r"))
+            held.append(h5py.File(place / "fields" / f"step_{solution.step:05d}.h5", "r"))
+            return 0.0
+
+    case = strip(steps=5)
+    pd.run(dataclasses.replace(case, history={"look": Look()}, results=None), output=place, quiet=True)
+    assert len(held) == 12
+    assert [sum(name.startswith("step_") for name in file) for file in held[::2]] == [1, 2, 3, 4, 5, 6]
+    for file in held:
+        file.close()
+    script = f"import h5py, time\nf = h5py.File({str(place / 'fields.h5')!r})\nprint(1, flush=True)\ntime.sleep(60)"
+    reader = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment)
+    reader.stdout.readline()
+    finished = run(scene, "steps=2", "--quiet", output=place)
+    reader.kill()
+    assert finished.returncode == 0, finished.stderr
+
+
+def test_a_torn_row_costs_itself_only(tmp_path):
+    pd.run(strip(), output=tmp_path / "whole", quiet=True)
+    for torn in ("history.csv", "broken_bonds.csv"):
+        place = tmp_path / torn
+        with pytest.raises(pd.Interrupted):
+            pd.run(stopped(0.9), output=place, quiet=True)
+        with (place / torn).open("a") as file:
+            file.write("3,0.99")
+        pd.run(strip(), output=place, restart=place, quiet=True)
+        for name in ("history.csv", "broken_bonds.csv"):
+            assert (place / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_rows_are_taken_up_to_the_first_that_is_not_whole(tmp_path):
+    path = tmp_path / "t.csv"
+    for text, rows in (
+        ("step,t\r\n0,0.0\r\n1,0.5\r\n", 2),
+        ("step,t\r\n0,0.0\r\n1,0.5", 1),
+        ("step,t\r\n0,0.0\r\n1\r\n2,1.0\r\n", 1),
+        ("step,t\r\n0,0.0\r\n1,x\r\n", 1),
+        ("step,t\r\n0,0.0\r\n\0\0\0\0\r\n", 1),
+        ("step,t\r\n", 0),
+        ("step,t", None),
+        ("step,u\r\n0,0.0\r\n", None),
+    ):
+        path.write_text(text, newline="")
+        found = whole_rows(path, ["step", "t"])
+        assert (None if found is None else len(found)) == rows, text
+    path.write_bytes(b"step,t\r\n0,0.0\r\n\xff\xfe,1\r\n")
+    assert whole_rows(path, ["step", "t"]) == [[0.0, 0.0]]
+    assert whole_rows(tmp_path / "none.csv", ["step", "t"]) is None
+
+
+def test_a_summary_that_cannot_be_written_is_one_error_and_the_one_before_stays(tmp_path, monkeypatch):
+    write_summary(world(), tmp_path, {"a": np.int64(3), "b": np.float32(0.5), "c": float("nan"), "d": np.arange(2)})
+    before = (tmp_path / "summary.json").read_text()
+    assert json.loads(before) == {"a": 3, "b": 0.5, "c": None, "d": [0, 1]}
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(pd.OutputError, match=r"Cannot write .*summary.json: No space left on device\."):
+        write_summary(world(), tmp_path, {"a": 4})
+    assert (tmp_path / "summary.json").read_text() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+
+
+# Checkpoints that hold nonsense.
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A body, and a checkpoint of it with damaged bonds."""
+    place = tmp_path_factory.mktemp("saved")
+    case = dataclasses.replace(strip(pull=0.4), material=pd.BondBased(E=10.0, kinematics="finite"))
+    pd.run(case, output=place, quiet=True)
+    with h5py.File(place / "checkpoint.h5") as file:
+        shapes = {name: file[name].shape[1:] for name in ("u", "tangent", "bonds/keys", "bonds/states")}
+    assert shapes == {"u": (2,), "tangent": (2,), "bonds/keys": (3,), "bonds/states": (2,)}
+    cloud = make_cloud(world(), case)
+    model = make_model(case, cloud, find_families(cloud))
+    loading, order = Loading(model, case.conditions, 1.0), InCreationOrder(cloud)
+    return place / "checkpoint.h5", functools.partial(read_checkpoint, model, loading, order), declared_parts(case)
+
+
+def changed(source, path, change):
+    """Copy a checkpoint with a change made through h5py, with right checksums."""
+    shutil.copy(source, path)
+    with h5py.File(path, "r+") as file:
+        change(file)
+        file.attrs["checksum"] = checkpoint._checksum(file)
+    checkpoint.seal(path)
+
+
+def attribute(name, value):
+    return lambda file: file.attrs.__setitem__(name, value)
+
+
+def entry(name, place, value):
+    def change(file):
+        values = file[name][:]
+        values[place] = value
+        file[name][:] = values
+
+    return change
+
+
+def instead(name, **options):
+    """Replace a dataset by one of another kind."""
+
+    def change(file):
+        values = file[name][:]
+        del file[name]
+        file.create_dataset(name, **{"data": values, "fletcher32": True, **options})
+
+    return change
+
+
+def linked(file):
+    del file["u"]
+    file["u"] = h5py.ExternalLink("elsewhere.h5", "/u")
+
+
+def soft(file):
+    file["v"] = file["u"]
+    del file["u"]
+    file["u"] = h5py.SoftLink("/v")
+
+
+def virtual(file):
+    shape = file["u"].shape
+    del file["u"]
+    layout = h5py.VirtualLayout(shape, np.float64)
+    layout[:] = h5py.VirtualSource("elsewhere.h5", "u", shape)
+    file.create_virtual_dataset("u", layout)
+
+
+def outside(file):
+    shape = file["u"].shape
+    del file["u"]
+    file.create_dataset("u", shape, np.float64, external=[("elsewhere.raw", 0, h5py.h5f.UNLIMITED)])
+
+
+NONSENSE = {
+    "t is no number": attribute("t", np.nan),
+    "t beyond the end": attribute("t", 2.0),
+    "t before the start": attribute("t", -0.5),
+    "t is text": attribute("t", "now"),
+    "step before the start": attribute("step", -1),
+    "step is no whole number": attribute("step", 1.5),
+    "work is no number": attribute("work", np.inf),
+    "pace zero": attribute("pace", np.array([0.0])),
+    "pace negative": attribute("pace", np.array([-0.1])),
+    "pace no number": attribute("pace", np.array([np.nan])),
+    "pace of no size": attribute("pace", np.array([1e-300])),
+    "pace of two": attribute("pace", np.array([0.1, 0.1])),
+    "pace a matrix": attribute("pace", np.ones((1, 1))),
+    "cell": attribute("virtual", np.ones(4)),
+    "frozen": attribute("frozen", 7),
+    "format": attribute("format", 3),
+    "format is text": attribute("format", "five"),
+    "format is an array": attribute("format", np.array([5, 5])),
+    "declared": attribute("declared", "{"),
+    "declared a list": attribute("declared", "[]"),
+    "row": attribute("row", "{"),
+    "row a list": attribute("row", "[1]"),
+    "no t": lambda file: file.attrs.__delitem__("t"),
+    "attribute too many": attribute("more", 1.0),
+    "group too many": lambda file: file.create_group("more"),
+    "no u": lambda file: file.__delitem__("u"),
+    "no bonds": lambda file: file.__delitem__("bonds"),
+    "no states": lambda file: file["bonds"].__delitem__("states"),
+    "u is a group": lambda file: (file.__delitem__("u"), file.create_group("u")),
+    "bonds is a dataset": lambda file: (file.__delitem__("bonds"), file.create_dataset("bonds", data=1.0)),
+    "u no number": entry("u", (3, 1), np.nan),
+    "integrity negative": entry("bonds/states", (0, 0), -5.0),
+    "integrity above one": entry("bonds/states", (0, 0), 1.5),
+    "integrity no number": entry("bonds/states", (0, 0), np.nan),
+    "stretch no number": entry("bonds/states", (0, 1), np.inf),
+    "end that is no particle": entry("bonds/keys", (0, 1), 40),
+    "end before the first": entry("bonds/keys", (0, 0), -1),
+    "bond that is none": entry("bonds/keys", (0, 1), 39),
+    "bond twice": lambda file: entry("bonds/keys", 1, file["bonds/keys"][0])(file),
+    "u of another type": instead("u", dtype=np.float32),
+    "u transposed": lambda file: instead("u", data=file["u"][:].T)(file),
+    "u too short": lambda file: instead("u", data=file["u"][:-1])(file),
+    "keys of another type": instead("bonds/keys", dtype=np.float64),
+    "states too short": lambda file: instead("bonds/states", data=file["bonds/states"][:-1])(file),
+    "u without checksums": instead("u", fletcher32=False, chunks=True),
+    "u contiguous": instead("u", fletcher32=False),
+    "u compressed": instead("u", compression="gzip"),
+    "u elsewhere": linked,
+    "u another name": soft,
+    "tangent no number": entry("tangent", (0, 0), np.inf),
+    "tangent too short": lambda file: instead("tangent", data=file["tangent"][:-1])(file),
+    "tangent of a cell": attribute("tangent_virtual", np.ones(2)),
+    "u put together": virtual,
+    "u in another file": outside,
+}
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_in_a_checkpoint_is_refused(name, saved, tmp_path):
+    source, read, declared = saved
+    (tmp_path / "elsewhere.raw").write_bytes(bytes(640))
+    changed(source, tmp_path / "c.h5", NONSENSE[name])
+    with pytest.raises(pd.CaseError) as caught:
+        read(tmp_path / "c.h5", declared)
+    assert "\n" not in str(caught.value) and str(caught.value).endswith("."), caught.value
+
+
+def test_a_change_without_a_checksum_is_refused(saved, tmp_path):
+    source, read, declared = saved
+    shutil.copy(source, tmp_path / "c.h5")
+    with h5py.File(tmp_path / "c.h5", "r+") as file:
+        file.attrs["t"] = 0.5
+    with pytest.raises(pd.CaseError, match="it is damaged"):
+        read(tmp_path / "c.h5", declared)
+    checkpoint.seal(tmp_path / "c.h5")
+    with pytest.raises(pd.CaseError, match="its checksum does not fit"):
+        read(tmp_path / "c.h5", declared)
+
+
+def test_flipped_bits_are_refused(saved, tmp_path, rng):
+    source, read, declared = saved
+    whole, path = source.read_bytes(), tmp_path / "c.h5"
+    for n in range(200):
+        bad = bytearray(whole)
+        place = int(rng.integers(len(bad)))
+        bad[place] ^= 1 << int(rng.integers(8))
+        if n % 10 == 0:
+            bad = bad[:place]
+        path.write_bytes(bad)
+        with pytest.raises(pd.CaseError, match=r"Cannot read the checkpoint|not a checkpoint"):
+            read(path, declared)
+    assert read(source, declared).start.step == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("/dev/zero", "it is not a file"),
+        ("nowhere", "No such file"),
+        (".", "holds none"),
+        ("text.h5", "it is none of pdpetsc"),
+        ("fifo", "it is not a file"),
+    ],
+)
+def test_a_path_that_is_no_checkpoint(words, message, saved, tmp_path):
+    _, read, declared = saved
+    (tmp_path / "text.h5").write_text("Dear diary")
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(pd.CaseError, match=message):
+        read(words if words.startswith("/") else tmp_path / words, declared)
+
+
+# What a continued run computes.
+
+
+class Until(pd.Quantity):
+    """Ends the run once the step time is beyond a number, in a file of its own."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def evaluate(self, solution):
+        if solution.t > self.after:
+            raise pd.Interrupted("enough")
+        return 0.0
+
+
+@pytest.mark.parametrize("after", [0.05, 0.15])
+def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_path):
+    """Bonds that soften in many sweeps magnify whatever differs where they begin, to 1e-5 of the fields."""
+    sys.path.append(str(ROOT / "runs/fracture"))
+    import plate_with_hole
+
+    fields = [pd.displacement, pd.stress, pd.reaction, pd.local_damage, pd.energy_density]
+    plate = plate_with_hole.case(law="linear", steps=15)
+    plate = dataclasses.replace(
+        plate, material=pd.BondBased(E=210e3, kinematics="finite"), scheme=None, stabilisation=None,
+        fields=fields, picture=None,
+    )  # fmt: skip
+    for name, end, words in (("whole", 0.3, {}), ("part", after, {}), ("rest", 0.3, {"restart": tmp_path / "part"})):
+        case = dataclasses.replace(plate, history={**plate.history, "until": Until(end)})
+        with pytest.raises(pd.Interrupted):
+            pd.run(case, output=tmp_path / name, quiet=True, **words)
+    assert json.loads((tmp_path / "whole" / "summary.json").read_text())["steps"][3]["sweeps"] > 100
+    with h5py.File(tmp_path / "whole/fields.h5") as one, h5py.File(tmp_path / "rest/fields.h5") as other:
+        steps = [name for name in other if name.startswith("step_")]
+        assert len(steps) > 1 and set(steps) < set(one)
+        for step in steps:
+            for name in one[step]:
+                a, b = np.asarray(one[step][name]), np.asarray(other[step][name])
+                assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), (step, name)
+
+
+def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
+    """They are those with the bonds as they were, not as they are after the next step."""
+    for name, history_ in (("whole", strip().history), ("bare", {"work": pd.ExternalWork()})):
+        case = dataclasses.replace(strip(steps=6), history=history_, results=None)
+        pd.run(case, output=tmp_path / name, quiet=True)
+        part = {**history_, "until": Until(0.2)}
+        with pytest.raises(pd.Interrupted):
+            pd.run(dataclasses.replace(case, history=part), output=tmp_path / f"{name} part", quiet=True)
+        pd.run(case, output=tmp_path / f"{name} rest", restart=tmp_path / f"{name} part", quiet=True)
+        one, other = (
+            np.genfromtxt(tmp_path / f"{name}{end}" / "history.csv", delimiter=",", names=True)["work"]
+            for end in ("", " rest")
+        )
+        assert np.allclose(one[-len(other) :][1:], other[1:], rtol=1e-12)
+
+
+# Fields.
+
+
+def test_names_of_fields_are_escaped(tmp_path):
+    def volume(solution):
+        return solution.volume
+
+    def flags(solution):
+        return solution.x[:, 0] > 5.0
+
+    volume.__name__ = 'a<b & "c"'
+    pd.run(dataclasses.replace(strip(), fields=[volume, flags]), output=tmp_path, quiet=True)
+    grid = ET.parse(tmp_path / "fields.xdmf").getroot().find(".//Grid[@GridType='Uniform']")
+    items = {a.get("Name"): a.find("DataItem") for a in grid.findall("Attribute")}
+    assert set(items) == {"volume", 'a<b & "c"', "flags"}
+    assert items["flags"].get("NumberType") == "UInt" and items["flags"].get("Precision") == "1"
+    with h5py.File(tmp_path / "fields.h5") as file:
+        assert file['step_00003/a<b & "c"'].shape == (40,)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ([lambda s: s.u, lambda s: s.x], "Two fields are named '<lambda>'"),
+        ([functools.partial(pd.displacement)], "and '' is none"),
+        ([lambda s: np.zeros(3)], "must be \\(40,\\)"),
+        ([lambda s: np.zeros((40, 4))], "must be \\(40,\\)"),
+        ([lambda s: np.full(40, "a")], "must hold numbers"),
+    ],
+)
+def test_fields_that_cannot_be_written_are_refused_before_the_first_step(fields, message, tmp_path):
+    with pytest.raises(pd.CaseError, match=message):
+        pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path, quiet=True)
+
+
+def test_tensors_with_an_out_of_plane_component_are_written_as_they_are(rng):
+    whole = rng.standard_normal((5, 3, 3))
+    assert np.array_equal(storable(whole), whole.reshape(5, 9))
+    plane = storable(whole[:, :2, :2]).reshape(5, 3, 3)
+    assert np.array_equal(plane[:, :2, :2], whole[:, :2, :2])
+    assert np.all(plane[:, 2] == 0.0) and np.all(plane[:, :, 2] == 0.0)
+
+
+def test_adding_a_step_costs_the_same_late_as_early(tmp_path):
+    """Bytes that HDF5 and the system write are not measured here, only that 2000 steps more change the time little."""
+    parts = [part_of("displacement", (40, 3), np.dtype(float)), part_of("stress", (40, 9), np.dtype(float))]
+
+    def seconds(before):
+        place = tmp_path / str(before)
+        place.mkdir()
+        index = Index(place, 40, [Step(n, n / 4000, parts) for n in range(before)])
+        index.add(Step(before, 0.5, parts))
+        times = []
+        for n in range(20):
+            start = time.perf_counter()
+            index.add(Step(before + 1 + n, 0.5, parts))
+            times.append(time.perf_counter() - start)
+        return np.median(times)
+
+    assert seconds(2000) < 20.0 * seconds(10)

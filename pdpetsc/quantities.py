@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.declared import Declared, name_of, numbers_from
+from pdpetsc.declared import Declared, name_of, numbers_from, shown
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import All, Nearest, Region
@@ -76,7 +76,7 @@ class Mean(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the mean."""
         mask = solution.select(self.region)
-        values = component(self.field(solution), self.component)[mask]
+        values = _component_of(solution, self.field, self.component)[mask]
         weight = solution.volume[mask]
         moment, volume = solution.sum([weight @ values, weight.sum()])
         return float(moment / volume)
@@ -256,7 +256,7 @@ class Largest(Quantity):
 
     def evaluate(self, solution: Solution) -> float:
         """Return the maximum."""
-        values = component(self.field(solution), self.component)[solution.select(self.region)]
+        values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
         return solution.largest(float(values.max(initial=-np.inf)))
 
 
@@ -285,7 +285,7 @@ class RelativeError(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        found = self.field(solution)[mask]
+        found = _values(solution, self.field)[mask]
         width = math.prod(found.shape[1:])
         exact = _reference(solution, self.reference, mask, found.shape).reshape(len(found), width)
         found = found.reshape(exact.shape)
@@ -308,7 +308,7 @@ class LargestError(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        found = self.field(solution)[mask]
+        found = _values(solution, self.field)[mask]
         difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))
         return solution.largest(float(difference.max(initial=0.0)))
 
@@ -318,6 +318,8 @@ def _reference(
 ) -> Float:
     """Return the values of a reference function in the shape of the field where the mask is true (collective)."""
     with agreed(solution.model.cloud.comm):
+        if not mask.any():
+            return np.zeros(shape)
         values = numbers_from("reference", function, solution.x[mask], solution.t)
         try:
             return values.reshape(shape) if values.size == math.prod(shape) else np.broadcast_to(values, shape)
@@ -326,6 +328,25 @@ def _reference(
                 f"The reference {name_of(function)} must return values of the shape of the field, {shape}, "
                 f"not {values.shape}."
             ) from None
+
+
+def _values(solution: Solution, field: Field) -> Float:
+    """Return a field, which is one value, vector or tensor per own particle on every rank (collective)."""
+    values = field(solution)
+    with agreed(solution.model.cloud.comm):
+        if np.shape(values)[:1] != (len(solution.x),) or np.asarray(values).dtype.kind not in "biuf":
+            raise CaseError(
+                f"The field {name_of(field)} must return numbers for each of {len(solution.x)} particles, "
+                f"not {shown(values)}."
+            )
+        return np.asarray(values, dtype=float)
+
+
+def _component_of(solution: Solution, field: Field, name: str) -> Float:
+    """Return a component of a field (collective)."""
+    values = _values(solution, field)
+    with agreed(solution.model.cloud.comm):
+        return component(values, name)
 
 
 def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:

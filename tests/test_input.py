@@ -278,6 +278,17 @@ def test_references_have_the_shape_of_the_field_or_one_that_spreads(tmp_path):
         pd.run(case(conditions=[held], history=wrong), output=tmp_path, quiet=True)
 
 
+@pytest.mark.parametrize("values", [1.0, "x", [1.0, 2.0], np.array(["x"] * 16), None])
+def test_fields_of_another_shape_are_refused(tmp_path, values):
+    def odd(solution):
+        return values
+
+    for quantity in (pd.Mean(odd), pd.Largest(odd), pd.LargestError(odd, ones)):
+        body = case(conditions=[pd.Displacement(region.All(), x=0.5, y=0.0)], history={"a": quantity})
+        with pytest.raises(pd.CaseError, match="The field odd must return numbers for each of 16 particles"):
+            pd.run(body, output=tmp_path, quiet=True)
+
+
 # --- endless work
 
 

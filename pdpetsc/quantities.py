@@ -67,11 +67,12 @@ class Mean(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A Mean", self.field, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
         refuse_component("A Mean", self.field, self.component, dim)
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the mean."""
@@ -96,11 +97,12 @@ class Reaction(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A Reaction", reaction, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
         refuse_component("A Reaction", reaction, self.component, dim)
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the sum."""
@@ -116,7 +118,7 @@ class CellStrain(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A CellStrain", stress, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
@@ -136,7 +138,7 @@ class CellStress(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A CellStress", stress, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
@@ -218,6 +220,7 @@ class CrackTip(Quantity):
         """Raise CaseError where the direction is one of another body."""
         if len(self.direction) != dim:
             raise CaseError(f"The direction of a CrackTip has {dim} numbers, not {self.direction}.")
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the coordinate along the direction [length]; that of the end behind where nothing has cracked."""
@@ -248,11 +251,12 @@ class Largest(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A Largest", self.field, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
         refuse_component("A Largest", self.field, self.component, dim)
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the maximum."""
@@ -282,6 +286,10 @@ class RelativeError(Quantity):
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
 
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of other bodies."""
+        self.region.check(dim)
+
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
@@ -304,6 +312,10 @@ class LargestError(Quantity):
     field: Field
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of other bodies."""
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""

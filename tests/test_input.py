@@ -152,6 +152,7 @@ def test_whole_numbers_of_any_kind_and_fields_by_name_are_taken():
 
 
 def test_components_that_the_body_lacks():
+    box = region.Box((0.0,) * 3, (1.0,) * 3)
     check_declared(case(picture=pd.Picture(), history={"u": pd.Mean(pd.displacement, "y")}), 2)
     for changes, message in (
         ({"picture": pd.Picture(pd.stress, "zz")}, "A Picture of stress in 2D takes 2 of x, y as component, not 'zz'"),
@@ -159,6 +160,13 @@ def test_components_that_the_body_lacks():
         ({"history": {"u": pd.Reaction("z")}}, "in 2D"),
         ({"history": {"tip": pd.CrackTip((1.0, 0.0, 0.0))}}, "has 2 numbers"),
         ({"solver": pd.PathFollowing(pd.Opening("z", region.All(), step=1.0, end=1.0))}, "component z"),
+        ({"history": {"u": pd.Mean(pd.stress, "xx", box)}}, "'u' of the history: The low corner of Box needs 2"),
+        ({"history": {"u": pd.LargestError(pd.stress, ones, ~box)}}, "'u' of the history: The low corner of Box needs"),
+        ({"conditions": [pd.Displacement(box | region.All(), x=0.0)]}, "Displacement condition 1: The low corner"),
+        ({"material": [(region.All() & box, pd.Hencky(1.0))]}, "Material 1: The low corner"),
+        ({"conditions": [pd.Force(region.Slab("z"), x=0.0)]}, "Force condition 1: Slab axis 'z' is not one of"),
+        ({"conditions": [pd.Force(region.Sphere(0.0, 1.0), x=0.0)]}, "centre of Sphere needs 2 coordinates"),
+        ({"conditions": [pd.Force(region.Nearest(0.0), x=0.0)]}, "point of Nearest needs 2 coordinates"),
         ({"cell": pd.Cell((0.0,), (1.0,))}, "The Cell has 1 coordinates, the particles 2"),
     ):
         with pytest.raises(pd.CaseError, match=message):

@@ -42,7 +42,9 @@ def law_of(material: AnyMaterial) -> Material | BondMaterial:
 
 
 def _named(name: str, function: Field) -> Field:
-    """Return a field under a name of the case's choice."""
+    """Return a field under a name of the case's choice; itself where that is its own."""
+    if name_of(function) == name:
+        return function
 
     def field(solution: Solution) -> Float:
         return function(solution)

@@ -148,6 +148,8 @@ def test_what_is_wrong_and_where(make, message):
 def test_whole_numbers_of_any_kind_and_fields_by_name_are_taken():
     assert pd.Steps(np.int64(2)).stops() == [0.5, 1.0]
     assert [f.__name__ for f in case(fields={"a": lambda s: s.u, "b": pd.stress}).written] == ["a", "b"]
+    own = case(fields={"displacement": pd.displacement, "stress": pd.stress}, picture=pd.Picture())
+    assert own.written == [pd.displacement, pd.stress]
     assert refused(pd.Steps(), {"count": True})
 
 

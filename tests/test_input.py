@@ -121,6 +121,8 @@ def refused(valid, changes):
         (lambda: case(fields={"a b": pd.stress}), "no name that a file could hold"),
         (lambda: case(fields={"volume": pd.stress}), "named 'volume'"),
         (lambda: pd.Steps(10**9), "whole number up to 99999, not"),
+        (lambda: pd.AdaptiveSteps(1e-8, 1e-8, 1e-8), "at least 1/99999"),
+        (lambda: pd.AdaptiveSteps(1e-9, 1e-9), "1e-08 <= smallest"),
         (lambda: pd.Steps(2.0), "a whole number as count"),
         (lambda: pd.Steps(2, breaks=0), "from 1 on, not 0"),
         (lambda: pd.PathFollowing(breaks=0), "from 1 on, not 0"),

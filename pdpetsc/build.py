@@ -141,7 +141,8 @@ def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial],
         count += mask
         index[mask] = number
         with agreed(cloud.comm):
-            if isinstance(material, Graded):
+            # A function of positions need not know what to make of none.
+            if isinstance(material, Graded) and mask.any():
                 factor[mask] = _factors(material, x[mask])
     with agreed(cloud.comm):
         wrong = np.flatnonzero(count != 1)

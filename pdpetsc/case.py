@@ -42,7 +42,9 @@ def law_of(material: AnyMaterial) -> Material | BondMaterial:
 
 
 def _named(name: str, function: Field) -> Field:
-    """Return a field under a name of the case's choice."""
+    """Return a field under a name of the case's choice; itself where that is its own."""
+    if name_of(function) == name:
+        return function
 
     def field(solution: Solution) -> Float:
         return function(solution)
@@ -198,7 +200,7 @@ def check_declared(case: Case, dim: int) -> None:
     Parameters
     ----------
     case : Case
-        What is declared: components of picture and history.
+        What is declared: components of picture and history, regions of everything.
     dim : int
         Number of coordinates of the particles.
 
@@ -209,12 +211,28 @@ def check_declared(case: Case, dim: int) -> None:
     if case.picture is not None:
         refuse_component("A Picture", case.picture.field, case.picture.component, dim)
     for name, quantity in case.history.items():
-        try:
-            quantity.check(dim)
-        except CaseError as error:
-            raise CaseError(f"Quantity {name!r} of the history: {error}") from None
+        _in(f"Quantity {name!r} of the history", quantity.check, dim)
+    for number, (region, _) in enumerate(case.materials, 1):
+        _in(f"Material {number}", region.check, dim)
+    for number, condition in enumerate(case.conditions, 1):
+        if hasattr(condition, "region"):
+            _in(f"{type(condition).__name__} condition {number}", condition.region.check, dim)
+    if case.damage is not None and case.damage.protected is not None:
+        _in("What damage is protected from", case.damage.protected.check, dim)
     control = getattr(case.solver, "control", None)
-    if isinstance(control, Opening) and control.component not in "xyz"[:dim]:
-        raise CaseError(f"An Opening in component {control.component} is none of a body in {dim}D.")
+    if isinstance(control, Opening):
+        if control.component not in "xyz"[:dim]:
+            raise CaseError(f"An Opening in component {control.component} is none of a body in {dim}D.")
+        for side in (control.region, control.against):
+            if side is not None:
+                _in("The Opening", side.check, dim)
     if case.cell is not None and case.cell.dim != dim:
         raise CaseError(f"The Cell has {case.cell.dim} coordinates, the particles {dim}.")
+
+
+def _in(what: str, check: Callable[[int], None], dim: int) -> None:
+    """Say what a sentence about a part of the case is about."""
+    try:
+        check(dim)
+    except CaseError as error:
+        raise CaseError(f"{what}: {error}") from None

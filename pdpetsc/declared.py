@@ -80,7 +80,8 @@ def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
         code = getattr(function, "__code__", None)
         inside = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
         where = "".join(f" at {Path(frame.filename).name}:{frame.lineno}" for frame in (inside or frames)[-1:])
-        said = f": {error}" if str(error) else ""
+        why = " ".join(str(error).split()).rstrip(".")
+        said = f": {why}" if why else ""
         raise CaseError(f"The {what} {name_of(function)} failed{where}: {type(error).__name__}{said}.") from error
 
 
@@ -108,10 +109,10 @@ def name_of(function: object) -> str:
 
 @cache
 def _hints(kind: Any) -> dict[str, Any]:
-    """Return the type of each field; none where a name in them is not known to their module."""
+    """Return the type of each field; none where their module does not know one."""
     try:
         hints = get_type_hints(kind)
-    except NameError:
+    except (NameError, AttributeError, TypeError, SyntaxError):
         return {}
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
 

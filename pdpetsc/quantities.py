@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.declared import Declared, name_of, numbers_from
+from pdpetsc.declared import Declared, name_of, numbers_from, shown
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import All, Nearest, Region
@@ -67,16 +67,17 @@ class Mean(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A Mean", self.field, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
         refuse_component("A Mean", self.field, self.component, dim)
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the mean."""
         mask = solution.select(self.region)
-        values = component(self.field(solution), self.component)[mask]
+        values = _component_of(solution, self.field, self.component)[mask]
         weight = solution.volume[mask]
         moment, volume = solution.sum([weight @ values, weight.sum()])
         return float(moment / volume)
@@ -96,11 +97,12 @@ class Reaction(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A Reaction", reaction, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
         refuse_component("A Reaction", reaction, self.component, dim)
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the sum."""
@@ -116,7 +118,7 @@ class CellStrain(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A CellStrain", stress, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
@@ -136,7 +138,7 @@ class CellStress(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A CellStress", stress, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
@@ -218,6 +220,7 @@ class CrackTip(Quantity):
         """Raise CaseError where the direction is one of another body."""
         if len(self.direction) != dim:
             raise CaseError(f"The direction of a CrackTip has {dim} numbers, not {self.direction}.")
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the coordinate along the direction [length]; that of the end behind where nothing has cracked."""
@@ -248,15 +251,16 @@ class Largest(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check(3)
+        refuse_component("A Largest", self.field, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
         refuse_component("A Largest", self.field, self.component, dim)
+        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the maximum."""
-        values = component(self.field(solution), self.component)[solution.select(self.region)]
+        values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
         return solution.largest(float(values.max(initial=-np.inf)))
 
 
@@ -282,10 +286,14 @@ class RelativeError(Quantity):
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
 
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of other bodies."""
+        self.region.check(dim)
+
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        found = self.field(solution)[mask]
+        found = _values(solution, self.field)[mask]
         width = math.prod(found.shape[1:])
         exact = _reference(solution, self.reference, mask, found.shape).reshape(len(found), width)
         found = found.reshape(exact.shape)
@@ -305,10 +313,14 @@ class LargestError(Quantity):
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
 
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of other bodies."""
+        self.region.check(dim)
+
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
-        found = self.field(solution)[mask]
+        found = _values(solution, self.field)[mask]
         difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))
         return solution.largest(float(difference.max(initial=0.0)))
 
@@ -318,6 +330,8 @@ def _reference(
 ) -> Float:
     """Return the values of a reference function in the shape of the field where the mask is true (collective)."""
     with agreed(solution.model.cloud.comm):
+        if not mask.any():
+            return np.zeros(shape)
         values = numbers_from("reference", function, solution.x[mask], solution.t)
         try:
             return values.reshape(shape) if values.size == math.prod(shape) else np.broadcast_to(values, shape)
@@ -326,6 +340,25 @@ def _reference(
                 f"The reference {name_of(function)} must return values of the shape of the field, {shape}, "
                 f"not {values.shape}."
             ) from None
+
+
+def _values(solution: Solution, field: Field) -> Float:
+    """Return a field, which is one value, vector or tensor per own particle on every rank (collective)."""
+    values = field(solution)
+    with agreed(solution.model.cloud.comm):
+        if np.shape(values)[:1] != (len(solution.x),) or np.asarray(values).dtype.kind not in "biuf":
+            raise CaseError(
+                f"The field {name_of(field)} must return numbers for each of {len(solution.x)} particles, "
+                f"not {shown(values)}."
+            )
+        return np.asarray(values, dtype=float)
+
+
+def _component_of(solution: Solution, field: Field, name: str) -> Float:
+    """Return a component of a field (collective)."""
+    values = _values(solution, field)
+    with agreed(solution.model.cloud.comm):
+        return component(values, name)
 
 
 def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:

@@ -123,6 +123,8 @@ def refused(valid, changes):
         (lambda: case(fields={"a b": pd.stress}), "no name that a file could hold"),
         (lambda: case(fields={"volume": pd.stress}), "named 'volume'"),
         (lambda: pd.Steps(10**9), "whole number up to 99999, not"),
+        (lambda: pd.AdaptiveSteps(1e-8, 1e-8, 1e-8), "at least 1/99999"),
+        (lambda: pd.AdaptiveSteps(1e-9, 1e-9), "1e-08 <= smallest"),
         (lambda: pd.Steps(2.0), "a whole number as count"),
         (lambda: pd.Steps(2, breaks=0), "from 1 on, not 0"),
         (lambda: pd.PathFollowing(breaks=0), "from 1 on, not 0"),
@@ -150,10 +152,13 @@ def test_what_is_wrong_and_where(make, message):
 def test_whole_numbers_of_any_kind_and_fields_by_name_are_taken():
     assert pd.Steps(np.int64(2)).stops() == [0.5, 1.0]
     assert [f.__name__ for f in case(fields={"a": lambda s: s.u, "b": pd.stress}).written] == ["a", "b"]
+    own = case(fields={"displacement": pd.displacement, "stress": pd.stress}, picture=pd.Picture())
+    assert own.written == [pd.displacement, pd.stress]
     assert refused(pd.Steps(), {"count": True})
 
 
 def test_components_that_the_body_lacks():
+    box = region.Box((0.0,) * 3, (1.0,) * 3)
     check_declared(case(picture=pd.Picture(), history={"u": pd.Mean(pd.displacement, "y")}), 2)
     for changes, message in (
         ({"picture": pd.Picture(pd.stress, "zz")}, "A Picture of stress in 2D takes 2 of x, y as component, not 'zz'"),
@@ -161,6 +166,13 @@ def test_components_that_the_body_lacks():
         ({"history": {"u": pd.Reaction("z")}}, "in 2D"),
         ({"history": {"tip": pd.CrackTip((1.0, 0.0, 0.0))}}, "has 2 numbers"),
         ({"solver": pd.PathFollowing(pd.Opening("z", region.All(), step=1.0, end=1.0))}, "component z"),
+        ({"history": {"u": pd.Mean(pd.stress, "xx", box)}}, "'u' of the history: The low corner of Box needs 2"),
+        ({"history": {"u": pd.LargestError(pd.stress, ones, ~box)}}, "'u' of the history: The low corner of Box needs"),
+        ({"conditions": [pd.Displacement(box | region.All(), x=0.0)]}, "Displacement condition 1: The low corner"),
+        ({"material": [(region.All() & box, pd.Hencky(1.0))]}, "Material 1: The low corner"),
+        ({"conditions": [pd.Force(region.Slab("z"), x=0.0)]}, "Force condition 1: Slab axis 'z' is not one of"),
+        ({"conditions": [pd.Force(region.Sphere(0.0, 1.0), x=0.0)]}, "centre of Sphere needs 2 coordinates"),
+        ({"conditions": [pd.Force(region.Nearest(0.0), x=0.0)]}, "point of Nearest needs 2 coordinates"),
         ({"cell": pd.Cell((0.0,), (1.0,))}, "The Cell has 1 coordinates, the particles 2"),
     ):
         with pytest.raises(pd.CaseError, match=message):
@@ -278,6 +290,17 @@ def test_references_have_the_shape_of_the_field_or_one_that_spreads(tmp_path):
     wrong = {"relative": pd.RelativeError(pd.displacement, lambda x, t: np.ones(7))}
     with pytest.raises(pd.CaseError, match=r"must return values of the shape of the field, \(16, 2\), not \(7,\)"):
         pd.run(case(conditions=[held], history=wrong), output=tmp_path, quiet=True)
+
+
+@pytest.mark.parametrize("values", [1.0, "x", [1.0, 2.0], np.array(["x"] * 16), None])
+def test_fields_of_another_shape_are_refused(tmp_path, values):
+    def odd(solution):
+        return values
+
+    for quantity in (pd.Mean(odd), pd.Largest(odd), pd.LargestError(odd, ones)):
+        body = case(conditions=[pd.Displacement(region.All(), x=0.5, y=0.0)], history={"a": quantity})
+        with pytest.raises(pd.CaseError, match="The field odd must return numbers for each of 16 particles"):
+            pd.run(body, output=tmp_path, quiet=True)
 
 
 # --- endless work

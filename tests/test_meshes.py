@@ -216,6 +216,16 @@ def test_abaqus_sets_surfaces_and_skins(tmp_path):
             whole(pd.Mesh(path))
 
 
+def test_a_name_of_cells_and_of_facets_means_both_apart(tmp_path):
+    path = tmp_path / "bar.inp"
+    path.write_text(ABAQUS.replace("NAME=top", "NAME=one").replace("NSET=end", "NSET=left"))
+    _, _, sets = whole(pd.Mesh(path))
+    assert sets["one"].tolist() == [True, False]
+    assert sets["one facets"].tolist() == [True, True]
+    assert sets["left"].tolist() == [True, False]
+    assert sets["left nodes"].tolist() == [False, True]
+
+
 def test_abaqus_parts_and_included_files(tmp_path):
     mesh = ABAQUS[ABAQUS.index("*NODE") :]
     (tmp_path / "mesh.inc").write_text(mesh)

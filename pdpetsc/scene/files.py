@@ -94,9 +94,9 @@ class Mesh(Particles):
 
     - cell sets, element blocks and physical groups, unnamed ones as ``group_n``;
     - side sets, surfaces, and groups of boundary lines and faces: the cells that own these facets, unnamed ones as
-      ``side_set_n`` or ``facets_n``;
-    - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``. Where a name is taken by cells or
-      facets already, ``name nodes``.
+      ``side_set_n`` or ``facets_n``; ``name facets`` where cells have the name;
+    - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``; ``name nodes`` where cells or facets
+      have the name.
 
     Parameters
     ----------
@@ -269,11 +269,17 @@ def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]
             flags[particles] = True
             sets[name] = sets.get(name, False) | flags
 
+    for name, cells in mesh.cell_sets.items():
+        add(name, number[cells][number[cells] >= 0])
+    by_cells = set(sets)
+
+    def add_facets(name: str, particles: GlobalIndex) -> None:
+        add(f"{name} facets" if name in by_cells else name, particles)
+
     surface = None
     starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
     nodes_of: dict[str, list[GlobalIndex]] = {name: [nodes] for name, nodes in mesh.node_sets.items()}
     for name, cells in mesh.cell_sets.items():
-        add(name, number[cells][number[cells] >= 0])
         for block, start in zip(mesh.blocks, starts, strict=False):
             mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
             if not len(mine) or block.dim == dim:
@@ -282,20 +288,20 @@ def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]
                 nodes_of.setdefault(name, []).append(np.ravel(block.nodes[mine]))
                 continue
             surface = surface or facets(points, blocks)
-            add(name, owners(facet_keys(block.corners[mine]), surface))
+            add_facets(name, owners(facet_keys(block.corners[mine]), surface))
     for name, cells in mesh.side_sets.items():
-        add(name, number[cells][number[cells] >= 0])
-    if not any(number[cells].max(initial=-1) >= 0 for cells in mesh.cell_sets.values()):
+        add_facets(name, number[cells][number[cells] >= 0])
+    if not by_cells:
         belongs = np.repeat(np.arange(len(blocks)), [len(block.nodes) for block in blocks])
         for b in range(len(blocks)):
             if f"group_{b + 1}" not in sets:
                 add(f"group_{b + 1}", np.flatnonzero(belongs == b))
-    by_cells = set(sets)
+    taken = set(sets)
     for name, members in nodes_of.items():
         inside = np.zeros(len(points), dtype=bool)
         inside[np.concatenate(members)] = True
         touched = np.concatenate([inside[block.nodes].any(axis=1) for block in blocks])
-        add(f"{name} nodes" if name in by_cells else name, np.flatnonzero(touched))
+        add(f"{name} nodes" if name in taken else name, np.flatnonzero(touched))
     return sets
 
 

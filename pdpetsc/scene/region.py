@@ -43,6 +43,9 @@ class Region(Declared, ABC):
     def mask(self, view: View) -> Mask:
         """Return which particles belong to the region, (n,) bool (collective for ``Nearest``)."""
 
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of bodies of other dimensions than ``dim``."""
+
     def __or__(self, other: Region) -> Region:
         return _Union(self, other)
 
@@ -61,6 +64,10 @@ class _Union(Region):
     def mask(self, view: View) -> Mask:
         return self.one.mask(view) | self.other.mask(view)
 
+    def check(self, dim: int) -> None:
+        self.one.check(dim)
+        self.other.check(dim)
+
 
 @dataclass(frozen=True)
 class _Intersection(Region):
@@ -70,6 +77,10 @@ class _Intersection(Region):
     def mask(self, view: View) -> Mask:
         return self.one.mask(view) & self.other.mask(view)
 
+    def check(self, dim: int) -> None:
+        self.one.check(dim)
+        self.other.check(dim)
+
 
 @dataclass(frozen=True)
 class _Complement(Region):
@@ -77,6 +88,9 @@ class _Complement(Region):
 
     def mask(self, view: View) -> Mask:
         return ~self.of.mask(view)
+
+    def check(self, dim: int) -> None:
+        self.of.check(dim)
 
 
 @dataclass(frozen=True)
@@ -97,8 +111,15 @@ class Box(Region):
 
     def mask(self, view: View) -> Mask:
         """Return which particles lie in the box."""
-        low, high = _vector(self.low, view, "low corner of Box"), _vector(self.high, view, "high corner of Box")
+        low, high = self._corners(view.x.shape[1])
         return np.asarray(np.all((view.x >= low) & (view.x <= high), axis=1))
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the corners have another number of coordinates."""
+        self._corners(dim)
+
+    def _corners(self, dim: int) -> tuple[Float, Float]:
+        return _vector(self.low, dim, "low corner of Box"), _vector(self.high, dim, "high corner of Box")
 
 
 @dataclass(frozen=True)
@@ -111,10 +132,14 @@ class Slab(Region):
 
     def mask(self, view: View) -> Mask:
         """Return which particles lie in the slab."""
-        if self.axis not in "xyz"[: view.x.shape[1]]:
-            raise CaseError(f"Slab axis {self.axis!r} is not one of {list('xyz'[: view.x.shape[1]])}.")
+        self.check(view.x.shape[1])
         s = view.x[:, "xyz".index(self.axis)]
         return np.asarray((s >= self.low) & (s <= self.high))
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the body has no such axis."""
+        if self.axis not in "xyz"[:dim]:
+            raise CaseError(f"Slab axis {self.axis!r} is not one of {list('xyz'[:dim])}.")
 
 
 @dataclass(frozen=True)
@@ -131,8 +156,12 @@ class Sphere(Region):
 
     def mask(self, view: View) -> Mask:
         """Return which particles lie in the sphere."""
-        distance = np.linalg.norm(view.x - _vector(self.centre, view, "centre of Sphere"), axis=1)
+        distance = np.linalg.norm(view.x - _vector(self.centre, view.x.shape[1], "centre of Sphere"), axis=1)
         return np.asarray(distance <= self.radius)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the centre has another number of coordinates."""
+        _vector(self.centre, dim, "centre of Sphere")
 
 
 @dataclass(frozen=True)
@@ -143,9 +172,13 @@ class Nearest(Region):
 
     def mask(self, view: View) -> Mask:
         """Return which particles are nearest (collective)."""
-        distance = np.linalg.norm(view.x - _vector(self.point, view, "point of Nearest"), axis=1)
+        distance = np.linalg.norm(view.x - _vector(self.point, view.x.shape[1], "point of Nearest"), axis=1)
         least = view.minimum(float(distance.min(initial=np.inf)))
         return np.asarray(distance <= least * (1.0 + EQUALLY_NEAR) + 1e-300)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the point has another number of coordinates."""
+        _vector(self.point, dim, "point of Nearest")
 
 
 @dataclass(frozen=True)
@@ -177,8 +210,8 @@ class Named(Region):
         return view.sets[self.name]
 
 
-def _vector(values: float | Sequence[float], view: View, what: str) -> Float:
+def _vector(values: float | Sequence[float], dim: int, what: str) -> Float:
     vector = np.atleast_1d(np.asarray(values, dtype=float))
-    if vector.shape != (view.x.shape[1],):
-        raise CaseError(f"The {what} needs {view.x.shape[1]} coordinates, not {list(np.ravel(vector))}.")
+    if vector.shape != (dim,):
+        raise CaseError(f"The {what} needs {dim} coordinates, not {list(np.ravel(vector))}.")
     return np.asarray(vector)

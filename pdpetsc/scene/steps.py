@@ -101,6 +101,8 @@ class AdaptiveSteps(Declared):
                 f"AdaptiveSteps needs {LEAST_STEP:g} <= smallest <= first <= largest <= 1, "
                 f"not {self.smallest}, {self.first}, {self.largest}."
             )
+        if self.largest < 1.0 / MOST_STEPS:
+            raise CaseError(f"AdaptiveSteps needs a largest step of at least 1/{MOST_STEPS}, not {self.largest}.")
         refuse_breaks(self.breaks)
 
     @property

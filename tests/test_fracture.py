@@ -172,6 +172,9 @@ def test_compression_breaks_nothing_but_bonds_that_it_lengthens(tmp_path):
     assert found["force"] < 0.0
     assert found["broken"] == 0.0
     assert pressed(0.8)["broken"] > 0.0
+    held = json.loads((tmp_path / "summary.json").read_text())["pieces"]
+    assert held == {"pieces": 1, "lone_particles": 0, "forces_left": held["forces_left"]}
+    assert held["forces_left"] > 0.1
     # Particles are numbered column by column: a bond to the same or the next column lies across.
     places = np.array([[x, y] for x in range(12) for y in range(6)]) + 0.5
     for row in broken(tmp_path):

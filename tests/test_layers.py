@@ -67,8 +67,3 @@ def test_petsc_and_mpi_stay_in_their_layers(path):
         assert part(path) in ("solve", "cli")
     if "mpi4py" in names:
         assert part(path) in ("discrete", "output")
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_files_stay_short(path):
-    assert len(path.read_text().splitlines()) <= 320

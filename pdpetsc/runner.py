@@ -418,12 +418,10 @@ class _Run:
         forces = [step["reference"] for step in self.steps]
         left = forces[-1] / max(forces) if forces and max(forces) > 0.0 else float("nan")
         self.summary["pieces"]["forces_left"] = left
-        lone_ones = f" and {lone} lone particles" if lone else ""
         whole = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
-        carried = (
-            f"; forces at its supports and loads are {left:.2g} of their largest in this run" if left == left else ""
-        )
-        self.report.say(f"{whole}{lone_ones}{carried}")
+        beside = f", beside {lone} lone particles" if lone else ""
+        carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
+        self.report.say(f"{whole}{beside}{carried}")
 
     def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> None:
         """Write the summary of a run that has ended (collective)."""

@@ -90,13 +90,18 @@ def test_a_crack_of_bonds_that_snap_runs_through(scheme, nx, horizon, steps, tmp
     assert summary["pieces"]["forces_left"] < 1e-6
 
 
-def test_any_number_of_ranks_breaks_the_same_bonds(tmp_path):
+SNAPPING = ("law=brittle", "scheme=sub_horizons", "G=0", "nx=18", "horizon=2.015", "steps=4")
+
+
+@pytest.mark.parametrize(("arguments", "several", "least"), [(("steps=15",), (2, 3, 4), 60), (SNAPPING, (3,), 20)])
+def test_any_number_of_ranks_breaks_the_same_bonds(arguments, several, least, tmp_path):
+    """Bonds past their stretch and, in the second, some that gradients on another rank tear."""
     rows = {}
-    for ranks in (1, 2, 3, 4):
-        results(PLATE, "steps=15", output=tmp_path / str(ranks), ranks=ranks)
+    for ranks in (1, *several):
+        results(PLATE, *arguments, output=tmp_path / str(ranks), ranks=ranks)
         rows[ranks] = [(row[0], row[2], row[3]) for row in broken(tmp_path / str(ranks))]
-    assert len(rows[1]) > 60
-    assert rows[1] == rows[2] == rows[3] == rows[4]
+    assert len(rows[1]) > least
+    assert all(rows[ranks] == rows[1] for ranks in several)
 
 
 class Stop(pd.Quantity):
@@ -167,6 +172,9 @@ def test_compression_breaks_nothing_but_bonds_that_it_lengthens(tmp_path):
     assert found["force"] < 0.0
     assert found["broken"] == 0.0
     assert pressed(0.8)["broken"] > 0.0
+    held = json.loads((tmp_path / "summary.json").read_text())["pieces"]
+    assert held == {"pieces": 1, "lone_particles": 0, "forces_left": held["forces_left"]}
+    assert held["forces_left"] > 0.1
     # Particles are numbered column by column: a bond to the same or the next column lies across.
     places = np.array([[x, y] for x in range(12) for y in range(6)]) + 0.5
     for row in broken(tmp_path):
@@ -215,18 +223,29 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
             f = solution.model.internal_force(solution.unknowns)[solution.select(free)]
             return float(np.sqrt(solution.sum((f**2).sum())))
 
+    class Overstretched(pd.Quantity):
+        """Largest stretch of a bond that is not broken over the one at which it breaks [-]."""
+
+        def evaluate(self, solution):
+            model = solution.model
+            e = model.elongation(model.with_ghosts(solution.unknowns))
+            over = e / model.failure.limit / model.failure.law.final
+            return solution.largest(float(over[model.failure.intact].max()))
+
     case = strip(
         damage=pd.ExponentialSoftening(pd.ConstantCritical(0.02)),
         stabilisation=control,
         scheme=pd.Correspondence() if control else pd.SubHorizons(),
         steps=pd.Steps(12),
-        history={**strip().history, "unbalanced": Unbalanced()},
+        history={**strip().history, "unbalanced": Unbalanced(), "over": Overstretched()},
     )
     pd.run(case, output=tmp_path, quiet=True)
     steps = json.loads((tmp_path / "summary.json").read_text())["steps"]
     assert any(step.get("sweeps") for step in steps)
     h = history(tmp_path)
     assert h["unbalanced"].max() < 1e-9 * h["force"].max()
+    assert h["broken"][-1] > 0.0
+    assert 0.5 < h["over"].max() < 1.0
 
 
 def test_two_cracks_meet(tmp_path):

@@ -187,9 +187,7 @@ class _Run:
         with petsc_options(self.options, defaults):
             self.summary["options"] = options_in_force(self.options, defaults)
             of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
-            with agreed(comm):
-                if is_root(comm):
-                    refuse_files(self.summary["options"])
+            refuse_files(comm, self.summary["options"])
             if of_environment:
                 self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
             try:

@@ -79,7 +79,8 @@ def _model(
     material_of: LocalIndex, factor: Float | None,
 ) -> Model:  # fmt: skip
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    omega: Float = case.influence(length / cloud.horizon)
+    with agreed(cloud.comm):
+        omega = _weights(case, length / cloud.horizon)
     if case.of_bonds:
         bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
         bond_materials = cast(Sequence[BondMaterial], materials)
@@ -94,6 +95,17 @@ def _model(
             resolve(case.damage, bonds, k), _protected(case, cloud),
         )  # fmt: skip
     return CorrespondenceModel(cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor)
+
+
+def _weights(case: Case, s: Float) -> Float:
+    omega = np.asarray(case.influence(s))
+    if omega.dtype.kind not in "fiu" or omega.shape != s.shape:
+        raise CaseError(
+            f"The influence must return one number per bond, not an array of {omega.dtype} of shape {omega.shape}."
+        )
+    if not (np.isfinite(omega) & (omega >= 0.0)).all():
+        raise CaseError("The influence of a bond must be a finite number that is not negative.")
+    return omega.astype(float)
 
 
 def _protected(case: Case, cloud: Cloud) -> Mask | None:

@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -361,7 +361,12 @@ class _Run:
             A field has no row for each particle, or not the component of the picture.
         """
         for quantity in self.case.history.values():
-            quantity.evaluate(start)
+            value = quantity.evaluate(start)
+            with agreed(self.comm):
+                if isinstance(value, Sequence) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiub":
+                    raise CaseError(
+                        f"{type(quantity).__name__} of the history must return a number, not {type(value).__name__}."
+                    )
         picture = self.case.picture
         for field in self._fields():
             values = np.asarray(field(start))

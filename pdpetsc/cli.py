@@ -172,8 +172,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             signal.signal(number, signal.SIG_DFL)
     with contextlib.suppress(OSError):
         sys.stdout.flush()
-    # An end with what PETSc refused or failed in can crash or hang; that of a run that did not converge is in order.
-    if status == CaseError.exit_status or isinstance(failure, RunError) or of_petsc(failure):
+    if of_petsc(failure):  # its own end can crash or hang then
         _leave_petsc(status)
     if "mpi4py.MPI" in sys.modules:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)

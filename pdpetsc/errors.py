@@ -154,9 +154,13 @@ def described(error: BaseException) -> PdpetscError:
         return RunError(what, place, of_user=True)
     if isinstance(error, MemoryError | ImportError | SystemExit):
         return RunError(what)
+    own = _own_line(error)
+    if own.startswith("pdpetsc/scene/") and isinstance(error, TypeError | ValueError | ArithmeticError):
+        # What a case declares is looked at there, also what its functions return.
+        return RunError(f"{what}; a number or an array that the case gives is none, or too large", own, of_user=True)
     if isinstance(error, OSError):
         return RunError(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
-    return RunError(what, _own_line(error), bug=True)
+    return RunError(what, own, bug=True)
 
 
 def petsc_reason(error: BaseException) -> str:

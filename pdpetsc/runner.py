@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -196,9 +196,7 @@ class _Run:
         with petsc_options(self.options, defaults):
             self.summary["options"] = options_in_force(self.options, defaults)
             of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
-            with agreed(comm):
-                if is_root(comm):
-                    refuse_files(self.summary["options"])
+            refuse_files(comm, self.summary["options"])
             if of_environment:
                 self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
             try:
@@ -380,7 +378,12 @@ class _Run:
             A field has no row for each particle, or not the component of the picture.
         """
         for quantity in self.case.history.values():
-            quantity.evaluate(start)
+            value = quantity.evaluate(start)
+            with agreed(self.comm):
+                if isinstance(value, Sequence) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiub":
+                    raise CaseError(
+                        f"{type(quantity).__name__} of the history must return a number, not {type(value).__name__}."
+                    )
         picture = self.case.picture
         for field in self._fields():
             values = np.asarray(field(start))

@@ -24,7 +24,7 @@ SIGNALLED, SURPRISED, FOUND = 0.4, 1.5, 5.0
 # Longer than any of them [s].
 LONG = 10.0
 # How long the last words take to be passed on [s].
-SPOKEN = 0.2
+SPOKEN = 0.5
 
 
 def all_failed(error: BaseException, failure: PdpetscError) -> bool:

@@ -101,7 +101,7 @@ def _around(xi: Float, count: int) -> Float:
 
 
 def _product(one: Float, other: Float) -> Float:
-    return np.asarray(np.einsum("ba,bc->bac", one, other).reshape(len(one), -1))
+    return np.asarray(np.einsum("ba,bc->bac", one, other).reshape(len(one), one.shape[1] * other.shape[1]))
 
 
 def _apart(ring: int, layers: int, weight: int) -> Float:

@@ -19,6 +19,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.errors import CaseError
 
 # Option that keeps PETSc from reading .petscrc in the home folder and wherever one stands.
@@ -172,21 +173,25 @@ def refuse_names(chosen: Mapping[str, Any]) -> None:
             raise CaseError(f"A PETSc option is named without its dash, like 'snes_rtol', not {name!r}.")
 
 
-def refuse_files(in_force: Mapping[str, Mapping[str, Any]]) -> None:
-    """Raise CaseError for a file of a viewer or monitor that cannot be made; PETSc finds out in its own end, and hangs.
+def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise CaseError for a file of a viewer or monitor that cannot be made (collective).
 
-    Notes
-    -----
-    Not collective; for one rank.
+    PETSc opens that of -log_view as it ends, on rank 0, and the others would wait for it.
     """
+    of_files = {}
     for name, option in in_force.items():
         words = str(option["value"] or "").split(":")
-        if not re.search(r"view|monitor|log_|history", name) or len(words) < 2 or not words[1]:
-            continue
-        path = Path(words[1])
-        there = path if path.exists() else path.parent
-        if path.is_dir() or not os.access(there, os.W_OK):
-            raise CaseError(f"The option -{name} writes to {path}, which cannot be written.")
+        if re.search(r"view|monitor|log_|history", name) and len(words) > 1 and words[1]:
+            of_files[name] = Path(words[1])
+    try:
+        with agreed(comm):
+            for name, path in of_files.items() if is_root(comm) else ():
+                if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+                    raise CaseError(f"The option -{name} writes to {path}, which cannot be written.")
+    except CaseError:
+        for name in of_files:
+            PETSc.Options().delValue(name)
+        raise
 
 
 @contextlib.contextmanager

@@ -52,7 +52,7 @@ def case(
     def results(h):
         broken = [force for force, lost in zip(h["force"], h["damage"], strict=True) if lost > 0.0]
         return {
-            "first_damage_load": broken[0] if broken else float("nan"),
+            **({"first_damage_load": broken[0]} if broken else {}),
             "peak_load": max(h["force"]),
             "max_damage": h["damage"][-1],
             "broken_bonds": h["broken"][-1],

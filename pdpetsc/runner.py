@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeAlias
 import numpy as np
 
 from pdpetsc.build import make_cloud, make_model, rehearse
-from pdpetsc.case import Case
+from pdpetsc.case import Case, check_declared
 from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
 from pdpetsc.discrete.failure import all_failed, give_up
 from pdpetsc.discrete.families import find_families
@@ -171,13 +171,10 @@ class _Run:
     def _go(self) -> dict[str, float]:
         case, comm = self.case, self.comm
         refuse_names(self.options)
-        if self.restart is not None and Path(self.restart).is_dir():
-            place = Path(self.restart)
-            raise CaseError(
-                f"{place} is a folder; where it is of a run, the checkpoint in it is {place}/checkpoint.h5."
-            )
         with self._timed("particles"):
             cloud = make_cloud(comm, case)
+            with agreed(comm):
+                check_declared(case, cloud.dim)
         with self._timed("kernels"):
             rehearse(comm, case, cloud.dim)
         if cache_trouble():

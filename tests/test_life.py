@@ -249,8 +249,8 @@ def test_a_case_file_cannot_end_the_run_as_if_it_were_right(module_level, case):
         one_sentence(ended(case, "where=case", "what=exits"), 2, "called sys.exit in line 25")
 
 
-def test_a_restart_from_a_folder_names_the_checkpoint_in_it(case):
-    one_sentence(ended(case, "--restart", str(case.parent)), 2, f"the checkpoint in it is {case.parent}/checkpoint.h5")
+def test_a_restart_from_a_folder_without_a_checkpoint_is_refused(case):
+    one_sentence(ended(case, "--restart", str(case.parent)), 2, "checkpoint")
 
 
 def test_errors_of_the_case_go_to_other_ranks_as_words():

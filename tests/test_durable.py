@@ -221,7 +221,7 @@ def test_a_new_run_does_not_leave_the_checkpoint_of_another(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     kept = (tmp_path / "checkpoint.h5").read_bytes()
     with pytest.raises(pd.Interrupted):
-        pd.run(dataclasses.replace(stopped(-1.0, E=20.0), checkpoints=0), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(stopped(0.1, E=20.0), checkpoints=0), output=tmp_path, quiet=True)
     assert not (tmp_path / "checkpoint.h5").exists()
     assert (tmp_path / "earlier" / "checkpoint.h5").read_bytes() == kept
     assert field(tmp_path / "earlier", "displacement").shape == (40, 3)
@@ -508,7 +508,7 @@ def saved(tmp_path_factory):
     assert shapes == {"u": (2,), "tangent": (2,), "bonds/keys": (3,), "bonds/states": (2,)}
     cloud = make_cloud(world(), case)
     model = make_model(case, cloud, find_families(cloud))
-    loading, order = Loading(model, case.conditions, 1.0), InCreationOrder(cloud)
+    loading, order = Loading(model, case.conditions, case.particles), InCreationOrder(cloud)
     return place / "checkpoint.h5", functools.partial(read_checkpoint, model, loading, order), declared_parts(case)
 
 

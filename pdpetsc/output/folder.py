@@ -289,7 +289,7 @@ def _marked(path: Path) -> bool:
     if b"pdpetsc" in head:
         return True
     try:
-        with open_hdf5(path, "r") as file:
+        with open_hdf5(path) as file:
             # The second and the third are files of earlier versions.
             return "pdpetsc" in file.attrs or {"format", "identity"} <= set(file.attrs) or "particles" in file
     except (OSError, RuntimeError, ValueError, KeyError):

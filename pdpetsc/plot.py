@@ -71,8 +71,11 @@ def _summary(folder: Path) -> dict[str, Any]:
 def _has(folder: Path, field: str) -> bool:
     import h5py
 
-    with h5py.File(folder / "fields.h5", "r") as file:
-        return any(field in file[group] for group in file if group.startswith("step_"))
+    try:
+        with h5py.File(folder / "fields.h5", "r", locking=False) as file:
+            return any(field in file[group] for group in file if group.startswith("step_"))
+    except (OSError, KeyError, RuntimeError) as error:
+        raise CaseError(f"Cannot read {folder / 'fields.h5'}: it is damaged, or without fields/.") from error
 
 
 def _history(folder: Path, x: str, y: str | None) -> Path:

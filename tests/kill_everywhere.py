@@ -10,6 +10,7 @@ status of the run that went on.
 import ctypes
 import json
 import os
+import signal
 import sys
 import tempfile
 import traceback
@@ -34,6 +35,8 @@ def run(place, at, *words, log=-1):
         if child == 0:
             status = 70
             try:
+                # A run that hangs is ended, and counts as one that does.
+                signal.alarm(60)
                 os.dup2(said.fileno(), 2)
                 if at is not None:
                     failing(str(place).encode(), at, how.encode(), log)

@@ -315,6 +315,46 @@ def test_a_lock_that_was_left_behind(holder, message, tmp_path):
         assert (tmp_path / folder.LOCK).exists()
 
 
+RACE = """
+import os, socket, sys, time
+from pathlib import Path
+import petsc4py
+petsc4py.init(["race"])
+import pdpetsc as pd
+from pdpetsc.discrete.communicator import world
+from pdpetsc.output import folder
+place, held, both, end = Path(sys.argv[1]), 0, 0, time.time() + 5.0
+while time.time() < end:
+    try:
+        with folder.holding(world(), place):
+            try:
+                os.close(os.open(place / "inside", os.O_CREAT | os.O_EXCL))
+            except FileExistsError:
+                both += 1
+                continue
+            held += 1
+            time.sleep(0.001)
+            os.unlink(place / "inside")
+            if held % 5 == 0:  # leaves an old lock, as a run that is killed does
+                gone = '{"host": "%s", "pid": 4194399, "started": "then"}' % socket.gethostname()
+                (place / folder.LOCK).write_text(gone)
+    except pd.CaseError:
+        pass
+print(held, both)
+"""
+
+
+@pytest.mark.long
+def test_no_two_processes_get_a_folder_at_once(tmp_path):
+    (tmp_path / "race.py").write_text(RACE)
+    words = [sys.executable, tmp_path / "race.py", tmp_path / "out"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    racing = [subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    found = [list(map(int, process.communicate(timeout=60)[0].split())) for process in racing]
+    assert min(held for held, _ in found) > 10
+    assert sum(both for _, both in found) == 0
+
+
 def test_a_lock_needs_no_links(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(1, "no links here")

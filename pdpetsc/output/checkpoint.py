@@ -24,11 +24,11 @@ from pdpetsc.model import Model
 from pdpetsc.output.files import (
     WRITE_ERRORS,
     InCreationOrder,
-    begin_hdf5,
     cannot_write,
     open_hdf5,
     rank_by_rank,
     replacing,
+    writing_hdf5,
 )
 from pdpetsc.output.fingerprint import differing
 from pdpetsc.solution import Solution
@@ -109,8 +109,7 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
         size = 2 * cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
         try:
             with replacing(path) as aside:
-                begin_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD)
-                with open_hdf5(aside, "r+", libver="latest") as file:
+                with writing_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD) as file:
                     _write_attributes(file, solution, record, identity, virtual)
                     dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
                     for rows, part in parts:
@@ -245,7 +244,7 @@ def read_checkpoint(
             _check_seal(path)
     with agreed(comm):
         try:
-            with open_hdf5(path, "r") as file:
+            with open_hdf5(path) as file:
                 if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
                     raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
                 values = _attributes(file)

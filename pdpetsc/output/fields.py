@@ -15,20 +15,19 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import (
+    HEADERS,
     WRITE_ERRORS,
     InCreationOrder,
-    begin_hdf5,
     cannot_write,
     on_several_nodes,
     open_hdf5,
     replacing,
+    reserve,
+    writing_hdf5,
 )
 from pdpetsc.output.folder import FIELDS
 from pdpetsc.output.index import Index, Step, part_of, remove, steps_in, storable
 from pdpetsc.solution import Field, Solution, in_space
-
-# Room for the headers of a file or dataset [bytes].
-HEADERS = 2**14
 
 
 class FieldWriter:
@@ -85,6 +84,8 @@ class FieldWriter:
             if is_root(cloud.comm):
                 try:
                     (folder / FIELDS).mkdir(exist_ok=True)
+                    for torn in (folder / FIELDS).glob("step_*.h5.part"):
+                        torn.unlink()
                     earlier = steps_in(folder, run, cloud.n_global) if first > 0 else []
                     there = first > 0 and _is_of(folder / FIELDS / "particles.h5", run, cloud.n_global)
                 except OSError as error:
@@ -135,27 +136,37 @@ class FieldWriter:
         comm, n = self._cloud.comm, self._cloud.n_global
         with contextlib.ExitStack() as stack:
             aside: Path | None = None
+            file: h5py.File | None = None
             with agreed(comm):
                 if is_root(comm):
                     rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in values.values())
-                    aside = stack.enter_context(replacing(path))
-                    begin_hdf5(aside, n * rows + HEADERS * (1 + len(values)), track_order=True)
+                    size = n * rows + HEADERS * (1 + len(values))
+                    try:
+                        aside = stack.enter_context(replacing(path))
+                        file = stack.enter_context(made := contextlib.ExitStack()).enter_context(
+                            writing_hdf5(aside, size, track_order=True)
+                        )
+                        file.attrs["t"], file.attrs["run"] = t, self._run
+                        if self.together:
+                            # Parallel HDF5 opens it again, on all ranks.
+                            made.close()
+                            reserve(aside, size)
+                    except WRITE_ERRORS as error:
+                        raise cannot_write(path, error) from error
             aside = comm.bcast(aside)
-            assert aside is not None
-            failure = (self._at_once if self.together else self._in_turn)(aside, values, t)
+            failure = self._at_once(aside, values) if self.together else self._in_turn(file, values)
             with agreed(comm):
                 if failure is not None:
                     raise cannot_write(path, failure) from failure
             with agreed(comm):
                 stack.close()
 
-    def _at_once(self, path: Path, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
+    def _at_once(self, path: Path | None, values: dict[str, NDArray[Any]]) -> Exception | None:
         """Write with parallel HDF5, every rank its part of the ids; return what went wrong."""
         comm, starts = self._cloud.comm, self._order.starts
         mine = slice(int(starts[comm.rank]), int(starts[comm.rank + 1]))
         try:
             with h5py.File(path, "r+", driver="mpio", comm=comm) as file:
-                self._sign(file, t)
                 for name, array in values.items():
                     dataset = file.create_dataset(name, (self._cloud.n_global, *array.shape[1:]), array.dtype)
                     with dataset.collective:
@@ -164,17 +175,9 @@ class FieldWriter:
             return error
         return None
 
-    def _in_turn(self, path: Path, values: dict[str, NDArray[Any]], t: float) -> Exception | None:
-        """Write on rank 0, the parts of the others one after another; return what went wrong."""
-        n = self._cloud.n_global
+    def _in_turn(self, file: h5py.File | None, values: dict[str, NDArray[Any]]) -> Exception | None:
+        """Write to root's file, the parts of the others one after another; return what went wrong."""
         failure: Exception | None = None
-        file: h5py.File | None = None
-        try:
-            if is_root(self._cloud.comm):
-                file = open_hdf5(path, "r+")
-                self._sign(file, t)
-        except WRITE_ERRORS as error:
-            failure = error
         for name, array in values.items():
             dataset = None
             for rows, part in self._order.parts_on_root(array):
@@ -183,20 +186,12 @@ class FieldWriter:
                     continue
                 try:
                     if dataset is None:
-                        dataset = file.create_dataset(name, (n, *part.shape[1:]), part.dtype)
+                        shape = (self._cloud.n_global, *part.shape[1:])
+                        dataset = file.create_dataset(name, shape, part.dtype)
                     dataset[rows] = part
                 except WRITE_ERRORS as error:
                     failure = error
-        try:
-            if file is not None:
-                file.close()
-        except WRITE_ERRORS as error:
-            failure = failure or error
         return failure
-
-    def _sign(self, file: h5py.File, t: float) -> None:
-        file.attrs["t"] = t
-        file.attrs["run"] = self._run
 
 
 def _names(fields: Sequence[Field]) -> list[str]:
@@ -213,7 +208,7 @@ def _names(fields: Sequence[Field]) -> list[str]:
 def _is_of(path: Path, run: str, n: int) -> bool:
     """Return whether a file of particles is whole and of this run."""
     try:
-        with open_hdf5(path, "r") as file:
+        with open_hdf5(path) as file:
             return bool(file.attrs["run"] == run) and all(len(file[name]) == n for name in ("position", "id", "volume"))
     except (OSError, RuntimeError, KeyError, ValueError, TypeError):
         return False

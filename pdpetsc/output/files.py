@@ -7,7 +7,6 @@ import errno
 import os
 import re
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,8 @@ from pdpetsc.errors import OutputError
 
 # Room that stays free on the disk, for the small files that end a run.
 RESERVE = 2**20
+# Room for the headers of an HDF5 file or dataset, and more than HDF5 writes of them at once [bytes].
+HEADERS = 2**14
 # What may wait for the disk waits no longer than this [s].
 WAIT = 1.0
 # What h5py raises where a file cannot be written.
@@ -73,22 +74,8 @@ def cannot_write(path: Path, error: Exception) -> OutputError:
     # HDF5 says everything it knows, in several lines; the system's words are among them.
     text = " ".join(str(error).split())
     found = re.search(r"error message = '([^']+)'", text)
-    if found:
-        _hush_hdf5()
     words = found.group(1) if found else getattr(error, "strerror", None) or text.rstrip(".")
     return OutputError(f"Cannot write {path.with_name(path.name.removesuffix('.part'))}: {words}.")
-
-
-def _hush_hdf5() -> None:
-    """Let objects of h5py vanish quietly: what HDF5 could not write it tries again, and says so, when they go."""
-    before = sys.unraisablehook
-
-    def hook(found: Any) -> None:
-        if "h5py" not in repr(found.object):
-            before(found)
-
-    if getattr(before, "__name__", "") != "hook":
-        sys.unraisablehook = hook
 
 
 def write_whole(path: Path, text: str, wait: bool = True) -> None:
@@ -136,18 +123,18 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def open_hdf5(path: Path, mode: str, **options: Any) -> h5py.File:
-    """Open an HDF5 file without HDF5's locks.
+def open_hdf5(path: Path) -> h5py.File:
+    """Open an HDF5 file for reading, without HDF5's locks.
 
     Files are replaced whole, so nobody reads what is being written: a lock would only disturb the others, and fails on
     file systems that have none.
     """
     try:
-        return h5py.File(path, mode, locking=False, **options)
+        return h5py.File(path, "r", locking=False)
     except ValueError as error:
         if "locking" not in str(error):
             raise
-        return h5py.File(path, mode, **options)  # an HDF5 that is built without locks
+        return h5py.File(path, "r")  # an HDF5 that is built without locks
 
 
 def reserve(path: Path, size: int) -> None:
@@ -180,14 +167,97 @@ def reserve(path: Path, size: int) -> None:
             ) from error
 
 
-def begin_hdf5(path: Path, size: int, **options: Any) -> None:
-    """Make a new HDF5 file with room for ``size`` bytes, marked as pdpetsc's; raises OutputError."""
+class _Storage:
+    """What an HDF5 file is written to: a file whose errors HDF5 never sees, because it does not survive them.
+
+    HDF5 crashes at the end of the process where it could not write a file out. The first error is kept in ``error``;
+    what is written from then on, as far as HDF5 may read it again, stays in memory.
+    """
+
+    def __init__(self, path: Path, new: bool) -> None:
+        flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | (os.O_CREAT | os.O_EXCL if new else 0)
+        self._descriptor = os.open(path, flags, 0o666)
+        self._place = 0
+        # Where HDF5's file ends; the room beyond it that is reserved goes at the end.
+        self._end = os.fstat(self._descriptor).st_size
+        self._since: list[tuple[int, bytes]] = []
+        self.error: OSError | None = None
+
+    def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
+        self._place = place if whence == os.SEEK_SET else self._end + place
+        return self._place
+
+    def tell(self) -> int:
+        return self._place
+
+    def read(self, size: int) -> bytes:
+        data = bytearray(size)
+        self.readinto(data)
+        return bytes(data)
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        found = os.pread(self._descriptor, len(view), self._place)
+        view[: len(found)] = found
+        view[len(found) :] = bytes(len(view) - len(found))
+        for place, data in self._since:
+            begin, end = max(place, self._place), min(place + len(data), self._place + len(view))
+            if begin < end:
+                view[begin - self._place : end - self._place] = data[begin - place : end - place]
+        return len(view)
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data).cast("B")
+        size = len(view)
+        self._end = max(self._end, self._place + size)
+        try:
+            while self.error is None and len(view):
+                done = os.pwrite(self._descriptor, view, self._place)
+                view, self._place = view[done:], self._place + done
+        except OSError as error:
+            self.error = error
+        if self.error is not None and len(view) <= HEADERS:
+            self._since.append((self._place, bytes(view)))
+        return size
+
+    def truncate(self, size: int) -> int:
+        self._end = size
+        return size
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def close(self) -> None:
+        try:
+            if self.error is None:
+                os.ftruncate(self._descriptor, self._end)
+        except OSError as error:
+            self.error = error
+        finally:
+            os.close(self._descriptor)
+
+
+@contextlib.contextmanager
+def writing_hdf5(path: Path, size: int | None = None, **options: Any) -> Iterator[h5py.File]:
+    """Give an HDF5 file to write to: a new one with room for ``size`` bytes, or one that is there.
+
+    Raises
+    ------
+    OSError
+        It could not be written whole. OutputError where there is no room, before anything is written.
+    """
+    storage = _Storage(path, new=size is not None)
     try:
-        with open_hdf5(path, "x", **options) as file:
-            file.attrs["pdpetsc"] = path.name.removesuffix(".part")
-        reserve(path, size)
-    except WRITE_ERRORS as error:
-        raise cannot_write(path, error) from error
+        if size is not None:
+            reserve(path, size)
+        with h5py.File(storage, "r+" if size is None else "w", **options) as file:
+            if size is not None:
+                file.attrs["pdpetsc"] = path.name.removesuffix(".part")
+            yield file
+    finally:
+        storage.close()
+    if storage.error is not None:
+        raise storage.error
 
 
 def on_several_nodes(comm: Comm) -> bool:

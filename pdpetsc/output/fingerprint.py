@@ -75,10 +75,15 @@ def _hash(kind: str, *parts: bytes) -> bytes:
 
 
 class _Walk:
-    """Walks an object; ``_open`` are the objects on the way to the present one, which may refer back to them."""
+    """Walks an object.
+
+    ``_open`` are the objects on the way to the present one, which may refer back to them; ``_done`` are those that have
+    been walked, held so that no other one gets their number.
+    """
 
     def __init__(self) -> None:
         self._open: list[int] = []
+        self._done: dict[int, tuple[Any, bytes]] = {}
 
     def of(self, value: Any) -> bytes:
         """Return the fingerprint of any object."""
@@ -95,11 +100,15 @@ class _Walk:
             return _hash("text", value if isinstance(value, bytes) else str(value).encode(errors="surrogatepass"))
         if id(value) in self._open:
             return _hash("again", str(len(self._open) - self._open.index(id(value))).encode())
-        self._open.append(id(value))
-        try:
-            return self._composite(value)
-        finally:
-            self._open.pop()
+        if id(value) not in self._done:
+            self._open.append(id(value))
+            try:
+                self._done[id(value)] = value, self._composite(value)
+            except RecursionError:
+                self._done[id(value)] = value, _hash("deep", type(value).__qualname__.encode())
+            finally:
+                self._open.pop()
+        return self._done[id(value)][1]
 
     def _all(self, values: Iterable[Any]) -> list[bytes]:
         return [self.of(value) for value in values]

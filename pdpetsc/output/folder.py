@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import json
 import os
 import re
@@ -18,6 +19,8 @@ from pdpetsc.errors import CaseError, OutputError
 from pdpetsc.output.files import open_hdf5
 
 LOCK = ".pdpetsc-lock"
+# Times that a process waits a hundredth of a second for another one to have looked at the lock.
+PATIENCE = 300
 # Where a run that starts anew puts what the run before it left.
 EARLIER = "earlier"
 # Folder of the files of fields.
@@ -61,7 +64,8 @@ def holding(comm: Comm, folder: Path) -> Iterator[None]:
         if is_root(comm):
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                _take(folder, me)
+                with _one_at_a_time(folder):
+                    _take(folder, me)
             except OSError as error:
                 if isinstance(error, CaseError):
                     raise
@@ -73,6 +77,27 @@ def holding(comm: Comm, folder: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 if _read(folder / LOCK) == me.words:
                     (folder / LOCK).unlink()
+
+
+@contextlib.contextmanager
+def _one_at_a_time(folder: Path) -> Iterator[None]:
+    """Let one process of this machine at a time look at the lock of a folder, where the file system has locks.
+
+    Only processes of this machine can find that a lock is old, and two that do must not remove each other's new one.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        for _ in range(PATIENCE):
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.01)
+            except OSError:
+                break
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _take(folder: Path, me: Holder) -> None:
@@ -140,7 +165,7 @@ def _refuse_or_clear(folder: Path, lock: Path) -> None:
             f"Process {holder.pid} on {holder.host} runs in {folder}; choose another folder"
             f"{'.' if here else f', or remove {lock} if that process has ended.'}"
         )
-    # Two that find the same old lock must not remove each other's new one: what was removed is looked at again.
+    # Where the file system has no locks two may find the same old one: what was removed is looked at again.
     away = lock.with_name(f"{LOCK}-{socket.gethostname()}-{os.getpid()}.old")
     try:
         os.rename(lock, away)
@@ -264,7 +289,7 @@ def _marked(path: Path) -> bool:
     if b"pdpetsc" in head:
         return True
     try:
-        with open_hdf5(path, "r") as file:
+        with open_hdf5(path) as file:
             # The second and the third are files of earlier versions.
             return "pdpetsc" in file.attrs or {"format", "identity"} <= set(file.attrs) or "particles" in file
     except (OSError, RuntimeError, ValueError, KeyError):

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing, write_whole
+from pdpetsc.output.files import WAIT, cannot_write, flush, open_hdf5, replacing, write_whole, writing_hdf5
 from pdpetsc.output.folder import FIELDS
 
 _KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
@@ -83,8 +83,7 @@ class Index:
         self._flushed = time.monotonic()
         self._waiting = False
         self._grids = [self._grid(step) for step in steps]
-        with replacing(self._links) as aside, open_hdf5(aside, "x") as file:
-            file.attrs["pdpetsc"] = "fields.h5: links to the files in fields/"
+        with replacing(self._links) as aside, writing_hdf5(aside, 0) as file:
             file["particles"] = h5py.ExternalLink(f"{FIELDS}/particles.h5", "/")
             for step in steps:
                 file[step.group] = h5py.ExternalLink(step.file, "/")
@@ -95,7 +94,7 @@ class Index:
         wait = time.monotonic() - self._flushed > WAIT
         with replacing(self._links, wait) as aside:
             shutil.copyfile(self._links, aside, follow_symlinks=False)
-            with open_hdf5(aside, "r+") as file:
+            with writing_hdf5(aside) as file:
                 if step.group not in file:
                     file[step.group] = h5py.ExternalLink(step.file, "/")
         if self._last == step.number:
@@ -170,7 +169,7 @@ def steps_in(folder: Path, run: str, n: int) -> list[Step]:
     found = []
     for path in (folder / FIELDS).glob("step_*.h5"):
         try:
-            with open_hdf5(path, "r") as file:
+            with open_hdf5(path) as file:
                 if file.attrs["run"] != run or any(len(data) != n for data in file.values()):
                     continue
                 parts = [part_of(name, data.shape, data.dtype) for name, data in file.items()]

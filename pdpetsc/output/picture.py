@@ -75,7 +75,7 @@ def draw_field(
     label = f"{name} {component}".strip()
     path_of = folder / "fields.h5"
     try:
-        with open_hdf5(path_of, "r") as file:
+        with open_hdf5(path_of) as file:
             numbers = sorted(int(group.removeprefix("step_")) for group in file if group.startswith("step_"))
             if not numbers:
                 raise CaseError(f"{path_of} has no step yet.")

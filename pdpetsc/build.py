@@ -98,7 +98,11 @@ def _model(
 
 
 def _weights(case: Case, s: Float) -> Float:
-    omega = np.asarray(case.influence(s))
+    given = case.influence(s)
+    try:
+        omega = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        omega = np.empty(0, dtype=object)
     if omega.dtype.kind not in "fiu" or omega.shape != s.shape:
         raise CaseError(
             f"The influence must return one number per bond, not an array of {omega.dtype} of shape {omega.shape}."

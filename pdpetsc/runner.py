@@ -369,8 +369,12 @@ class _Run:
                     )
         picture = self.case.picture
         for field in self._fields():
-            values = np.asarray(field(start))
+            found = field(start)
             with agreed(self.comm):
+                try:
+                    values = np.asarray(found)
+                except ValueError:  # rows of different lengths
+                    values = np.empty(0, dtype=object)
                 name = getattr(field, "__name__", repr(field))
                 if values.shape[:1] != start.u.shape[:1] or values.dtype.kind not in "fiub" or values.ndim > 3:
                     raise CaseError(

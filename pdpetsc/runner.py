@@ -141,6 +141,7 @@ class _Run:
         self.phase = "particles"
         self.solver: Running | None = None
         self.keeper: Keeper | None = None
+        self.taken = False  # whether the folder holds files of this run
         self.signals: Signals
         self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
 
@@ -206,7 +207,7 @@ class _Run:
             if failure.rank is None and self.comm.size > 1 and not failure.agreed:
                 failure.rank = self.comm.rank
         if isinstance(error, KeyboardInterrupt):
-            kept = "results are complete up to the step before" if self.keeper is not None else "nothing was run"
+            kept = "results are complete up to the step before" if self.taken else "nothing was run"
             failure = Interrupted(f"Stopped by a signal in phase {self.phase}; {kept}.")
         self.signals.deaf = True
         together = all_failed(error, failure)
@@ -219,11 +220,15 @@ class _Run:
         if not together:
             self._leave(failure)
         failure.agreed = True
-        if self.keeper is None:
+        if not self.taken:
             return failure
         said = str(failure)
         # A signal may have come in the middle of a write; what is on disk stays.
-        if not isinstance(failure, OutputError) and not isinstance(error, KeyboardInterrupt):
+        if (
+            self.keeper is not None
+            and not isinstance(failure, OutputError)
+            and not isinstance(error, KeyboardInterrupt)
+        ):
             try:
                 self.keeper.save()
             except PdpetscError as other:
@@ -238,7 +243,7 @@ class _Run:
         if isinstance(failure, RunError) and not self.steps:
             if failure.of_option and self.phase in ("set-up", "solve"):
                 return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
-            if failure.of_user and self.keeper is None and failure.exit_status == 1:
+            if failure.of_user and not self.taken and failure.exit_status == 1:
                 failure.exit_status = CaseError.exit_status
         elif isinstance(failure, CaseError) and self.steps:
             rank = None if together else self.comm.rank
@@ -249,7 +254,7 @@ class _Run:
         """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
         if not isinstance(failure, RunError | Interrupted):
             failure = RunError(str(failure), place=users_line(failure), phase=self.phase, rank=self.comm.rank)
-        if self.keeper is not None:
+        if self.taken:
             self.summary["error"] = type(failure).__name__
             with contextlib.suppress(Exception):
                 memory = [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]
@@ -311,6 +316,7 @@ class _Run:
             checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
             restart = None if self.restart is None else Path(self.restart)
             # From here on the folder is this run's.
+            self.taken = True
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, restart)
             self.keeper, self.history = keeper, keeper.history

@@ -13,6 +13,7 @@ import time
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.cli import load_case
 from pdpetsc.errors import FlatFamilies, described, notice, rebuilt
 from pdpetsc.kernels.compile import cache_lock, cache_trouble
 from tests.commands import ROOT, command
@@ -220,6 +221,27 @@ def test_the_summary_says_running_until_the_end(case):
     assert summary(folder)["results"] == {}
 
 
+@pytest.mark.parametrize("name", ["fields.h5", "history.csv", "checkpoint.h5", "summary.json"])
+def test_a_folder_in_the_place_of_a_file_is_one_sentence(name, case):
+    folder = case.parent / "out"
+    (folder / name).mkdir(parents=True)
+    code, said, stderr, _ = ended_in(case, folder)
+    assert code == 1, stderr
+    assert len(said) == 1
+    assert name in said[0]
+    if name != "summary.json":
+        assert name in summary(folder)["status"]
+
+
+def ended_in(case, folder):
+    """Run a case in this process; return as ``ended``, without a summary."""
+    try:
+        pd.run(load_case(case)(), output=folder, quiet=True)
+    except pd.errors.PdpetscError as error:
+        return error.exit_status, [str(error)], "", {}
+    return 0, [], "", {}
+
+
 def test_a_picture_that_cannot_be_drawn_is_a_warning(case):
     folder = case.parent / "out"
     (folder / "picture.png").mkdir(parents=True)
@@ -264,8 +286,6 @@ def test_errors_of_the_case_go_to_other_ranks_as_words():
 
 def test_a_defect_of_pdpetsc_leaves_its_traceback_in_the_folder(case, monkeypatch):
     monkeypatch.setattr("pdpetsc.runner.find_families", None)
-    from pdpetsc.cli import load_case
-
     folder = case.parent / "out"
     with pytest.raises(pd.RunError, match="defect of pdpetsc") as caught:
         pd.run(load_case(case)(), output=folder, quiet=True)
@@ -274,8 +294,6 @@ def test_a_defect_of_pdpetsc_leaves_its_traceback_in_the_folder(case, monkeypatc
 
 
 def test_run_raises_in_python_and_never_ends_the_process(case):
-    from pdpetsc.cli import load_case
-
     function = load_case(case)
     for words, kind in (
         ({"where": "solve", "what": "exits"}, pd.RunError),

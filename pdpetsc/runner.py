@@ -267,7 +267,7 @@ class _Run:
             self._leave(Interrupted(f"Stopped by a signal in phase {self.phase}; nothing was run."))
 
     def _write_traceback(self, error: BaseException) -> None:
-        text = "".join(traceback.format_exception(error))
+        text = f"{time.ctime()}, phase {self.phase}\n{''.join(traceback.format_exception(error))}"
         try:
             (self.folder / "traceback.txt").write_text(text)
         except OSError:

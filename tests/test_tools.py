@@ -207,3 +207,22 @@ def test_words_that_a_tool_does_not_take_are_refused(words, message):
     finished = tool(*words)
     assert finished.returncode == 2
     assert message in finished.stderr
+
+
+def test_a_comparison_that_is_ended_ends_its_run(tmp_path):
+    case, folder = tmp_path / "case.py", tmp_path / "out"
+    case.write_text(
+        "import os, time\nfrom pathlib import Path\nimport pdpetsc as pd\n\n"
+        "def case(n=1):\n    Path(__file__).with_name('pid').write_text(str(os.getpid()))\n    time.sleep(60)\n"
+    )
+    words = [sys.executable, "-m", "pdpetsc", "compare", str(case), "n=1", "-o", str(folder)]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, **pipes)
+    while not ((tmp_path / "pid").exists() and (tmp_path / "pid").read_text()):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGTERM)
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "the same command goes on" in message
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)

@@ -158,10 +158,7 @@ def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave with its exit status; a rank that fails alone aborts all."""
     _keep_going_without_readers()
-    with contextlib.suppress(ValueError):  # signals are the main thread's
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL or number == signal.SIGTERM:
-                signal.signal(number, _interrupt)
+    _take_signals()
     failure: BaseException | None = None
     try:
         status = _run(sys.argv[1:] if argv is None else list(argv))
@@ -190,16 +187,27 @@ def _leave_petsc(status: int) -> NoReturn:
     leave(status)
 
 
+def _take_signals() -> None:
+    """Let signals raise KeyboardInterrupt, except those that are ignored, as under nohup."""
+    with contextlib.suppress(ValueError):  # they are the main thread's
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, _interrupt)
+
+
 def _interrupt(number: int, frame: Any) -> None:
     raise KeyboardInterrupt
 
 
 def _failed(error: BaseException) -> int:
     """Say what ended the command in one sentence and return its exit status; abort where this rank is alone."""
-    from pdpetsc.discrete.communicator import is_root, world
-    from pdpetsc.discrete.failure import all_failed, give_up
-
     failure = described(error)
+    try:
+        from pdpetsc.discrete.communicator import is_root, world
+        from pdpetsc.discrete.failure import all_failed, give_up
+    except Exception as missing:  # without MPI there are no other ranks to think of
+        print(f"pdpetsc: {described(missing)}", file=sys.stderr, flush=True)
+        return 1
     if isinstance(error, KeyboardInterrupt):
         failure = Interrupted("Stopped by a signal.")
     elif isinstance(failure, RunError) and failure is not error:
@@ -340,6 +348,7 @@ def _compare(argv: list[str]) -> int:
         ranks = int(petsc[at + 1])
         del petsc[at : at + 2]
     petsc4py.init(PETSC)
+    _take_signals()  # PETSc has taken some of them
     choices = {name: text.split(",") for name, text in arguments.parameters.items()}
     function = load_case(arguments.path)
     for name, values in choices.items():

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.picture import draw_field
 
 USAGE = """usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME]
@@ -39,6 +39,18 @@ def plot(folder: Path, given: Mapping[str, str]) -> list[Path]:
     for name in given:
         if name not in known:
             raise CaseError(f"plot has no parameter {name!r}; it has {', '.join(known)}.")
+    try:
+        return _drawn(folder, given)
+    except PdpetscError:
+        raise
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise CaseError(
+            f"{folder} holds files that are damaged, not of a run, or cannot be written: {what}."
+        ) from error
+
+
+def _drawn(folder: Path, given: Mapping[str, str]) -> list[Path]:
     summary = _summary(folder)
     drawn = []
     if (folder / "fields.h5").exists():

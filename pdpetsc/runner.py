@@ -149,6 +149,7 @@ class _Run:
         self.phase = "particles"
         self.solver: Running | None = None
         self.keeper: Keeper | None = None
+        self.taken = False  # whether the folder holds files of this run
         self.signals: Signals
         self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
 
@@ -212,7 +213,7 @@ class _Run:
             if failure.rank is None and self.comm.size > 1 and not failure.agreed:
                 failure.rank = self.comm.rank
         if isinstance(error, KeyboardInterrupt):
-            kept = "results are complete up to the step before" if self.keeper is not None else "nothing was run"
+            kept = "results are complete up to the step before" if self.taken else "nothing was run"
             failure = Interrupted(f"Stopped by a signal in phase {self.phase}; {kept}.")
         self.signals.deaf = True
         together = all_failed(error, failure)
@@ -225,11 +226,15 @@ class _Run:
         if not together:
             self._leave(failure)
         failure.agreed = True
-        if self.keeper is None:
+        if not self.taken:
             return failure
         said = str(failure)
         # A signal may have come in the middle of a write; what is on disk stays.
-        if not isinstance(failure, OutputError) and not isinstance(error, KeyboardInterrupt):
+        if (
+            self.keeper is not None
+            and not isinstance(failure, OutputError)
+            and not isinstance(error, KeyboardInterrupt)
+        ):
             try:
                 self.keeper.save()
                 self._say_what_holds(self.keeper.model)
@@ -245,7 +250,7 @@ class _Run:
         if isinstance(failure, RunError) and not self.steps:
             if failure.of_option and self.phase in ("set-up", "solve"):
                 return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
-            if failure.of_user and self.keeper is None and failure.exit_status == 1:
+            if failure.of_user and not self.taken and failure.exit_status == 1:
                 failure.exit_status = CaseError.exit_status
         elif isinstance(failure, CaseError) and self.steps:
             rank = None if together else self.comm.rank
@@ -256,7 +261,7 @@ class _Run:
         """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
         if not isinstance(failure, RunError | Interrupted):
             failure = RunError(str(failure), place=users_line(failure), phase=self.phase, rank=self.comm.rank)
-        if self.keeper is not None:
+        if self.taken:
             self.summary["error"] = type(failure).__name__
             with contextlib.suppress(Exception):
                 memory = [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]
@@ -269,7 +274,7 @@ class _Run:
             self._leave(Interrupted(f"Stopped by a signal in phase {self.phase}; nothing was run."))
 
     def _write_traceback(self, error: BaseException) -> None:
-        text = "".join(traceback.format_exception(error))
+        text = f"{time.ctime()}, phase {self.phase}\n{''.join(traceback.format_exception(error))}"
         try:
             (self.folder / "traceback.txt").write_text(text)
         except OSError:
@@ -323,6 +328,7 @@ class _Run:
             # From here on the folder is this run's.
             if origin is None or not origin.inside(self.folder):
                 set_aside(self.comm, self.folder, None if origin is None else origin.path)
+            self.taken = True
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.keeper, self.history = keeper, keeper.history
@@ -383,8 +389,12 @@ class _Run:
                     )
         picture = self.case.picture
         for field in self._fields():
-            values = np.asarray(field(start))
+            found = field(start)
             with agreed(self.comm):
+                try:
+                    values = np.asarray(found)
+                except ValueError:  # rows of different lengths
+                    values = np.empty(0, dtype=object)
                 name = getattr(field, "__name__", repr(field))
                 if values.shape[:1] != start.u.shape[:1] or values.dtype.kind not in "fiub" or values.ndim > 3:
                     raise CaseError(

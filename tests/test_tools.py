@@ -1,5 +1,6 @@
 """``plot`` and ``compare``."""
 
+import contextlib
 import csv
 import os
 import shutil
@@ -10,6 +11,8 @@ import time
 
 import pytest
 
+import pdpetsc as pd
+from pdpetsc.plot import plot
 from tests.commands import ROOT, results
 
 CLAMPED = "runs/beams/clamped.py"
@@ -57,6 +60,18 @@ def test_plot_refuses_what_is_not_there(words, message, tmp_path_factory):
     finished = tool("plot", folder, *words)
     assert finished.returncode == 2
     assert message in finished.stderr
+
+
+@pytest.mark.parametrize("name", ["summary.json", "history.csv", "fields.h5"])
+@pytest.mark.parametrize("content", ["", "[1, 2]", "t,step\na,b\n"])
+def test_plot_of_damaged_files_is_refused_or_draws_without_them(name, content, tmp_path_factory):
+    source, folder = tmp_path_factory.getbasetemp() / "plotted", tmp_path_factory.mktemp("damaged")
+    if not source.exists():
+        results(CLAMPED, "steps=1", output=source)
+    shutil.copytree(source, folder, dirs_exist_ok=True)
+    (folder / name).write_text(content)
+    with contextlib.suppress(pd.CaseError):
+        plot(folder, {})
 
 
 def test_plot_of_an_empty_folder_is_refused(tmp_path):
@@ -192,3 +207,22 @@ def test_words_that_a_tool_does_not_take_are_refused(words, message):
     finished = tool(*words)
     assert finished.returncode == 2
     assert message in finished.stderr
+
+
+def test_a_comparison_that_is_ended_ends_its_run(tmp_path):
+    case, folder = tmp_path / "case.py", tmp_path / "out"
+    case.write_text(
+        "import os, time\nfrom pathlib import Path\nimport pdpetsc as pd\n\n"
+        "def case(n=1):\n    Path(__file__).with_name('pid').write_text(str(os.getpid()))\n    time.sleep(60)\n"
+    )
+    words = [sys.executable, "-m", "pdpetsc", "compare", str(case), "n=1", "-o", str(folder)]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, **pipes)
+    while not ((tmp_path / "pid").exists() and (tmp_path / "pid").read_text()):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGTERM)
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "the same command goes on" in message
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)

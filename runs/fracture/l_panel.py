@@ -54,7 +54,7 @@ def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1):
         return {
             **found,
             "peak_displacement": h["displacement"][peak],
-            "rise": h["rise"][-1],
+            **({"rise": h["rise"][-1]} if np.isfinite(h["rise"][-1]) else {}),
             "broken_bonds": h["broken"][-1],
         }
 

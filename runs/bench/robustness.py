@@ -28,7 +28,7 @@ WORDS = study.start("fracture")
 
 import plate_with_hole  # noqa: E402
 
-from pdpetsc.errors import PdpetscError  # noqa: E402
+from pdpetsc.errors import Interrupted, PdpetscError  # noqa: E402
 
 SWEEPS = {
     "quick": {
@@ -81,6 +81,8 @@ def run_one(folder, **parameters):
     before = time.perf_counter()
     try:
         found = study.run(folder, case)
+    except Interrupted as error:
+        raise SystemExit(f"{error} The table holds the runs before.") from error
     except PdpetscError as error:
         print(error)
         found = None

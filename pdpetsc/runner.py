@@ -370,6 +370,14 @@ class _Run:
         self._write_summary("converged", results)
         if left and is_root(self.comm):
             _warn(f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}.")
+        unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
+        # Along a path equilibria past a limit of the load are meant to be found.
+        if unstable and not isinstance(solver, PathSolver) and is_root(self.comm):
+            _warn(
+                f"{unstable} of {len(self.steps)} equilibria are unstable, the first at step time "
+                f"{next(found['t'] for found in self.steps if found['negative_pivots']):.6g}; perturb the body, or let "
+                f'Steps(unstable="shorten") end the run before.'
+            )
         return self._show(results)
 
     def _try_records(self, start: Solution) -> None:

@@ -45,7 +45,11 @@ def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, capsys):
     assert len(stable) + len(unstable) == 24
     assert max(stable) < min(unstable)
     assert min(unstable) == pytest.approx(CRITICAL, abs=0.125 + 0.05 * CRITICAL)
-    assert "UNSTABLE (negative pivots: 1)" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "UNSTABLE (negative pivots: 1)" in said.out
+    assert (
+        f"{len(unstable)} of 24 equilibria are unstable, the first at step time {min(unstable) / 3.0:.6g}" in said.err
+    )
 
 
 def test_steps_are_shortened_towards_the_critical_force(tmp_path):

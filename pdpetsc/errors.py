@@ -177,9 +177,12 @@ def petsc_reason(error: BaseException) -> str:
 
 def of_petsc(error: BaseException | None) -> bool:
     """Return whether PETSc raised an error, or what it came from; PETSc's objects are then in no order."""
-    while error is not None:
+    # An error that is raised anew while another one of its causes is handled closes a ring.
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
         if hasattr(error, "ierr") and type(error).__module__.startswith("petsc4py"):
             return True
+        seen.add(id(error))
         error = error.__cause__ or error.__context__
     return False
 

@@ -14,7 +14,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.cli import load_case
-from pdpetsc.errors import FlatFamilies, described, notice, rebuilt
+from pdpetsc.errors import FlatFamilies, described, notice, of_petsc, rebuilt
 from pdpetsc.kernels.compile import cache_lock, cache_trouble
 from tests.commands import ROOT, command
 
@@ -583,3 +583,9 @@ def test_a_lock_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, mo
     monkeypatch.setattr("pdpetsc.kernels.compile.LONGEST_WAIT", 0.2)
     with cache_lock(), cache_lock():
         pass
+
+
+def test_errors_in_a_ring_are_looked_through_once():
+    one, two = pd.OutputError("one"), pd.OutputError("two")
+    one.__cause__, two.__cause__ = two, one
+    assert not of_petsc(one)

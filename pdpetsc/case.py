@@ -222,7 +222,7 @@ def check_declared(case: Case, dim: int) -> None:
     control = getattr(case.solver, "control", None)
     if isinstance(control, Opening):
         if control.component not in "xyz"[:dim]:
-            raise CaseError(f"An Opening in component {control.component} is none of a body in {dim}D.")
+            raise CaseError(f"The Opening of a {dim}-dimensional body has no component {control.component}.")
         for side in (control.region, control.against):
             if side is not None:
                 _in("The Opening", side.check, dim)

@@ -468,6 +468,8 @@ def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp
 
     class Look(pd.Quantity):
         def evaluate(self, solution):
+            if not (place / "fields.h5").exists():  # what is asked is tried once before anything is written
+                return 0.0
             held.append(h5py.File(place / "fields.h5", "r"))
             held.append(h5py.File(place / "fields" / f"step_{solution.step:05d}.h5", "r"))
             return 0.0
@@ -783,35 +785,30 @@ def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
 # Fields.
 
 
-def test_names_of_fields_are_escaped(tmp_path):
-    def volume(solution):
-        return solution.volume
-
-    def flags(solution):
-        return solution.x[:, 0] > 5.0
-
-    volume.__name__ = 'a<b & "c"'
-    pd.run(dataclasses.replace(strip(), fields=[volume, flags]), output=tmp_path, quiet=True)
+def test_fields_have_the_names_of_a_mapping(tmp_path):
+    fields = {"share": lambda solution: solution.volume, "flags": lambda solution: solution.x[:, 0] > 5.0}
+    pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path, quiet=True)
     grid = ET.parse(tmp_path / "fields.xdmf").getroot().find(".//Grid[@GridType='Uniform']")
     items = {a.get("Name"): a.find("DataItem") for a in grid.findall("Attribute")}
-    assert set(items) == {"volume", 'a<b & "c"', "flags"}
+    assert set(items) == {"volume", "share", "flags"}
     assert items["flags"].get("NumberType") == "UInt" and items["flags"].get("Precision") == "1"
     with h5py.File(tmp_path / "fields.h5") as file:
-        assert file['step_00003/a<b & "c"'].shape == (40,)
+        assert file["step_00003/share"].shape == (40,)
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ([lambda s: s.u, lambda s: s.x], "Two fields are named '<lambda>'"),
-        ([functools.partial(pd.displacement)], "and '' is none"),
-        ([lambda s: np.zeros(3)], "must be \\(40,\\)"),
-        ([lambda s: np.zeros((40, 4))], "must be \\(40,\\)"),
-        ([lambda s: np.full(40, "a")], "must hold numbers"),
+        ([lambda s: s.u, lambda s: s.x], "no name that a file could hold"),
+        ([functools.partial(pd.displacement)], "no name that a file could hold"),
+        ({"a": lambda s: np.zeros(3)}, "a row for each of the 40 particles"),
+        ({"a": lambda s: np.zeros((40, 4))}, "must be \\(40,\\)"),
+        ({"a": lambda s: np.full(40, "a")}, "must return numbers"),
     ],
 )
 def test_fields_that_cannot_be_written_are_refused_before_the_first_step(fields, message, tmp_path):
     with pytest.raises(pd.CaseError, match=message):
+        # Some are refused when the case is made, some when they are tried on the body.
         pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path, quiet=True)
 
 

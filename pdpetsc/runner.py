@@ -89,7 +89,8 @@ def run(
     Raises
     ------
     CaseError
-        The case is wrong; nothing was run, and the folder is as it was.
+        The case or an option is wrong; nothing was run, and the folder is as it was, but where PETSc refuses an option
+        in the first solve only: then what an earlier run left is in ``earlier/``.
     SolveError, OutputError, Interrupted
         The run ended early; the folder holds everything up to the last converged step.
     RunError
@@ -237,11 +238,16 @@ class _Run:
         ):
             try:
                 self.keeper.save()
-                self._say_what_holds(self.keeper.model)
-            except PdpetscError as other:
-                said += f" {other}"
+                if "pieces" not in self.summary:
+                    self._say_what_holds(self.keeper.model)
+            except KeyboardInterrupt:
+                said += " A second signal came before its last checkpoint was written."
+            except Exception as other:
+                said += f" {described(other)}"
         self.summary["error"] = type(failure).__name__
-        with contextlib.suppress(PdpetscError):
+        # What ended the run is on record, whatever signals come.
+        self.signals.deaf = True
+        with contextlib.suppress(Exception):
             self._write_summary(said)
         return failure
 
@@ -326,8 +332,13 @@ class _Run:
         with self._timed("output"):
             checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
             # From here on the folder is this run's.
+            self.signals.patient = True
             if origin is None or not origin.inside(self.folder):
-                set_aside(self.comm, self.folder, None if origin is None else origin.path)
+                try:
+                    set_aside(self.comm, self.folder, None if origin is None else origin.path)
+                except OutputError:
+                    self.taken = True
+                    raise
             self.taken = True
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
@@ -340,7 +351,6 @@ class _Run:
             self.report.cut_back(at, dt, result)
 
         self.unit = solver.unit
-        self.signals.patient = True
         self.phase = "solve"
         before = time.perf_counter()
         if isinstance(solver, EventSolver):
@@ -364,9 +374,11 @@ class _Run:
         keeper.save()
         self._say_what_holds(model)
         self.phase = "results"
+        self.signals.patient = False
         with agreed(self.comm):
             results = _numbers(self.case.results(self.history)) if self.case.results is not None else {}
         self.summary["unused_options"] = left = unused(self.summary["options"])
+        self.signals.deaf = True  # the run has ended; nothing takes that back
         self._write_summary("converged", results)
         if left and is_root(self.comm):
             _warn(f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}.")

@@ -208,7 +208,8 @@ def find_checkpoint(path: str | Path) -> Path:
         if isinstance(error, CaseError):
             raise
         raise CaseError(f"Cannot read the checkpoint {found}: {getattr(error, 'strerror', None) or error}.") from None
-    return found
+    # A link leads into the folder of the run that wrote it.
+    return found.resolve()
 
 
 def read_checkpoint(

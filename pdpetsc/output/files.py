@@ -70,7 +70,8 @@ def replacing(path: Path, wait: bool = True) -> Iterator[Path]:
 def cannot_write(path: Path, error: Exception) -> OutputError:
     """Return the one sentence for a file that could not be written."""
     if isinstance(error, OutputError):
-        return error
+        # Another object: an error that is its own cause has no end for those who look through the causes.
+        return OutputError(str(error))
     # HDF5 says everything it knows, in several lines; the system's words are among them.
     text = " ".join(str(error).split())
     found = re.search(r"error message = '([^']+)'", text)

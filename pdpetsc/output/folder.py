@@ -44,7 +44,8 @@ class Holder:
     @property
     def gone(self) -> bool:
         """Return whether it is known that the process has ended: it was on this machine and is not there any more."""
-        return self.host == socket.gethostname() and self.started != _started(self.pid)
+        # Of another user's process a system may not tell when it started.
+        return self.host == socket.gethostname() and _started(self.pid) not in (self.started, "unknown")
 
 
 @contextlib.contextmanager
@@ -213,7 +214,7 @@ def _started(pid: int) -> str:
 def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
     """Move what an earlier run left in the folder into ``earlier/``, in place of what is there (collective).
 
-    Only files that pdpetsc wrote are touched. A summary that this run has written since it took the folder stays.
+    Only files that pdpetsc wrote are touched.
 
     Parameters
     ----------
@@ -231,8 +232,7 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
         if not is_root(comm):
             return
         try:
-            taken = (folder / LOCK).stat().st_mtime_ns if (folder / LOCK).exists() else time.time_ns()
-            found = _of_earlier_run(folder, taken)
+            found = _of_earlier_run(folder)
             if not found:
                 return
             place = folder / EARLIER
@@ -240,7 +240,7 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
                 raise CaseError(f"A run in {folder} would replace {place}, which it goes on from; take another folder.")
             if place.is_symlink() or (place.exists() and not place.is_dir()):
                 raise CaseError(f"{place} is not a folder, and the earlier results would go there; move it away.")
-            for path in _of_earlier_run(place, time.time_ns()) if place.exists() else []:
+            for path in _of_earlier_run(place) if place.exists() else []:
                 path.unlink()
             (place / FIELDS).mkdir(parents=True, exist_ok=True)
             for path in found:
@@ -255,13 +255,37 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
             ) from error
 
 
-def _of_earlier_run(folder: Path, before: int) -> list[Path]:
+def set_history_aside(comm: Comm, folder: Path) -> None:
+    """Move ``history.csv`` into ``earlier/``, where a run goes on in its folder that cannot go on in it (collective).
+
+    Raises
+    ------
+    OutputError
+        The file cannot be moved.
+    """
+    with agreed(comm):
+        if is_root(comm) and (folder / "history.csv").exists():
+            try:
+                (folder / EARLIER).mkdir(exist_ok=True)
+                os.replace(folder / "history.csv", folder / EARLIER / "history.csv")
+            except OSError as error:
+                raise OutputError(
+                    f"Cannot move {folder / 'history.csv'} to {folder / EARLIER}: {error.strerror or error}."
+                ) from error
+
+
+def _of_earlier_run(folder: Path) -> list[Path]:
     """Return the files of a run in a folder, the checkpoint first; raises CaseError where one is not pdpetsc's."""
-    names = ("checkpoint.h5", "history.csv", "broken_bonds.csv", "fields.h5", "fields.xdmf", "picture.png")
+    names = (
+        "checkpoint.h5",
+        "history.csv",
+        "broken_bonds.csv",
+        "fields.h5",
+        "fields.xdmf",
+        "picture.png",
+        "summary.json",
+    )
     paths = [folder / name for name in names]
-    summary = folder / "summary.json"
-    if summary.exists() and summary.lstat().st_mtime_ns <= before:
-        paths.append(summary)
     if (folder / FIELDS).is_symlink() or ((folder / FIELDS).exists() and not (folder / FIELDS).is_dir()):
         raise CaseError(f"{folder / FIELDS} is not a folder, and fields would be written there; move it away.")
     if (folder / FIELDS).is_dir():
@@ -279,13 +303,16 @@ def _marked(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(4096)
     if path.suffix == ".csv":
-        return head.startswith(b"step,t")
+        # A table has no room for a mark; the summary is there from before the first row.
+        columns = head.split(b"\n", 1)[0].strip().split(b",")
+        return columns[:2] == [b"step", b"t"] and _is_summary(path.with_name("summary.json"))
     if path.suffix == ".xdmf":
         return b"<Xdmf" in head and b'<Grid Name="steps"' in head
     if path.suffix == ".json":
-        return b'"parameters"' in head or b'"versions"' in head or b'"status"' in head
+        return _is_summary(path)
     if path.suffix == ".png":
-        return head.startswith(b"\x89PNG")
+        # Those of earlier versions have no mark but stand beside a summary.
+        return head.startswith(b"\x89PNG") and (b"pdpetsc" in head or _is_summary(path.with_name("summary.json")))
     if b"pdpetsc" in head:
         return True
     try:
@@ -293,4 +320,13 @@ def _marked(path: Path) -> bool:
             # The second and the third are files of earlier versions.
             return "pdpetsc" in file.attrs or {"format", "identity"} <= set(file.attrs) or "particles" in file
     except (OSError, RuntimeError, ValueError, KeyError):
+        return False
+
+
+def _is_summary(path: Path) -> bool:
+    """Return whether a file is the summary of a run."""
+    try:
+        found = json.loads(path.read_text())
+        return "pdpetsc" in found["versions"] and "status" in found
+    except (OSError, ValueError, KeyError, TypeError):
         return False

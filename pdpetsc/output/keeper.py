@@ -12,6 +12,7 @@ from pdpetsc.output.broken import BrokenBonds, broken_header
 from pdpetsc.output.checkpoint import Origin, Record, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.folder import set_history_aside
 from pdpetsc.output.records import HistoryWriter, whole_rows
 from pdpetsc.quantities import Quantity
 from pdpetsc.solution import Field, Solution
@@ -84,13 +85,18 @@ class Keeper:
         # A run that goes on in its own folder adds to what is there.
         own = origin is not None and origin.inside(folder)
         self._run: str = origin.record.run if own and origin is not None else comm.bcast(uuid.uuid4().hex)
-        self._rows = HistoryWriter(comm, folder, list(self.history), rows or ())
+        if own and rows is None:
+            # A table of other columns, or of another run, is not lost to the one that begins.
+            set_history_aside(comm, folder)
         self._broken = None if model.failure is None else BrokenBonds(comm, folder, model.failure, broken)
         first = start.step if own else 0
         self._fields = FieldWriter(cloud, order, folder, fields, self._run, first) if fields else None
         # The work of the next step needs these forces, and by then bonds may have failed.
         _ = start.internal_force
-        self._record(start, write_fields=True)
+        if self._fields is not None:
+            self._fields.write(start)
+        # One write for all rows: a run that dies here leaves the earlier table or this one.
+        self._rows = HistoryWriter(comm, folder, list(self.history), [*(rows or ()), self._evaluated(start)])
 
     @property
     def model(self) -> Model:
@@ -129,11 +135,15 @@ class Keeper:
     def _record(self, solution: Solution, write_fields: bool) -> None:
         if self._fields is not None and write_fields:
             self._fields.write(solution)
-        row = [float(solution.step), solution.t]
-        row += [quantity.evaluate(solution) for quantity in self._quantities.values()]
+        self._rows.write(self._evaluated(solution))
+
+    def _evaluated(self, solution: Solution) -> list[float]:
+        """Return the row of a step, and remember it."""
+        row = [float(solution.step), float(solution.t)]
+        row += [float(quantity.evaluate(solution)) for quantity in self._quantities.values()]
         self._remember(row)
-        self._rows.write(row)
         self._row = dict(zip(self.history, row, strict=True))
+        return row
 
     def _remember(self, row: Sequence[float]) -> None:
         for name, value in zip(self.history, row, strict=True):

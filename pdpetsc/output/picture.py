@@ -114,7 +114,7 @@ def draw_field(
             axes.set_aspect("equal", adjustable="datalim")
     axes.set_title(title)
     with replacing(path) as aside:
-        figure.savefig(aside, dpi=130, format=path.suffix.removeprefix(".") or "png")
+        figure.savefig(aside, dpi=130, format=path.suffix.removeprefix(".") or "png", metadata={"Software": "pdpetsc"})
 
 
 def _true_to_scale(axes: Any, y: Float) -> None:

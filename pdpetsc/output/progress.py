@@ -14,6 +14,14 @@ from pdpetsc.solve.base import StepResult
 FIRST_EVENTS, EVENTS_A_LINE = 10, 100
 
 
+class _Console(Console):
+    """A console that goes silent where nobody reads it any more, as behind ``| head``; rich would end the process."""
+
+    def on_broken_pipe(self) -> None:
+        """Print nothing from here on."""
+        self.quiet = True
+
+
 class Reporter:
     """Prints a line per step, with a bar where one rank writes to a terminal.
 
@@ -28,7 +36,7 @@ class Reporter:
     """
 
     def __init__(self, comm: Comm, quiet: bool) -> None:
-        self._console = Console(quiet=quiet or not is_root(comm), highlight=False, soft_wrap=True, markup=False)
+        self._console = _Console(quiet=quiet or not is_root(comm), highlight=False, soft_wrap=True, markup=False)
         columns = TextColumn("load"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn()
         hidden = quiet or comm.size > 1 or not self._console.is_terminal
         self._progress = Progress(*columns, console=self._console, transient=True, disable=hidden)

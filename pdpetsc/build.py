@@ -91,6 +91,7 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 model.tangent_times(u, u)
                 model.energy(u)
                 model.commit(u)
+                model.out_of_plane(u)
                 nearest_distances(model)
                 Loading(model, [], case.particles).held_at_cut_families()
                 if damage is not None and isinstance(model, BondModel) and isinstance(case.solver, EventDriven):

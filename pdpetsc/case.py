@@ -50,6 +50,7 @@ def _named(name: str, function: Field) -> Field:
         return function(solution)
 
     field.__name__ = name
+    field.__wrapped__ = function  # type: ignore[attr-defined]
     return field
 
 

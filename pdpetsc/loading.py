@@ -23,6 +23,7 @@ from pdpetsc.scene.conditions import (
     MeanStress,
     Traction,
     Value,
+    evaluated,
 )
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import Region, View
@@ -132,6 +133,7 @@ class Loading:
             self._note(name, self._forces[before[0] :], self._consistent[before[1] :])
         try:
             self.prescribed(1.0)
+            self.forces(1.0)
         except SolveError as error:
             raise CaseError(str(error)) from error
 
@@ -204,9 +206,10 @@ class Loading:
         comm = self._model.cloud.comm
         for t in PROBES:
             part = [self.prescribed(t), self.forces(t)]
-            off = max(np.abs(p - t * w).max(initial=0.0) for p, w in zip(part, whole, strict=True))
-            size = max(np.abs(w).max(initial=0.0) for w in whole)
-            if largest(comm, off) > PROPORTIONAL * max(largest(comm, size), 1e-300):
+            # Displacements and forces, each by their own size.
+            off = [largest(comm, np.abs(p - t * w).max(initial=0.0)) for p, w in zip(part, whole, strict=True)]
+            size = [largest(comm, np.abs(w).max(initial=0.0)) for w in whole]
+            if any(o > PROPORTIONAL * max(s, 1e-300) for o, s in zip(off, size, strict=True)):
                 raise CaseError(
                     f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
                     f"the load goes up and down as equilibrium demands, which has no meaning for others."
@@ -248,14 +251,18 @@ class Loading:
                 self.fixed[len(self._x) :].reshape(-1)[unknown] = True
 
     def _add_means(self, values: Float, kind: type[MeanStrain] | type[MeanStress], t: float) -> None:
-        images = self._model.cloud.images
-        if images is None or not images.here:
+        images, means = self._model.cloud.images, [mean for mean in self._means if isinstance(mean.condition, kind)]
+        if images is None:
+            return
+        with agreed(self._model.cloud.comm):
+            what = f"schedule of a {kind.__name__} condition"
+            factors = [float(evaluated(what, mean.condition.schedule, (), t, t)) for mean in means]
+        if not images.here:
             return
         per = images.sizes if kind is MeanStrain else self._per_stress()
         virtual = values[len(self._x) :].reshape(-1)
-        for mean in self._means:
-            if isinstance(mean.condition, kind):
-                virtual[mean.unknown] += per[mean.unknown] * mean.value * mean.condition.schedule(t)
+        for mean, factor in zip(means, factors, strict=True):
+            virtual[mean.unknown] += per[mean.unknown] * mean.value * factor
 
     def _prescribe(
         self, condition: Displacement, components: list[tuple[int, Value]], where: GlobalIndex, name: str

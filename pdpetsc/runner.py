@@ -325,7 +325,7 @@ class _Run:
             at_any_load = isinstance(solver, PathSolver)
             origin = read_checkpoint(model, loading, order, self.restart, declared, self.restart_anyway, at_any_load)
             start = origin.start
-            solver.resume(start.tangent_at)
+            solver.resume(start.tangent_at, start.t)
         step = start.step
         self.phase = "output"
         self._try_records(start)

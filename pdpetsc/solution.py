@@ -169,7 +169,7 @@ def in_space(field: Field) -> Field:
 
     Others are as they are.
     """
-    across = _ACROSS.get(field)
+    across = _ACROSS.get(getattr(field, "__wrapped__", field))
     if across is None:
         return field
 

@@ -87,6 +87,8 @@ class CriticalFunction(CriticalStretch):
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return what the function returns."""
+        if len(length) == 0:
+            return np.zeros(0)
         values = numbers_from("critical stretch", self.function, length, middle)
         if values.shape != length.shape:
             raise CaseError(

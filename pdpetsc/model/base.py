@@ -181,6 +181,17 @@ class Model(ABC):
             self._changed(rebuild=False)
         return change
 
+    def damage(self) -> tuple[Float, Float]:
+        """Return a copy of the state of the bonds, integrity and largest stretch, for ``take_damage``."""
+        assert self.failure is not None
+        return self.failure.integrity.copy(), self.failure.worst.copy()
+
+    def take_damage(self, damage: tuple[Float, Float]) -> None:
+        """Go back to a state of the bonds in which the same ones are broken."""
+        assert self.failure is not None
+        self.failure.integrity[:], self.failure.worst[:] = damage
+        self._changed(rebuild=False)
+
     def most_stretched(self, u: Float, band: float) -> tuple[Float, float]:
         """Return how the largest stretch over the critical one grows with the unknowns, and that stretch.
 

@@ -155,8 +155,13 @@ class CorrespondenceModel(Model):
     def uniform_stress_force(self, P: Float) -> Float:
         """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
         f = np.zeros((self.cloud.n_local, self.dim))
-        self.operator.divergence(P[self.operator.owner], f)
+        self._intact_operator.divergence(P[self._intact_operator.owner], f)
         return self.gather(f)
+
+    @cached_property
+    def _intact_operator(self) -> GradientOperator:
+        """Return the operator as it was when a load first asked: a dead load does not change when bonds break."""
+        return self.operator
 
     def energy(self, u: Float) -> tuple[float, float]:
         """Return the strain energy of the body and that of its zero-energy control [energy]."""

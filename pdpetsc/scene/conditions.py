@@ -58,15 +58,17 @@ class _Vector(Declared):
         SolveError
             A function or the schedule fails or does not return numbers.
         """
+        if len(x) == 0:  # a function need not know what to do with no particles
+            return np.zeros(0)
         name = type(self).__name__
         schedule = self.schedule or (Hold() if callable(component) else Ramp())
-        factor = _evaluated(f"schedule of a {name} condition", schedule, (), t, t)
+        factor = evaluated(f"schedule of a {name} condition", schedule, (), t, t)
         if not callable(component):
             return np.full(len(x), component * factor)
-        return np.asarray(factor * _evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
+        return np.asarray(factor * evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
 
 
-def _evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...], t: float, *arguments: Any) -> Float:
+def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...], t: float, *arguments: Any) -> Float:
     """Return what a function of the case gives at step time ``t``, as finite numbers of a shape.
 
     Raises

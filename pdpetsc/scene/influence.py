@@ -72,6 +72,8 @@ def evaluate(influence: Influence, s: Float) -> Float:
     CaseError
         The influence fails, or returns something else than one number per bond that is not negative.
     """
+    if len(s) == 0:
+        return np.zeros(0)
     omega = numbers_from("influence", influence, s)
     if omega.shape != s.shape:
         raise CaseError(f"The influence must return one number per bond, {s.shape}, not {omega.shape}.")

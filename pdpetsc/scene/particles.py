@@ -250,13 +250,18 @@ class Arrays(Particles):
         x = np.asarray(self.x, dtype=float)
         volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
         cell, sizes = _cells(x, volume, self.thickness)
-        taken = {tuple(index) for index in cell.tolist()}
+        # One number for each cell, with room for a neighbour on every side.
+        width = cell.max(axis=0) + 3
+        weights = np.concatenate([[1], np.cumprod(width[:-1])])
+        taken = np.sort((cell + 1) @ weights)
         side = _cell_sides(sizes, self.thickness)
         rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
         area = np.zeros(len(cell[rows]))
         for axis in np.flatnonzero(np.abs(normal) > ALONG):
             step = (np.sign(normal[axis]) * np.eye(x.shape[1])[axis]).astype(np.int64)
-            free = np.array([tuple(index) not in taken for index in (cell[rows] + step).tolist()], dtype=bool)
+            sought = (cell[rows] + step + 1) @ weights
+            place = np.minimum(np.searchsorted(taken, sought), len(taken) - 1)
+            free = taken[place] != sought
             area += np.where(free, abs(normal[axis]) * side[axis], 0.0)
         return area
 

@@ -189,6 +189,8 @@ class Where(Region):
 
     def mask(self, view: View) -> Mask:
         """Return the predicate's answer."""
+        if len(view.x) == 0:
+            return np.zeros(0, dtype=bool)
         answer = np.asarray(called("predicate of Where", self.predicate, view.x))
         if answer.shape != (len(view.x),) or answer.dtype != bool:
             raise CaseError(

@@ -24,7 +24,8 @@ class DynamicRelaxation(Declared):
     Parameters
     ----------
     tolerance : float
-        What residual and change of displacement, each over its first value in the step, must both fall below [-].
+        What residual and change of displacement, each over its first value in the step, and the residual over forces
+        and reactions must fall below [-].
     most : int
         Largest number of time steps in a load step.
     """

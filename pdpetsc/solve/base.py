@@ -66,8 +66,11 @@ class Solver(ABC):
         """Return where the tangent is of that the next step begins with (n_rows, dim) [length]; None for its start."""
         return None
 
-    def resume(self, tangent_at: Float | None) -> None:
-        """Begin the next step with the tangent of there, as the run did that this one goes on from (not collective)."""
+    def resume(self, tangent_at: Float | None, t: float) -> None:
+        """Begin the next step, from step time ``t``, as the run did that this one goes on from (collective).
+
+        That is with the tangent of ``tangent_at`` (n_rows, dim) [length].
+        """
         self.resumed = tangent_at
 
     @property
@@ -91,9 +94,12 @@ class StepSolver(Solver):
     ----------
     model : Model
         The body, whose damage and history the load stepping changes between equilibria.
+    load : float
+        Load factor of the last equilibrium, of solvers that find it [-].
     """
 
     model: Model
+    load: float = 0.0
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:

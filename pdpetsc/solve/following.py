@@ -17,9 +17,9 @@ from pdpetsc.scene.solver import Opening, PathFollowing
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.bordered import Bordered
 from pdpetsc.solve.constraint import Constraint, opening_weights
-from pdpetsc.solve.equilibrium import Equilibrium, read_options
+from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import linear_solver, negative_pivots, set_domain_error
-from pdpetsc.solve.steps import GENTLE, GROWTH, Converged, equilibrium, settle
+from pdpetsc.solve.steps import GROWTH, LAST, Converged, equilibrium, followed, settle
 
 # Bonds whose stretch over the critical one is within this of the largest share the control, relatively.
 BAND = 0.05
@@ -175,15 +175,19 @@ class PathSolver(StepSolver):
         self._bordered.iterations = 0
         self._bordered.put(self._x, u / self._scales.length, self.load)
         self.snes.solve(None, self._x)
-        if sought.damping is not None and self.snes.getConvergedReason() > 0:
+        resting = sought.damping is None
+        for _ in range(RESTS):
+            if resting or self.snes.getConvergedReason() <= 0:
+                break
             # Once more from where it came to rest: the damping has no force there.
             sought.move_springs(self._displacement(self._x))
+            sought.reason = ""
             self.snes.solve(None, self._x)
+            resting = sought.at_rest(self._take(self._x)[0], self._rtol)
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
         # Only the test of this solver knows the constraint too.
-        met = reason > 0 and sought.reason != ""
-        converged = met and sought.at_rest(values, self._rtol) and sought.judge(values, self._rtol)
+        converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
         self.load = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
         if converged:
@@ -222,11 +226,14 @@ class PathSolver(StepSolver):
         model, load = self.model, self.load
         model.freeze(False)
         attempt, result = self.solve(u, size)
-        if result.converged and model.fading(attempt) <= GENTLE:
-            model.soften(attempt)
+        if not model.softens or self._stop():
             return attempt, result, 0
-        if self._stop() or not model.softens:
-            return attempt, result, 0
+        kept = model.damage()
+        if result.converged:
+            attempt, result, change = followed(self, attempt, result, size)
+            if self._stop() or (result.converged and change <= LAST):
+                return attempt, result, 0
+        model.take_damage(kept)
         self.load = load
         attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
         return attempt, result, sweeps

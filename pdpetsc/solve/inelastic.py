@@ -10,6 +10,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import SolveError
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
+from pdpetsc.solve.equilibrium import read_options
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.pairs import Key, Pairs
 from pdpetsc.solve.scales import nearest_distances, scales_of
@@ -63,11 +64,11 @@ class InelasticForces:
         self._r = self._x.duplicate()
         self.ksp = PETSc.KSP().create(comm=model.cloud.comm)
         self.ksp.setOperators(self.matrix.mat)
-        self.ksp.setFromOptions()
         self._w = np.empty((0, *loading.fixed.shape))
         self.elastic: Float = np.zeros(loading.fixed.shape)
         self.numbers: dict[Key, int] = {}
         self.local: list[int] = []
+        read_options(self.destroy, self.ksp)
 
     def factor(self) -> None:
         """Factor the present stiffness; no bond differs from it then."""

@@ -35,8 +35,8 @@ class TangentMatrix(Tangent):
 
     Parameters
     ----------
-    model : Model
-        The body.
+    assembler : Assembler
+        Fills the matrix of a body.
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float

@@ -87,6 +87,10 @@ class RelaxationSolver(StepSolver):
         norms = [self._norm(residual)]
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
         density = self._norm(residual / self._mass)
+        self._largest = max(self._largest, reference)
+        if norms[0] <= self._options.tolerance * max(reference, UNLOADED * self._largest):
+            # It is at rest already; its own first residual is too small a measure to fall below.
+            return moved, StepResult(True, "at rest", norms, reference, 0)
         for iteration in range(1, self._options.most + 1):
             if iteration % RENEWED == 0:
                 dt = self._time_step(moved)

@@ -39,7 +39,7 @@ class Scales:
 
 
 def scales_of(model: Model, spacing: Float) -> Scales:
-    """Return the scales of a body whose particles have nearest neighbours at ``spacing`` (n_owned,) (collective)."""
+    """Return the scales of a body whose particles have nearest neighbours at ``spacing`` (any shape) (collective)."""
     comm = model.cloud.comm
     length = float(total(comm, float(spacing.sum()))) / model.cloud.n_global
     return Scales(_power_of_two(length), _power_of_two(stiffness_scale(model)))

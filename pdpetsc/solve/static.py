@@ -13,7 +13,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.loading import Loading
 from pdpetsc.model import Assembler, Model
 from pdpetsc.solve.base import StepResult, StepSolver
-from pdpetsc.solve.equilibrium import Equilibrium, read_options
+from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import (
     effort,
     forces_iteration,
@@ -27,8 +27,6 @@ from pdpetsc.solve.petsc import (
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
-# Solves in which loose pieces must come to rest, so that equilibrium needs no springs.
-RESTS = 5
 
 
 class StaticSolver(StepSolver):
@@ -57,6 +55,7 @@ class StaticSolver(StepSolver):
         self.loading = loading
         self._stop = stop
         self._filled_at: Float | None = None
+        self._resumed_from: Float | None = None
         self._equilibrium = Equilibrium(model, loading, assembler)
         self._scales = self._equilibrium.scales
         self._all_prescribed = int(total(model.cloud.comm, np.count_nonzero(~loading.fixed))) == 0
@@ -77,6 +76,11 @@ class StaticSolver(StepSolver):
         held = not self.model.linear and (failure is None or not failure.frozen)
         return self._filled_at if held and sought.tangent.holds(sought.damping is not None) else None
 
+    def resume(self, tangent_at: Float | None, t: float) -> None:
+        """Begin the next step as the run did that this one goes on from (collective)."""
+        super().resume(tangent_at, t)
+        self._resumed_from = self.loading.prescribed(t)
+
     @property
     def matrix_bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
@@ -96,7 +100,8 @@ class StaticSolver(StepSolver):
         result : StepResult
         """
         sought = self._equilibrium
-        old_prescribed = sought.prescribed
+        old_prescribed = sought.prescribed if self._resumed_from is None else self._resumed_from
+        self._resumed_from = None
         sought.prescribed, sought.external = self.loading.prescribed(t), self.loading.forces(t)
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
@@ -113,16 +118,23 @@ class StaticSolver(StepSolver):
             # Once more from where it came to rest: the damping has no force there.
             rest = sought.at_prescribed(self._displacement(self._x))
             sought.move_springs(rest)
+            sought.reason = ""
             linear += self._iterate(rest)
             resting = sought.at_rest(self._displacement(self._x), self._rtol)
         reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
-        converged = reason > 0 and resting and sought.judge(found, self._rtol)
+        # The test of this solver has seen the residual, unless SNES shows it another vector's norm.
+        seen = sought.reason != "" and not self.snes.hasNPC()
+        converged = reason > 0 and resting and (seen or sought.judge(found, self._rtol))
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
         if converged:
-            result = replace(result, negative_pivots=negative_pivots(self.snes.getKSP()))
+            failure = self.model.failure
+            # With damage held it is the secant that was factored, which tells nothing of stability.
+            secant = self.model.softens and failure is not None and failure.frozen
+            result = replace(result, negative_pivots=None if secant else negative_pivots(self.snes.getKSP()))
         else:
             sought.prescribed = old_prescribed
             sought.tangent.forget()
+        self.resumed = None
         return sought.at_prescribed(found), result
 
     def destroy(self) -> None:

@@ -211,6 +211,7 @@ def settle(
         more = fail(u)
         if change < SETTLED and not more:
             solver.model.freeze(False)
+            load = solver.load
             attempt, closed = solver.solve(u, target)
             if closed.converged:
                 attempt, closed, change = followed(solver, attempt, closed, target, CLOSE)
@@ -219,6 +220,8 @@ def settle(
             if closed.converged and change <= LAST:
                 u, result = attempt, closed
                 more = fail(u)
+            else:
+                solver.load = load
         broken += more
         if change < LAST and not more:
             reason = "damage settled"

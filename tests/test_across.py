@@ -80,3 +80,12 @@ def test_damage_scales_it(tmp_path):
     case = stretched(2, pd.LinearElastic(E=E, nu=NU))
     sigma, _, _ = tensors(dataclasses.replace(case, damage=damage, scheme=pd.Correspondence()), tmp_path)
     assert 0.0 < sigma[2, 2] == pytest.approx(NU * (sigma[0, 0] + sigma[1, 1]), rel=1e-10)
+
+
+def test_a_field_under_another_name_is_the_same_field(tmp_path):
+    case = stretched(2, pd.LinearElastic(E=E, nu=NU))
+    plain, _, _ = tensors(case, tmp_path / "plain")
+    pd.run(dataclasses.replace(case, fields={"sigma": pd.stress}), output=tmp_path / "named", quiet=True)
+    with h5py.File(tmp_path / "named" / "fields.h5") as file:
+        named = np.asarray(file["step_00001/sigma"]).mean(axis=0).reshape(3, 3)
+    assert np.array_equal(named, plain)

@@ -837,3 +837,42 @@ def test_adding_a_step_costs_the_same_late_as_early(tmp_path):
         return np.median(times)
 
     assert seconds(2000) < 20.0 * seconds(10)
+
+
+# What stays in the folder.
+
+
+def test_a_restart_with_other_columns_keeps_the_earlier_table(tmp_path):
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5), output=tmp_path, quiet=True)
+    before = history(tmp_path)
+    pd.run(dataclasses.replace(strip(), history={"E": pd.StrainEnergy()}, results=None), output=tmp_path,
+           restart=tmp_path, quiet=True)  # fmt: skip
+    assert (tmp_path / "earlier" / "history.csv").read_text() == before
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64, int, bool, np.array])
+def test_numbers_of_any_type_are_numbers(kind, tmp_path):
+    class Two(pd.Quantity):
+        def evaluate(self, solution):
+            return kind(1)
+
+    case = dataclasses.replace(strip(), history={"two": Two()}, results=lambda h: {"rows": float(len(h["two"]))})
+    whole = pd.run(case, output=tmp_path, quiet=True)
+    again = pd.run(case, output=tmp_path, restart=tmp_path, quiet=True)
+    assert whole == again
+    assert history(tmp_path).splitlines()[1].endswith(",1.0")
+
+
+def test_files_of_others_under_the_same_names_are_not_moved(tmp_path):
+    for name, content in (
+        ("picture.png", b"\x89PNG of somebody"),
+        ("history.csv", b"step,temperature\n1,2\n"),
+        ("summary.json", b'{"status": "mine", "parameters": {}}'),
+    ):
+        place = tmp_path / name.split(".")[0]
+        place.mkdir()
+        (place / name).write_bytes(content)
+        with pytest.raises(pd.CaseError, match="was not written by pdpetsc"):
+            pd.run(strip(), output=place, quiet=True)
+        assert (place / name).read_bytes() == content

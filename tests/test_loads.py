@@ -1,5 +1,7 @@
 """Loads add up to what was declared, whatever the cells are."""
 
+import contextlib
+import dataclasses
 import json
 
 import h5py
@@ -9,6 +11,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.scene import region
+from tests.commands import run
 
 E = 1000.0
 
@@ -156,7 +159,7 @@ def test_a_function_that_fails_on_the_way_leaves_what_was_computed(tmp_path):
     with pytest.raises(
         pd.SolveError, match=r"At step time 0\.75: The value of a Displacement condition <lambda> is nan"
     ):
-        pd.run(pd.Case(**{**vars(case), "steps": pd.Steps(4)}), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(case, steps=pd.Steps(4)), output=tmp_path, quiet=True)
     assert len((tmp_path / "history.csv").read_text().splitlines()) == 4
 
 
@@ -208,3 +211,72 @@ def test_a_traction_on_triangles_is_traction_times_area(diagonal, distribution, 
     found, said = resultant(case, tmp_path / "out")
     assert found == pytest.approx(2.0 * ny * 0.5, rel=1e-8)
     assert said == pytest.approx(2.0 * ny * 0.5, rel=1e-10)
+
+
+def test_a_dead_load_stays_when_bonds_break_near_it(tmp_path):
+    """A consistent traction rests on the weights of the intact body."""
+    x, volume = grid((16, 8), (1.0, 1.0))
+    damage = pd.LinearSoftening(pd.ConstantCritical(0.002), 3.0)
+    pull = pd.Displacement(
+        region.Slab("x", low=14.0) & region.Slab("y", high=2.0), y=lambda x, t: np.full(len(x), -0.5 * t)
+    )
+    case = strip(
+        pd.Arrays(x, volume),
+        (1.0, 1.0),
+        pd.Traction(region.Slab("x", low=15.0), x=0.5, normal=(1.0, 0.0), distribution="consistent"),
+    )
+    case = dataclasses.replace(case, conditions=[*case.conditions, pull], damage=damage, steps=pd.Steps(4))
+
+    class Load(pd.Quantity):
+        def evaluate(self, solution):
+            return float(solution.sum(solution.loading.forces(solution.t)[:, 0].sum()))
+
+    broken = {"load": Load(), "broken": pd.BrokenBonds()}
+    with contextlib.suppress(pd.SolveError):
+        pd.run(dataclasses.replace(case, history=broken), output=tmp_path, quiet=True)
+    history = np.genfromtxt(tmp_path / "history.csv", delimiter=",", names=True)
+    assert history["broken"][-1] > 0
+    np.testing.assert_allclose(history["load"], 0.5 * 8.0 * history["t"], rtol=1e-9)
+
+
+def test_small_displacements_beside_large_forces_are_looked_at(tmp_path):
+    """Whether conditions are proportional does not depend on the unit of the others."""
+    x, volume = grid((12, 6), (1.0, 1.0))
+    case = strip(pd.Arrays(x, volume), (1.0, 1.0), pd.Force(region.Slab("x", low=11.0), x=2e7))
+    held = pd.Displacement(region.Nearest((5.5, 5.5)), y=1e-6, schedule=pd.Hold())
+    for conditions, accepted in (([], True), ([held], False)):
+        scene = dataclasses.replace(case, conditions=[*case.conditions, *conditions], solver=pd.EventDriven())
+        if accepted:
+            pd.run(scene, output=tmp_path, quiet=True)
+        else:
+            with pytest.raises(pd.CaseError, match="proportional to the step time"):
+                pd.run(scene, output=tmp_path, quiet=True)
+
+
+@pytest.mark.parametrize("kind", [pd.MeanStrain, pd.MeanStress])
+@pytest.mark.parametrize("schedule, words", [(lambda t: 1 / 0, "ZeroDivisionError"), (lambda t: "a", "real numbers")])
+def test_schedules_of_a_cell_are_named(kind, schedule, words, tmp_path):
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0),
+        horizon=1.5,
+        material=pd.LinearElastic(E=E),
+        cell=pd.Cell((0.0, 0.0), (4.0, 4.0)),
+        conditions=[pd.Displacement(region.Nearest((0.5, 0.5)), x=0.0, y=0.0), kind(xx=0.1, schedule=schedule)],
+    )
+    with pytest.raises(pd.CaseError, match=f"schedule of a {kind.__name__} condition .*{words}"):
+        pd.run(case, output=tmp_path, quiet=True)
+
+
+def test_a_function_is_not_asked_about_no_particles(tmp_path):
+    """A rank may have none of a region's."""
+    case = tmp_path / "case.py"
+    case.write_text(
+        "import numpy as np\nimport pdpetsc as pd\n\ndef case():\n"
+        "    only = np.vectorize(lambda y: 0.01)\n"
+        "    return pd.Case(particles=pd.Lattice((0.0, 0.0), (8.0, 4.0), 1.0), horizon=1.5,\n"
+        "        material=pd.Hencky(E=1.0), fields=[],\n"
+        "        conditions=[pd.Displacement(pd.region.Slab('x', high=1.0), x=0.0, y=0.0),\n"
+        "            pd.Displacement(pd.region.Slab('x', low=7.0), x=lambda x, t: t * only(x[:, 1]))])\n"
+    )
+    finished = run(case, "--quiet", ranks=2, output=tmp_path / "out")
+    assert finished.returncode == 0, finished.stderr

@@ -121,7 +121,11 @@ def load_case(path: Path) -> Callable[..., Case]:
     CaseError
         The file is missing, fails, or defines no such function.
     """
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name that is too long
+        raise CaseError(f"Cannot read the case file {path}: {error.strerror or error}.") from None
+    if not there:
         raise CaseError(f"Cannot read the case file {path}: file not found.")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -382,10 +386,14 @@ def _guarded(path: Path, call: Callable[[], Any]) -> Any:
             f"The case file {path} called sys.exit{_line_of(path, error)}; it must not end the run."
         ) from error
     except SyntaxError as error:
-        raise CaseError(f"The case file {path} has a syntax error in line {error.lineno}: {error.msg}.") from error
+        inside = error.filename is None or Path(error.filename).name == path.name
+        where = f"The case file {path}" if inside else f"{error.filename}, which the case file {path} imports,"
+        raise CaseError(f"{where} has a syntax error in line {error.lineno}: {error.msg}.") from error
     except Exception as error:
         where = _line_of(path, error) or " somewhere below it"
-        raise CaseError(f"The case file {path} failed{where}: {type(error).__name__}: {error}.") from error
+        words = " ".join(str(error).split()).rstrip(".")
+        said = f"{type(error).__name__}: {words}" if words else type(error).__name__
+        raise CaseError(f"The case file {path} failed{where}: {said}.") from error
 
 
 def _line_of(path: Path, error: BaseException) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -67,9 +68,12 @@ def _drawn(folder: Path, given: Mapping[str, str]) -> list[Path]:
 
 def _number(given: Mapping[str, str], name: str, default: float) -> float:
     try:
-        return float(given.get(name, default))
+        number = float(given.get(name, default))
     except ValueError:
-        raise CaseError(f"{name} takes a number, not {given[name]!r}.") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise CaseError(f"{name} takes a number, not {given[name]!r}.")
+    return number
 
 
 def _summary(folder: Path) -> dict[str, Any]:

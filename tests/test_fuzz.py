@@ -21,7 +21,7 @@ from pdpetsc.cli import arguments_of, load_case
 from tests.commands import ROOT, command
 
 # Seconds for draws in this process and in processes, of the default suite.
-INSIDE, OUTSIDE = 25.0, 25.0
+INSIDE, OUTSIDE = 15.0, 20.0
 # One run of a few particles, on a busy machine [s].
 SOON = 45.0
 

@@ -228,7 +228,7 @@ def _table(path: Path, lines: list[str]) -> Float:
     try:
         return np.asarray(np.loadtxt(rows, ndmin=2))
     except (ValueError, OverflowError) as error:
-        raise CaseError(f"{path} is not a table of numbers: {error}.") from None
+        raise CaseError(f"{path} is not a table of numbers: {' '.join(str(error).split()).rstrip('.')}.") from None
 
 
 def _without_constant(x: Float, at_least: int = 1) -> Float:

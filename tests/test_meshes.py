@@ -533,3 +533,14 @@ def test_damaged_text_clouds_end_as_particles_or_as_sentences(tmp_path, rng):
             refused += 1
     assert read > 10
     assert refused > 50
+
+
+@pytest.mark.parametrize("order", ["1, 2, 3\n2, 3, 4, 5", "1, 3, 2\n2, 3, 5, 4"])
+def test_curved_beams_have_their_middle_node_anywhere(order, tmp_path):
+    """A deck numbers a beam of three nodes end, middle, end; other writers put the middle last."""
+    path = tmp_path / "beam.inp"
+    nodes = "".join(f"{number}, {float(number - 1)}\n" for number in range(1, 6))
+    path.write_text(f"*NODE\n{nodes}*ELEMENT, TYPE=B32\n1, {order}\n")
+    chunk = pd.Mesh(path).chunk(0, 1)
+    assert chunk.x[:, 0].tolist() == [1.0, 3.0]
+    assert chunk.volume.tolist() == [2.0, 2.0]

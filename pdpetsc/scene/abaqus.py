@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdpetsc.arrays import GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.cells import Block, MeshData
 
@@ -88,9 +88,11 @@ def read(path: Path) -> MeshData:
 def _mesh(deck: _Deck) -> MeshData:
     blocks: list[Block] = []
     start: dict[tuple[str, int], int] = {}
+    points = np.array(deck.points, dtype=float).reshape(len(deck.points), -1)
     for key, rows in deck.cells.items():
         start[key] = sum(len(block.nodes) for block in blocks)
-        blocks.append(Block(key[0], np.array(rows, dtype=np.int64)))
+        nodes_of = np.array(rows, dtype=np.int64)
+        blocks.append(Block(key[0], _ends_first(points, nodes_of) if key == ("line", 3) else nodes_of))
     flat = {number: start[key] + row for number, (key, row) in deck.place.items()}
 
     def cells(members: list[int]) -> GlobalIndex:
@@ -106,7 +108,7 @@ def _mesh(deck: _Deck) -> MeshData:
         return np.unique(np.array([deck.nodes[m] for m in members], dtype=np.int64))
 
     return MeshData(
-        np.array(deck.points, dtype=float).reshape(len(deck.points), -1), blocks,
+        points, blocks,
         {name: cells(members) for name, members in deck.element_sets.items()},
         {name: cells(members) for name, members in deck.sides.items()},
         {name: nodes(members) for name, members in deck.node_sets.items()},
@@ -175,6 +177,16 @@ def _nodes(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
         members.append(number)
     if options.get("NSET"):
         deck.node_sets.setdefault(options["NSET"].strip('"'), []).extend(members)
+
+
+def _ends_first(points: Float, nodes: GlobalIndex) -> GlobalIndex:
+    """Return the nodes of lines of three with the one in the middle last; decks have it second or last."""
+    x = points[nodes]
+    # The node opposite to the longest distance is the middle one.
+    apart = np.stack([np.linalg.norm(x[:, (m + 1) % 3] - x[:, (m + 2) % 3], axis=1) for m in range(3)], axis=1)
+    middle = np.argmax(apart, axis=1)
+    order = np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])[middle]
+    return np.take_along_axis(nodes, order, axis=1)
 
 
 def _kind(word: str) -> tuple[str, int] | None:

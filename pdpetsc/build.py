@@ -29,6 +29,9 @@ from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
 from pdpetsc.solve.scales import nearest_distances
 
+# Positions and horizons beyond these overflow where they are raised to powers.
+FAR = 1e60
+
 
 def make_cloud(comm: Comm, case: Case) -> Cloud:
     """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
@@ -170,6 +173,11 @@ def _refuse_bad_particles(chunk: Chunk) -> None:
     bad = np.flatnonzero(~np.isfinite(chunk.x).all(axis=1))
     if len(bad):
         raise CaseError(f"{len(bad)} particles have a position that is not a number, the first at {chunk.x[bad[0]]}.")
+    far = float(np.abs(chunk.x).max(initial=0.0))
+    if far > FAR:
+        raise CaseError(
+            f"A particle is {far:g} away from the origin; choose a unit of length that gives smaller numbers."
+        )
     bad = np.flatnonzero(~(np.isfinite(chunk.volume) & (chunk.volume > 0.0)))
     if len(bad):
         volume, x = chunk.volume[bad[0]], chunk.x[bad[0]]

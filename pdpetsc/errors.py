@@ -29,10 +29,13 @@ class PdpetscError(Exception):
         What the command line ends with.
     agreed : bool
         Whether every rank has raised it at the same place, so that all may go on to communicate.
+    petsc : bool
+        Whether it came from an error of PETSc on another rank.
     """
 
     exit_status = 1
     agreed = False
+    petsc = False
 
 
 class CaseError(PdpetscError, ValueError):
@@ -114,6 +117,7 @@ def notice(error: PdpetscError) -> dict[str, Any]:
     """Return what other ranks need to raise an error: its kind, exit status and text, all of plain types."""
     kind = next(kind.__name__ for kind in type(error).__mro__ if kind.__name__ in KINDS)
     told: dict[str, Any] = {"kind": kind, "status": int(error.exit_status), "text": str(error)[:LONGEST]}
+    told["petsc"] = of_petsc(error)
     if isinstance(error, RunError):
         told["more"] = {
             "place": error.place, "phase": error.phase, "rank": error.rank, "of_user": error.of_user,
@@ -126,7 +130,7 @@ def notice(error: PdpetscError) -> dict[str, Any]:
 def rebuilt(told: dict[str, Any]) -> PdpetscError:
     """Return the error that a ``notice`` tells of."""
     error = KINDS[told["kind"]](told["text"], **told.get("more", {}))
-    error.exit_status = told["status"]
+    error.exit_status, error.petsc = told["status"], told["petsc"]
     return error
 
 
@@ -180,7 +184,8 @@ def of_petsc(error: BaseException | None) -> bool:
     # An error that is raised anew while another one of its causes is handled closes a ring.
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
-        if hasattr(error, "ierr") and type(error).__module__.startswith("petsc4py"):
+        # Of an error that another rank has told of only this is known.
+        if getattr(error, "petsc", False) or (hasattr(error, "ierr") and type(error).__module__.startswith("petsc4py")):
             return True
         seen.add(id(error))
         error = error.__cause__ or error.__context__

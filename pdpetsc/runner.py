@@ -20,7 +20,7 @@ import numpy as np
 from pdpetsc.build import make_cloud, make_model, rehearse
 from pdpetsc.case import Case, check_declared
 from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
-from pdpetsc.discrete.failure import all_failed, give_up
+from pdpetsc.discrete.failure import all_failed, give_up, keep_apart
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
@@ -105,6 +105,7 @@ def run(
     the run ended.
     """
     comm = world()
+    keep_apart()
     folder = Path(output)
     with holding(comm, folder), Reporter(comm, quiet) as report:
         running = _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))

@@ -168,7 +168,7 @@ QUICK = {("set-up", "case", 2), ("solve", "memory", 3), ("output", "os", 2)}
 def test_a_rank_that_fails_alone_ends_all(where, what, ranks, case):
     found = ended(case, f"where={where}", f"what={what}", f"rank={ranks - 1}", ranks=ranks)
     # What ranks evaluate without others they agree on, and the case was not run then; else the others wait in MPI.
-    status = 2 if where in ("particles", "case", "set-up") else 1
+    status = 2 if where in ("particles", "case", "set-up", "model") else 1
     words = {
         "divides": "division by zero",
         "memory": "MemoryError" if where == "solve" else "out of memory",
@@ -176,8 +176,8 @@ def test_a_rank_that_fails_alone_ends_all(where, what, ranks, case):
         "exits": "sys.exit",
     }
     one_sentence(found, status, words.get(what, {"case": "the field is wrong", "petsc": "nothing"}.get(what)))
-    # What ranks agree on is an error of all of them: the parameters, regions and conditions.
-    if where not in ("case", "set-up", "solve") or what in ("exits", "petsc"):
+    # What ranks agree on is an error of all of them: the parameters, particles, regions and conditions.
+    if where not in ("case", "particles", "set-up", "solve"):
         assert f"Rank {ranks - 1}" in found[1][0]
     if where in ("solve", "output", "history", "results"):
         assert found[3]["status"] == found[1][0].removeprefix("pdpetsc: ")

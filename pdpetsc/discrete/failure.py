@@ -27,6 +27,20 @@ LONG = 10.0
 SPOKEN = 0.5
 
 
+# A communicator for these messages alone: receives of ghosts take any tag, and would take them for ghosts.
+_apart: list[Comm] = []
+
+
+def keep_apart() -> None:
+    """Make the communicator of messages about failures, once (collective)."""
+    if not _apart:
+        _apart.append(MPI.Intracomm(world().Dup()))
+
+
+def _channel() -> Comm:
+    return _apart[0] if _apart else world()
+
+
 def all_failed(error: BaseException, failure: PdpetscError) -> bool:
     """Return whether all ranks failed together and may go on to communicate; True on one rank.
 
@@ -40,7 +54,7 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
     Not collective: a rank that fails alone leaves the others in a call that waits for it, so it waits for a moment
     only. Of several that fail each on their own the lowest returns, and the others wait for it to abort them.
     """
-    comm = world()
+    comm = _channel()
     if comm.size == 1 or failure.agreed:
         return True
     stopped = isinstance(error, KeyboardInterrupt)
@@ -56,7 +70,7 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
 
 def give_up(failure: PdpetscError) -> NoReturn:
     """Say on stderr why this rank ends the run, and abort all ranks with exit status 1 (not collective)."""
-    comm = world()
+    comm = _channel()
     # The abort sends signals to the others, which end them too: they shall not say so.
     sent = [comm.isend(SPEAKS, dest=rank, tag=FAILURE) for rank in range(comm.size) if rank != comm.rank]
     with contextlib.suppress(OSError):

@@ -21,7 +21,7 @@ from pdpetsc.cli import arguments_of, load_case
 from tests.commands import ROOT, command
 
 # Seconds for draws in this process and in processes, of the default suite.
-INSIDE, OUTSIDE = 15.0, 20.0
+INSIDE, OUTSIDE = 10.0, 15.0
 # One run of a few particles, on a busy machine [s].
 SOON = 45.0
 
@@ -278,7 +278,7 @@ def in_the_way(rng, folder, output):
 
 
 def test_draws_in_this_process_end_as_they_say(tmp_path):
-    assert draws_inside(tmp_path, 0, INSIDE) > 10
+    assert draws_inside(tmp_path, 0, INSIDE) > 5
 
 
 def test_draws_on_the_command_line_end_as_they_say(tmp_path):

@@ -112,7 +112,10 @@ def test_plane_stress_and_bar_are_the_solid_with_free_sides(rng):
                 assert reduced.thickness_stretch(F[None])[0] == pytest.approx(b ** (3 - dim), rel=1e-9)
 
 
-@pytest.mark.parametrize("values", [{"E": -1.0}, {"E": np.nan}, {"E": 1.0, "nu": 0.5}, {"E": 1.0, "plane": "strip"}])
+@pytest.mark.parametrize(
+    "values",
+    [{"E": -1.0}, {"E": np.nan}, {"E": 1e300}, {"E": 1e-300}, {"E": 1.0, "nu": 0.5}, {"E": 1.0, "plane": "strip"}],
+)
 def test_constants_out_of_range_are_refused(values):
     with pytest.raises(pd.CaseError, match="Hencky"):
         pd.Hencky(**values)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +12,9 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
+
+# Moduli beyond these overflow in products, and factorisations of such matrices crash.
+LEAST_MODULUS, LARGEST_MODULUS = 1e-100, 1e100
 
 
 class PointKernels(NamedTuple):
@@ -68,8 +70,11 @@ class Material(Declared, ABC):
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
-        if not (math.isfinite(self.E) and self.E > 0.0):
-            raise CaseError(f"{name} needs a positive Young's modulus E, not {self.E}.")
+        if not LEAST_MODULUS <= self.E <= LARGEST_MODULUS:
+            raise CaseError(
+                f"{name} needs a positive Young's modulus E, from {LEAST_MODULUS:g} to {LARGEST_MODULUS:g}, "
+                f"not {self.E}."
+            )
         if not -1.0 < self.nu < 0.5:
             raise CaseError(f"{name} needs Poisson's ratio -1 < nu < 0.5, not {self.nu}.")
         if self.plane not in ("strain", "stress"):

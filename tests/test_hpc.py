@@ -199,6 +199,8 @@ for name in ("turn", "together"):
         (folder / name).mkdir()
     comm.Barrier()
     writer = FieldWriter(cloud, order, folder / name, [])
+    if name == "together":
+        print("parallel", h5py.get_config().mpi, flush=True)
     writer.together = name == "together" and h5py.get_config().mpi
     for step in range(2):
         writer.put(step, 0.5, {"y": cloud.x[: cloud.n_owned] + step, "n": cloud.gid[: cloud.n_owned]})
@@ -210,7 +212,9 @@ def test_fields_are_the_same_written_together_or_in_turn(tmp_path):
     script.write_text(TOGETHER)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     words = [str(ROOT / ".ci" / "mpirun"), "3", sys.executable, str(script), str(tmp_path)]
-    subprocess.run(words, cwd=ROOT, env=environment, check=True, timeout=120)
+    done = subprocess.run(words, cwd=ROOT, env=environment, check=True, timeout=120, capture_output=True, text=True)
+    if "parallel True" not in done.stdout:
+        pytest.skip("h5py has no parallel HDF5: serial would be compared with serial")
     with h5py.File(tmp_path / "turn/fields.h5", "r") as one, h5py.File(tmp_path / "together/fields.h5", "r") as two:
         for step in ("step_00000", "step_00001"):
             assert one[step].attrs["t"] == two[step].attrs["t"] == 0.5

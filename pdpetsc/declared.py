@@ -94,12 +94,18 @@ def numbers_from(what: str, function: Callable[..., Any], *arguments: Any) -> Fl
         The function raised something, or returned something else.
     """
     values = called(what, function, *arguments)
+    found = real_numbers(values)
+    if found is None:
+        raise CaseError(f"The {what} {name_of(function)} must return real numbers, not {shown(values)}.")
+    return found
+
+
+def real_numbers(values: Any) -> Float | None:
+    """Return values as an array of numbers, None where they are not real numbers."""
     try:
-        if not np.iscomplexobj(values):
-            return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        pass
-    raise CaseError(f"The {what} {name_of(function)} must return real numbers, not {shown(values)}.")
+        return None if np.iscomplexobj(values) else np.asarray(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def name_of(function: object) -> str:

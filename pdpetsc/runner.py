@@ -108,9 +108,8 @@ def run(
     keep_apart()
     folder = Path(output)
     with holding(comm, folder), Reporter(comm, quiet) as report:
-        running = _Run(case, folder, {**case.options, **(options or {})}, restart, report, dict(parameters or {}))
-        running.restart_anyway = restart_anyway
-        return running()
+        chosen = {**case.options, **(options or {})}
+        return _Run(case, folder, chosen, restart, restart_anyway, report, dict(parameters or {}))()
 
 
 # Stages of PETSc's log that phases belong to.
@@ -133,6 +132,7 @@ class _Run:
         folder: Path,
         options: Mapping[str, Any],
         restart: str | Path | None,
+        restart_anyway: bool,
         report: Reporter,
         parameters: dict[str, Any],
     ) -> None:
@@ -140,7 +140,7 @@ class _Run:
         self.folder = folder
         self.options = options
         self.restart = restart
-        self.restart_anyway = False
+        self.restart_anyway = restart_anyway
         self.report = report
         self.comm = world()
         self.timings: dict[str, float] = {}

@@ -49,6 +49,18 @@ def results(case, *arguments, ranks=1, output):
     return json.loads((output / "summary.json").read_text())
 
 
+class Stop(pd.Quantity):
+    """Ends the run once the step time is beyond a number."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def evaluate(self, solution):
+        if solution.t > self.after:
+            raise pd.Interrupted("enough")
+        return 0.0
+
+
 def field(output, name, step=-1):
     """Return a field of a step by global id."""
     with h5py.File(output / "fields.h5", "r") as file:

@@ -27,7 +27,7 @@ from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, fingerprint
 from pdpetsc.output.index import Index, Step, part_of, storable
 from pdpetsc.output.records import whole_rows, write_summary
-from tests.commands import ROOT, command, field, run
+from tests.commands import ROOT, Stop, command, field, run
 
 CASE = """
 import pdpetsc as pd
@@ -67,22 +67,18 @@ def strip(**parameters):
     return _case_function()(**parameters)
 
 
-class Stop(pd.Quantity):
+class Counting(Stop):
     """Ends the run once the step time is beyond a number; otherwise the broken bonds."""
 
-    def __init__(self, after):
-        self.after = after
-
     def evaluate(self, solution):
-        if solution.t > self.after:
-            raise pd.Interrupted("enough")
+        super().evaluate(solution)
         return pd.BrokenBonds().evaluate(solution)
 
 
 def stopped(after, **parameters):
     """Return the strip's case, which a run leaves early."""
     case = strip(**parameters)
-    return dataclasses.replace(case, history={**case.history, "broken": Stop(after)})
+    return dataclasses.replace(case, history={**case.history, "broken": Counting(after)})
 
 
 def history(place):
@@ -728,18 +724,6 @@ def test_a_path_that_is_no_checkpoint(words, message, saved, tmp_path):
 # What a continued run computes.
 
 
-class Until(pd.Quantity):
-    """Ends the run once the step time is beyond a number, in a file of its own."""
-
-    def __init__(self, after):
-        self.after = after
-
-    def evaluate(self, solution):
-        if solution.t > self.after:
-            raise pd.Interrupted("enough")
-        return 0.0
-
-
 @pytest.mark.parametrize("after", [0.05, 0.15])
 def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_path):
     """Bonds that soften in many sweeps magnify whatever differs where they begin, to 1e-5 of the fields."""
@@ -753,7 +737,7 @@ def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_
         fields=fields, picture=None,
     )  # fmt: skip
     for name, end, words in (("whole", 0.3, {}), ("part", after, {}), ("rest", 0.3, {"restart": tmp_path / "part"})):
-        case = dataclasses.replace(plate, history={**plate.history, "until": Until(end)})
+        case = dataclasses.replace(plate, history={**plate.history, "until": Stop(end)})
         with pytest.raises(pd.Interrupted):
             pd.run(case, output=tmp_path / name, quiet=True, **words)
     assert json.loads((tmp_path / "whole" / "summary.json").read_text())["steps"][3]["sweeps"] > 100
@@ -771,7 +755,7 @@ def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
     for name, history_ in (("whole", strip().history), ("bare", {"work": pd.ExternalWork()})):
         case = dataclasses.replace(strip(steps=6), history=history_, results=None)
         pd.run(case, output=tmp_path / name, quiet=True)
-        part = {**history_, "until": Until(0.2)}
+        part = {**history_, "until": Stop(0.2)}
         with pytest.raises(pd.Interrupted):
             pd.run(dataclasses.replace(case, history=part), output=tmp_path / f"{name} part", quiet=True)
         pd.run(case, output=tmp_path / f"{name} rest", restart=tmp_path / f"{name} part", quiet=True)

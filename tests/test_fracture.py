@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, field, results
+from tests.commands import ROOT, Stop, field, results
 from tests.test_events import history, one_bond
 
 sys.path.append(str(ROOT / "runs/fracture"))
@@ -107,18 +107,6 @@ def test_any_number_of_ranks_breaks_the_same_bonds(arguments, several, least, tm
         rows[ranks] = [(row[0], row[2], row[3]) for row in broken(tmp_path / str(ranks))]
     assert len(rows[1]) > least
     assert all(rows[ranks] == rows[1] for ranks in several)
-
-
-class Stop(pd.Quantity):
-    """Ends the run once the step time is beyond a number."""
-
-    def __init__(self, after):
-        self.after = after
-
-    def evaluate(self, solution):
-        if solution.t > self.after:
-            raise pd.Interrupted("enough")
-        return 0.0
 
 
 @pytest.mark.parametrize("ranks", [1, 2])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.discrete.communicator import Comm, exchange, offset, total
+from pdpetsc.discrete.communicator import Comm, exchange, fetch, offset, total
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.discrete.images import Images, refuse_outside, shifts
 from pdpetsc.discrete.partition import bisect
@@ -203,14 +203,9 @@ def from_parts(cloud: Cloud, part: NDArray[Any]) -> NDArray[Any]:
     Collective.
     """
     comm, gid = cloud.comm, cloud.gid[: cloud.n_owned]
-    first = offset(comm, len(part))
-    starts = np.array(comm.allgather(first), dtype=np.int64)
+    starts = np.array(comm.allgather(offset(comm, len(part))), dtype=np.int64)
     creator = np.searchsorted(starts, gid, side="right") - 1
-    (asked,), counts = exchange(comm, creator, [gid])
-    (answer,), _ = exchange(comm, np.repeat(np.arange(comm.size), counts), [part[asked - first]])
-    rows = np.empty_like(answer)
-    rows[np.argsort(creator, kind="stable")] = answer
-    return rows
+    return fetch(comm, creator, gid - starts[creator], part)
 
 
 def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:

@@ -137,5 +137,26 @@ def exchange(
     return received, counts
 
 
+def fetch(comm: Comm, holder: NDArray[Any], row: NDArray[Any], part: NDArray[Any]) -> NDArray[Any]:
+    """Return rows of an array that the ranks hold in parts.
+
+    Parameters
+    ----------
+    holder, row : (n,) int
+        Rank that holds each row asked for, and its number in the part of that rank.
+    part : (m, ...)
+        What this rank holds.
+
+    Notes
+    -----
+    Collective.
+    """
+    (asked,), counts = exchange(comm, holder, [row])
+    (answer,), _ = exchange(comm, np.repeat(np.arange(comm.size), counts), [part[asked]])
+    rows = np.empty_like(answer)
+    rows[np.argsort(holder, kind="stable")] = answer
+    return rows
+
+
 def _starts(counts: GlobalIndex) -> GlobalIndex:
     return np.concatenate([[0], np.cumsum(counts)[:-1]])

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, exchange, is_root, total
+from pdpetsc.discrete.communicator import Comm, exchange, fetch, is_root, total
 from pdpetsc.errors import OutputError
 
 # Room that stays free on the disk, for the small files that end a run.
@@ -319,12 +319,5 @@ class InCreationOrder:
 
     def from_parts(self, part: NDArray[Any]) -> NDArray[Any]:
         """Return the rows of the own particles from this rank's part in creation order: the inverse of ``rows``."""
-        cloud = self._cloud
-        gid = cloud.gid[: cloud.n_owned]
-        comm = cloud.comm
-        (asked,), counts = exchange(comm, self._destination, [gid])
-        asker = np.repeat(np.arange(comm.size), counts)
-        (answer,), _ = exchange(comm, asker, [part[asked - self.starts[comm.rank]]])
-        result = np.empty_like(answer)
-        result[np.argsort(self._destination, kind="stable")] = answer
-        return result
+        gid = self._cloud.gid[: self._cloud.n_owned]
+        return fetch(self._cloud.comm, self._destination, gid - self.starts[self._destination], part)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.declared import Declared, shown
+from pdpetsc.declared import Declared, real_numbers, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region, View
 
@@ -268,12 +268,10 @@ class Arrays(Particles):
 
 def _numbers(what: str, values: ArrayLike) -> Float:
     """Return what a case gives as an array of numbers."""
-    try:
-        if not np.iscomplexobj(values):
-            return np.asarray(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise CaseError(f"The {what} of Arrays are an array of numbers, not {shown(values)}.")
+    found = real_numbers(values)
+    if found is None:
+        raise CaseError(f"The {what} of Arrays are an array of numbers, not {shown(values)}.")
+    return found
 
 
 def _refuse_members(name: str, members: ArrayLike, n: int) -> None:

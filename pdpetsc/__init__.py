@@ -18,7 +18,16 @@ from pdpetsc.damage import (
     SmoothDegradation,
 )
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
-from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
+from pdpetsc.gradient import (
+    SCHEMES,
+    BondAssociated,
+    Corrected,
+    Correspondence,
+    HigherOrder,
+    SmoothedDisplacement,
+    StressPoints,
+    SubHorizons,
+)
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import (
@@ -59,7 +68,17 @@ from pdpetsc.solution import (
     reaction,
     stress,
 )
-from pdpetsc.stabilisation import CONTROLS, AveragedDisplacement, Littlewood, Silling, Springs, Wan
+from pdpetsc.stabilisation import (
+    CONTROLS,
+    AveragedDisplacement,
+    Littlewood,
+    Penalty,
+    RelativeAverage,
+    RelativeSprings,
+    Silling,
+    Springs,
+    Wan,
+)
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -125,6 +144,7 @@ __all__ = [
     "Opening",
     "OutputError",
     "PathFollowing",
+    "Penalty",
     "Picture",
     "PlaneCrack",
     "PolygonCrack",
@@ -133,12 +153,15 @@ __all__ = [
     "Quantity",
     "Ramp",
     "Reaction",
+    "RelativeAverage",
     "RelativeError",
+    "RelativeSprings",
     "RunError",
     "SaintVenantKirchhoff",
     "Segment",
     "Silling",
     "SmoothDegradation",
+    "SmoothedDisplacement",
     "Solution",
     "SolveError",
     "Springs",

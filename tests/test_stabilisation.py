@@ -100,7 +100,10 @@ def test_schemes_without_zero_energy_modes_resist_a_checkerboard(scheme):
     assert resisting > 0.1 * kappa
 
 
-def test_silling_is_unit_free():
+@pytest.mark.parametrize(
+    "control", [pd.Silling(), pd.Littlewood(), pd.Wan(), pd.RelativeSprings(), pd.RelativeAverage()]
+)
+def test_controls_are_unit_free(control):
     """The same body in mm and MPa and in m and Pa resists alike."""
     ratios = []
     for length, pressure in ((1.0, 1.0), (1e-3, 1e6)):
@@ -109,14 +112,47 @@ def test_silling_is_unit_free():
         families = find_families(cloud)
         model = CorrespondenceModel(
             cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [pd.Hencky(E=10.0 * pressure)],
-            np.zeros(len(x), dtype=np.int32), pd.Silling(0.5),
+            np.zeros(len(x), dtype=np.int32), control,
         )  # fmt: skip
         u = 0.01 * length * np.sin(7.0 * np.arange(x.size)).reshape(x.shape)
-        elastic, control = model.energy(u)
-        ratios.append(control / elastic)
+        elastic, controlled = model.energy(u)
+        ratios.append(controlled / elastic)
     assert ratios[0] == pytest.approx(ratios[1], rel=1e-12)
 
 
 def test_a_negative_coefficient_is_refused():
     with pytest.raises(pd.CaseError, match="G >= 0"):
         pd.Silling(-0.1)
+
+
+def test_the_penalty_is_silling_with_one_constant(rng):
+    """``Penalty`` with ``C3 = G kappa / sum omega |xi|^2 V`` of one family is Silling's control of that family."""
+    model = body(2, stabilisation=pd.Silling(0.7))
+    cloud, u = model.cloud, displacement(model, rng)
+    kappa = model.laws[0].material.bulk_like_modulus(2)
+    inner = int(np.argmax(np.diff(model.families.indptr)))
+    xi = cloud.x[reference.families(cloud.x, cloud.horizon)[inner]] - cloud.x[inner]
+    C3 = 0.7 * kappa / (xi**2).sum()
+    only = np.array([inner], dtype=np.int32)
+    forces = []
+    for control in (pd.Silling(0.7), pd.Penalty(C3)):
+        f = np.zeros_like(u)
+        body(2, stabilisation=control).control.force(u, f, only)
+        forces.append(f)
+    assert np.abs(forces[0]).max() > 0.0
+    assert np.allclose(*forces, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("C", [0.01, 0.3])
+def test_relative_springs_add_their_share_to_the_stiffness_of_a_bar(C):
+    model = body(1, stabilisation=pd.RelativeSprings(C), material=pd.LinearElastic(10.0))
+    elastic, control = model.energy(0.01 * model.cloud.x)
+    assert control == pytest.approx(C * elastic, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    "kind", [pd.Springs, pd.RelativeSprings, pd.AveragedDisplacement, pd.RelativeAverage, pd.Penalty]
+)
+def test_negative_constants_are_refused(kind):
+    with pytest.raises(pd.CaseError, match=">= 0"):
+        kind(-0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -42,6 +43,24 @@ class Stiffness:
     moduli: Float
     material_of: LocalIndex
     factor: Float
+
+
+def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Float:
+    """Return ``kappa_i / sum_j omega |xi|^2 V_j`` (n_owned,) [force / length^7], 0 for a particle without family.
+
+    A bond force ``C`` times it times ``omega eta`` is a share ``C`` of the stiffness of the material whatever the
+    units, the spacing and the horizon (not collective).
+    """
+    xi = families.bonds(cloud.x)
+    moment = omega * np.einsum("bm,bm->b", xi, xi) * cloud.volume[families.neighbours]
+    trace = np.bincount(families.centres, moment, minlength=cloud.n_owned)
+    return np.divide(stiffness.kappa, trace, out=np.zeros(cloud.n_owned), where=trace > 0.0)
+
+
+def refuse_negative(what: str, value: float) -> None:
+    """Raise CaseError where the coefficient of a control is negative or not finite."""
+    if not (math.isfinite(value) and value >= 0.0):
+        raise CaseError(f"{what} >= 0, not {value}.")
 
 
 class ControlMatrix(ABC):

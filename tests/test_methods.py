@@ -1,4 +1,4 @@
-"""Every published cure for zero-energy modes, from the command line, on the problems of the papers."""
+"""Cures for zero-energy modes side by side, from the command line, on the problems of the papers."""
 
 import os
 import subprocess

@@ -76,6 +76,7 @@ from pdpetsc.stabilisation import (
     RelativeAverage,
     RelativeSprings,
     Silling,
+    SillingMicromodulus,
     Springs,
     Wan,
 )
@@ -160,6 +161,7 @@ __all__ = [
     "SaintVenantKirchhoff",
     "Segment",
     "Silling",
+    "SillingMicromodulus",
     "SmoothDegradation",
     "SmoothedDisplacement",
     "Solution",

@@ -64,7 +64,7 @@ def write_table(folder, name, header, rows):
 
 
 def write_numbers(folder, numbers):
-    """Write ``{name: number}`` as numbers.json (rank 0)."""
+    """Write ``numbers.json``, one flat {name: number}, for the table of what the papers print (rank 0)."""
     import json
 
     from pdpetsc.discrete.communicator import is_root, world

@@ -4,7 +4,7 @@ from pdpetsc.stabilisation.averaged_displacement import AveragedDisplacement, Re
 from pdpetsc.stabilisation.base import Control, Stabilisation
 from pdpetsc.stabilisation.littlewood import Littlewood
 from pdpetsc.stabilisation.penalty import Penalty
-from pdpetsc.stabilisation.silling import Silling
+from pdpetsc.stabilisation.silling import Silling, SillingMicromodulus
 from pdpetsc.stabilisation.springs import RelativeSprings, Springs
 from pdpetsc.stabilisation.wan import Wan
 
@@ -17,6 +17,7 @@ __all__ = [
     "RelativeAverage",
     "RelativeSprings",
     "Silling",
+    "SillingMicromodulus",
     "Springs",
     "Stabilisation",
     "Wan",

@@ -59,7 +59,7 @@ from pdpetsc.solution import (
     reaction,
     stress,
 )
-from pdpetsc.stabilisation import CONTROLS, AveragedDisplacement, Littlewood, Silling, Springs, Wan
+from pdpetsc.stabilisation import CONTROLS, AveragedDisplacement, Littlewood, Silling, SillingMicromodulus, Springs, Wan
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -138,6 +138,7 @@ __all__ = [
     "SaintVenantKirchhoff",
     "Segment",
     "Silling",
+    "SillingMicromodulus",
     "SmoothDegradation",
     "Solution",
     "SolveError",

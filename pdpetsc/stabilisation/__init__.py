@@ -3,11 +3,21 @@
 from pdpetsc.stabilisation.averaged_displacement import AveragedDisplacement
 from pdpetsc.stabilisation.base import Control, Stabilisation
 from pdpetsc.stabilisation.littlewood import Littlewood
-from pdpetsc.stabilisation.silling import Silling
+from pdpetsc.stabilisation.silling import Silling, SillingMicromodulus
 from pdpetsc.stabilisation.springs import Springs
 from pdpetsc.stabilisation.wan import Wan
 
-__all__ = ["CONTROLS", "AveragedDisplacement", "Control", "Littlewood", "Silling", "Springs", "Stabilisation", "Wan"]
+__all__ = [
+    "CONTROLS",
+    "AveragedDisplacement",
+    "Control",
+    "Littlewood",
+    "Silling",
+    "SillingMicromodulus",
+    "Springs",
+    "Stabilisation",
+    "Wan",
+]
 
 # Every control whose strength does not depend on units or spacing, by the word that cases and the command line use.
 CONTROLS: dict[str, Stabilisation | None] = {

@@ -143,7 +143,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         v = sum_by(self.bond_of_entry[entries], force, len(slope))[bonds]
         if self.control is not None and self._effect.fading(slope) is not None:
-            v += self.control.bond_forces(u_local)[bonds]
+            v = v + self.control.bond_forces(u_local)[bonds]
         centres, neighbours = self.families.centres[bonds], self.families.neighbours[bonds]
         y = self.cloud.x[neighbours] + u_local[neighbours] - self.cloud.x[centres] - u_local[centres]
         m = slope[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]

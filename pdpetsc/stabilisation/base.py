@@ -21,6 +21,7 @@ from pdpetsc.kernels.assembly import add_isotropic_kernel
 from pdpetsc.kernels.pattern import transpose
 
 Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
+_NO_DAMAGE = "This zero-energy control cannot take bond damage; take Silling, Springs or none."
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,31 @@ class Control(ABC):
         CaseError
             It has no such form.
         """
-        raise CaseError("This zero-energy control cannot take bond damage; take Silling, Springs or none.")
+        raise CaseError(_NO_DAMAGE)
+
+    def faded(self, integrity: Float) -> Control:
+        """Return the control with the force of every bond times its integrity (n_bonds,); its gradient stays.
+
+        Its matrix is that of a constant integrity.
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
+
+    def bond_forces(self, u: Float) -> Float:
+        """Return the force of every bond on its second end (n_bonds, dim) [force] for displacements with ghosts.
+
+        Without what ``faded`` multiplies it with (not collective).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
 
 
 @dataclass(frozen=True)

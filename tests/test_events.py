@@ -124,8 +124,8 @@ def test_decreasing_critical_stretch_breaks_layers_before_it_localises(tmp_path)
 
     S_k = k (k + 1) / 2 links no longer than k spacings cross a section, each with the area 1 / 55. Layer k begins to
     fail at E eps_k S_k / 55. While it breaks link by link the part of the cell without it grows at a constant mean
-    force F: the work of F beyond what is stored, 1/2 F^2 (55 / S_(k-1) - 55 / S_k) / E a length, is the energy of one link a
-    spacing, 1/2 E eps_k^2 k / 55. So F = E eps_k sqrt(S_k S_(k-1)) / 55.
+    force F: the work of F beyond what is stored, 1/2 F^2 (55 / S_(k-1) - 55 / S_k) / E a length, is the energy of one
+    link a spacing, 1/2 E eps_k^2 k / 55. So F = E eps_k sqrt(S_k S_(k-1)) / 55.
     """
     found = results(CELL, "n=100", "critical=decreasing", output=tmp_path)["results"]
     h = history(tmp_path)

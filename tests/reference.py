@@ -68,8 +68,10 @@ def bond_forces(model, u):
     return f
 
 
-def lengths_of_broken_bonds(n, m):
+def lengths_of_broken_bonds(n, m, power=1):
     """Return the lengths, in spacings, of the bonds of a periodic bar of n particles in the order in which they break.
+
+    Their stiffness goes as ``length^-power``.
 
     After each the whole body is solved anew; the bond with the largest stretch breaks next, until one section is cut.
     Bonds that span the first one are listed; which of two that mirror each other comes first makes no difference.
@@ -80,8 +82,8 @@ def lengths_of_broken_bonds(n, m):
         K, f = np.zeros((n, n)), np.zeros(n)
         for i, k in whole - set(broken):
             j, ahead = (i + k) % n, float(i + k >= n)
-            K[[i, j, i, j], [i, j, j, i]] += np.array([1.0, 1.0, -1.0, -1.0]) / k
-            f[[i, j]] += np.array([1.0, -1.0]) * ahead / k
+            K[[i, j, i, j], [i, j, j, i]] += np.array([1.0, 1.0, -1.0, -1.0]) / k**power
+            f[[i, j]] += np.array([1.0, -1.0]) * ahead / k**power
         u = np.append(0.0, np.linalg.solve(K[1:, 1:], f[1:]))
         stretch = {(i, k): (u[(i + k) % n] + float(i + k >= n) - u[i]) / k for i, k in whole - set(broken)}
         # Ties of mirrored bonds are broken towards the left by more than round-off and less than differences.

@@ -1,13 +1,17 @@
-"""Figures 4 to 7 of the localisation paper: force against inelastic displacement, damage and broken bonds.
+"""Figures 2 and 4 to 7 of the localisation paper, and what its outlook asks for.
 
-    python runs/localisation/figures.py [folder]        # default out/localisation
+    python runs/localisation/figures.py [folder] [figure ...]        # default out/localisation and all of them
 
-Figure 4 for n = 10, 20, 50, 100, 200 with constant critical stretch; figures 5 to 7 for n = 100 with constant,
-decreasing and increasing critical stretch: curves as CSV, one picture each, and a table of the results of ten
-realisations.
+Figure 2: the laws of the critical strain. Figure 4: n = 10, 20, 50, 100, 200 with constant critical strain. Figures 5
+to 7: n = 100 with constant, decreasing and increasing critical strain, ten realisations each: damage of every section
+by Eq. (8), middle and length of every broken link, force against inelastic displacement of the first realisation; a
+table of all; and what differs between them. ``laws``: final mechanism and differences between realisations against
+where the increasing law starts. ``outlook``: links that soften, other micromoduli. Curves are left as CSV and
+pictures, and ``numbers.json`` has the numbers that belong to the figures of one call.
 """
 
 import csv
+import json
 import sys
 from pathlib import Path
 
@@ -17,39 +21,67 @@ import study
 words = study.start("localisation")
 
 import numpy as np  # noqa: E402
-from periodic_cell import E, case  # noqa: E402
+from periodic_cell import LAWS, MICROMODULI, E, case  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 
 SIZES = (10, 20, 50, 100, 200)
+N = 100
 REALISATIONS = 10
-NAMES = ("max_force", "final_displacement", "max_damage", "dissipated", "events")
+NAMES = ("max_force", "final_displacement", "max_damage", "opened", "closed", "dissipated", "broken", "events")
+COLUMNS = ["inelastic displacement / l [1e-2]", "force / E A [1e-2]"]
 
 
-def run(folder, n, critical, seed):
-    """Return results, inelastic displacement and force over E A of every event, and the broken bonds."""
+def run(folder, **parameters):
+    """Return results, inelastic displacement and force over E A of all events, middle and length of broken links."""
     scratch = folder / "last_run"
-    found = pd.run(case(n=n, critical=critical, seed=seed), output=scratch, quiet=True)
+    found = pd.run(case(**parameters), output=scratch, quiet=True)
     with (scratch / "history.csv").open() as file:
         rows = list(csv.DictReader(file))
     u, force = (np.array([float(row[name]) for row in rows]) for name in ("displacement", "force"))
     with (scratch / "broken_bonds.csv").open() as file:
-        bonds = np.array([[float(row["x"]), float(row["length"])] for row in csv.DictReader(file)])
-    # After the last bond the displacement grows without force.
-    return found, (u - force * u[1] / force[1])[:-1], force[:-1] / E, bonds
+        links = np.array([[float(row["x"]) % 1.0, float(row["length"])] for row in csv.DictReader(file)])
+    # After the last link the displacement grows without force.
+    return found, (u - force * u[1] / force[1])[:-1], force[:-1] / E, links.reshape(-1, 2)
 
 
-def damage(bonds, n):
-    """Return the sections between particles and the share of broken bonds that cross each."""
+def damage(links, n):
+    """Return the sections between particles and the share of broken links among those that cross each, Eq. (8)."""
     m = round(0.1 * n)
     section = (np.arange(n) + 1.0) / n
-    apart = np.abs((bonds[:, 0, None] - section + 0.5) % 1.0 - 0.5)
-    return section, (apart < 0.5 * bonds[:, 1, None]).sum(axis=0) / (0.5 * m * (m + 1))
+    apart = np.abs((links[:, 0, None] - section + 0.5) % 1.0 - 0.5)
+    return section, (apart < 0.5 * links[:, 1, None]).sum(axis=0) / (0.5 * m * (m + 1))
 
 
-def picture(folder, name, title, curve, bonds, n):
-    """Draw final damage, broken bonds and force against inelastic displacement as the paper does."""
+def layers(links, n):
+    """Return how many links of one spacing, two spacings, ... are broken."""
+    return np.bincount(np.rint(links[:, 1] * n).astype(int), minlength=round(0.1 * n) + 1)[1:]
+
+
+def pattern(links, n):
+    """Return what is the same for broken links that are translated or mirrored."""
+    occupied = np.zeros((round(0.1 * n) + 1, 2 * n), dtype=bool)
+    occupied[np.rint(links[:, 1] * n).astype(int), np.rint(2.0 * n * links[:, 0]).astype(int) % (2 * n)] = True
+    both = occupied, np.roll(occupied[:, ::-1], 1, axis=1)
+    return min(np.packbits(np.roll(one, shift, axis=1)).tobytes() for one in both for shift in range(0, 2 * n, 2))
+
+
+def largest_rise(force):
+    """Return how far the force recovers at most after its peak, over the peak."""
+    after = force[force.argmax() :]
+    return float((after - np.minimum.accumulate(after)).max() / force.max())
+
+
+def spread(values):
+    """Return the range of numbers over their mean."""
+    return float(np.ptp(values) / np.mean(values))
+
+
+def picture(folder, name, title, curve, links, n):
+    """Draw final damage, broken links and force against inelastic displacement as the paper does."""
+    if not is_root(world()):
+        return
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
@@ -57,43 +89,160 @@ def picture(folder, name, title, curve, bonds, n):
     plots = figure.subplot_mosaic([["profile", "path"], ["places", "path"]])
     profile, places, path = (plots[key] for key in ("profile", "places", "path"))
     profile.set(ylabel="damage [-]", xlim=(0, 1), ylim=(0, 1.05))
-    section, share = damage(bonds, n)
+    section, share = damage(links, n)
     profile.step(section, share, where="mid")
     places.set(xlabel="x / l", ylabel="length / l", xlim=(0, 1), ylim=(0, 0.11))
-    places.plot(bonds[:, 0] % 1.0, bonds[:, 1], ".", markersize=3)
-    path.set(xlabel="inelastic displacement / l [1e-2]", ylabel="force / E A [1e-2]")
+    places.plot(*links.T, ".", markersize=3)
+    path.set(xlabel=COLUMNS[0], ylabel=COLUMNS[1])
     path.plot(100.0 * curve[0], 100.0 * curve[1], linewidth=0.8)
     path.grid(alpha=0.3)
     figure.savefig(folder / f"{name}.png", dpi=130)
+    print(f"{folder / name}.png", flush=True)
+
+
+def draw(folder, name, title, u, force, links, n):
+    """Write the three parts of a figure as tables and one picture."""
+    study.write_table(folder, f"{name}_curve", COLUMNS, zip(100.0 * u, 100.0 * force, strict=True))
+    study.write_table(folder, f"{name}_broken", ["x / l", "length / l"], links)
+    study.write_table(folder, f"{name}_damage", ["x / l", "damage"], zip(*damage(links, n), strict=True))
+    picture(folder, name, title, (u, force), links, n)
+
+
+def realisations(folder, name, title, **parameters):
+    """Draw the first realisation; return its force and links, and what differs between all of them."""
+    table, patterns, first = [], set(), None
+    for seed in range(1, REALISATIONS + 1):
+        found, u, force, links = run(folder, n=N, seed=seed, **parameters)
+        table.append([found[key] for key in NAMES])
+        patterns.add(pattern(links, N))
+        if seed == 1:
+            first = found, force, links
+            draw(folder, name, title, u, force, links, N)
+    study.write_table(folder, f"{name}_realisations", NAMES, table)
+    columns = dict(zip(NAMES, np.array(table).T, strict=True))
+    numbers = {f"spread_{key}": spread(columns[key]) for key in ("max_force", "final_displacement", "dissipated")}
+    numbers |= {"fewest_broken": columns["broken"].min(), "most_broken": columns["broken"].max()}
+    numbers |= {"most_damage": columns["max_damage"].max(), "patterns": len(patterns)}
+    segments = columns["opened"] + columns["closed"]
+    numbers |= {"of_one_segment": np.count_nonzero(segments == 1), "of_three": np.count_nonzero(segments == 3)}
+    found, force, links = first
+    numbers |= {key: found[key] for key in NAMES} | {"largest_rise": largest_rise(force)}
+    return {f"{name}_{key}": value for key, value in numbers.items()}, force, links
+
+
+def figure_2(folder):
+    length = np.linspace(0.0, 0.1, 11)
+    curves = {name: (length, ends[0] + (ends[1] - ends[0]) * length / 0.1) for name, ends in LAWS.items()}
+    study.write_curves(folder, "figure_2", "Critical strain", ["length / l", "critical strain [-]"], curves)
+    return {f"{end}_{name}": f(ends) for name, ends in LAWS.items() for end, f in (("largest", max), ("least", min))}
+
+
+def figure_4(folder):
+    numbers, curves = {}, {}
+    for n in SIZES:
+        found, u, force, _ = run(folder, n=n)
+        curves[f"n = {n}"] = (100.0 * u, 100.0 * force)
+        numbers |= {f"{key}_{n}": found[key] for key in ("max_force", "final_displacement", "events")}
+        numbers[f"largest_rise_{n}"] = largest_rise(force)
+    study.write_curves(folder, "figure_4", "Constant critical strain", COLUMNS, curves)
+    return numbers
+
+
+def figure_5(folder):
+    numbers, _, links = realisations(folder, "figure_5", "Critical strain constant", critical="constant")
+    length = np.rint(links[:, 1] * N).astype(int)
+    # The links break in runs from short to long.
+    return numbers | {"figure_5_first_run_ends_at": length[np.flatnonzero(np.diff(length) < 0)[0]]}
+
+
+def figure_6(folder):
+    """Beside what all have: the force at which a layer begins to fail, and that of its horizontal part [1e-2 E A]."""
+    title = "Critical strain decreasing"
+    numbers, force, links = realisations(folder, "figure_6", title, critical="decreasing")
+    count = layers(links, N)
+    whole = [k for k in range(10, 0, -1) if count[k - 1] == N]
+    numbers["figure_6_whole_layers"] = len(whole)
+    length = np.rint(links[:, 1] * N).astype(int)
+    for k in whole:
+        # A link begins to fail and is broken in two events; the middle of a layer is where both forces repeat.
+        events = 1 + 2 * np.flatnonzero(length == k)
+        middle = events[N // 4 : -N // 4]
+        numbers[f"figure_6_onset_{k}"] = 100.0 * force[events[0]]
+        numbers[f"figure_6_level_{k}"] = 50.0 * (np.median(force[middle]) + np.median(force[middle + 1]))
+    return numbers
+
+
+def figure_7(folder):
+    numbers, _, links = realisations(folder, "figure_7", "Critical strain increasing", critical="increasing")
+    count = layers(links, N)
+    numbers |= {
+        "figure_7_whole_layers": np.count_nonzero(count == N),
+        "figure_7_share_of_weaker_half": count[:5].sum() / count.sum(),
+    }
+    more = "figure_7_moved_more"
+    title = "Critical strain increasing, particles moved by up to 1e-4 l"
+    return numbers | realisations(folder, more, title, critical="increasing", perturbation=1e-4)[0]
+
+
+def laws(folder):
+    """Where the law starts decides about the mechanism; mostly ten realisations are one, translated or mirrored."""
+    rows, numbers = [], {}
+    for start in (0.0, 0.001, 0.002, 0.004, 0.006):
+        runs = [run(folder, n=N, critical="increasing", start=start, seed=s) for s in range(1, REALISATIONS + 1)]
+        patterns = len({pattern(links, N) for _, _, _, links in runs})
+        segments = [found["opened"] + found["closed"] for found, _, _, _ in runs]
+        broken = [found["broken"] for found, _, _, _ in runs]
+        force = [found["max_force"] for found, _, _, _ in runs]
+        rows.append((start, patterns, min(segments), max(segments), min(broken), max(broken), min(force), max(force)))
+        numbers |= {f"patterns_{start:g}": patterns, f"most_segments_{start:g}": max(segments)}
+    header = ["start", "patterns", "fewest segments", "most", "fewest broken", "most", "least max force", "largest"]
+    study.write_table(folder, "laws", header, rows)
+    return numbers
+
+
+def outlook(folder):
+    numbers = {}
+    for critical in LAWS:
+        curves = {}
+        for ratio in (1.0, 1.5, 3.0):
+            found, u, force, _ = run(folder, n=N, critical=critical, ratio=ratio)
+            curves[f"to {ratio:g} times" if ratio > 1.0 else "snap"] = (100.0 * u, 100.0 * force)
+            for key in ("final_displacement", "dissipated", "max_force", "broken"):
+                numbers[f"{critical}_{ratio:g}_{key}"] = found[key]
+            numbers[f"{critical}_{ratio:g}_largest_rise"] = largest_rise(force)
+        title = f"Links that soften, critical strain {critical}"
+        study.write_curves(folder, f"softening_{critical}", title, COLUMNS, curves)
+    curves = {}
+    for micromodulus in MICROMODULI:
+        found, u, force, _ = run(folder, n=N, micromodulus=micromodulus)
+        curves[micromodulus] = (100.0 * u, 100.0 * force)
+        numbers |= {f"{micromodulus}_{key}": found[key] for key in ("max_force", "final_displacement", "dissipated")}
+    study.write_curves(folder, "micromoduli", "Micromoduli, critical strain constant", COLUMNS, curves)
+    return numbers
+
+
+FIGURES = {
+    "2": figure_2,
+    "4": figure_4,
+    "5": figure_5,
+    "6": figure_6,
+    "7": figure_7,
+    "laws": laws,
+    "outlook": outlook,
+}
 
 
 def main():
+    unknown = [word for word in words[1:] if word not in FIGURES]
+    if unknown:
+        sys.exit(f"There is no figure {unknown[0]}; choose from {', '.join(FIGURES)}.")
     folder = study.folder_for(words, "out/localisation")
-    curves = {}
-    for n in SIZES:
-        _, u, force, _ = run(folder, n, "constant", 1)
-        curves[f"n = {n}"] = (100.0 * u, 100.0 * force)
-    columns = ["inelastic displacement / l [1e-2]", "force / E A [1e-2]"]
-    study.write_curves(folder, "figure_4", "Constant critical stretch", columns, curves)
-    table = []
-    for number, critical in enumerate(("constant", "decreasing", "increasing"), start=5):
-        for seed in range(1, REALISATIONS + 1):
-            found, u, force, bonds = run(folder, 100, critical, seed)
-            table.append((critical, seed, *(found[name] for name in NAMES)))
-            if seed == 1:
-                name = f"figure_{number}"
-                study.write_table(folder, f"{name}_curve", columns, zip(100.0 * u, 100.0 * force, strict=True))
-                study.write_table(folder, f"{name}_broken", ["x / l", "length / l"], bonds)
-                study.write_table(folder, f"{name}_damage", ["x / l", "damage"], zip(*damage(bonds, 100), strict=True))
-                if is_root(world()):
-                    picture(folder, name, f"Critical stretch {critical}", (u, force), bonds, 100)
-                    print(f"{folder / name}.png and three tables", flush=True)
-    study.write_table(folder, "realisations", ["critical", "seed", *NAMES], table)
-    for n in SIZES:
-        for critical in ("constant", "decreasing", "increasing"):
-            means = run(folder, n, critical, 1)[0]
-            if is_root(world()):
-                print(f"n = {n:3d} {critical:10s}", ", ".join(f"{name} {means[name]:.6g}" for name in NAMES))
+    numbers = {}
+    for name in words[1:] or FIGURES:
+        numbers |= FIGURES[name](folder)
+    if is_root(world()):
+        (folder / "numbers.json").write_text(json.dumps({key: float(numbers[key]) for key in numbers}, indent=1))
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -1,12 +1,23 @@
 """Bar of bond-based material in a periodic cell, pulled until no force is left: how damage localises. Units m, N.
 
-The cell is 1 m long, its horizon h = 0.1 m; bonds snap at a critical stretch that depends on their length: ``constant``
-0.01; ``decreasing`` linearly from 0.00865 for a bond without length to 0.0001 at the horizon; ``increasing`` from 0.001
-to 0.01. Particles are moved by up to 1e-6 m at random, from ``seed``; with constant critical stretch one of the
-shortest bonds is a millionth weaker. With more than one of ``realisations`` the results are means over the seeds that
-follow. Results: ``max_force``, the largest force; ``final_displacement``, the elongation of the cell when the last bond
-breaks; ``max_damage``, the largest share of broken bonds that cross one section; ``dissipated``; ``events``.
-Reference: Mikes, Jirasek, Zeman, Rokos, Peerlings, section 3, Fig. 4-7.
+The cell is 1 m long, its horizon h = 0.1 m. Links snap at a critical strain that is linear in their length, from
+``start`` for a link without length to ``end`` at the horizon. ``critical`` names both: ``constant`` 0.01;
+``decreasing`` from 0.01 to 0.0001; ``increasing`` from 0.0001 to 0.01. The paper states the largest value, 0.01; the
+least follows from the force 0.01e-2 E A at which the longest links fail in its figure 6, about 0.9 times that value.
+
+With ``ratio`` above 1 links soften to that many times their critical strain instead of snapping. ``micromodulus`` is
+how the stiffness E A / length of a link depends on its length besides: ``constant`` as in the paper, ``linear``,
+``cubic`` or ``gaussian``, which end 0.3 spacings beyond the horizon; the cell always has the stiffness E A / l.
+
+Particles are moved by up to ``perturbation`` at random, from ``seed``, before lengths, stiffness and critical strains
+are computed. Links of equal force pull each to both sides, so that uniform strain stays an equilibrium wherever they
+are, and with a constant critical strain all links would fail at once: one of the shortest is a millionth weaker then.
+
+With more than one of ``realisations`` the results are means over the seeds that follow. Results: ``max_force``, the
+largest force; ``final_displacement``, the elongation of the cell when the last link breaks; ``max_damage``, the largest
+share of broken links among those that cross one section; ``opened`` and ``closed``, how many gaps between neighbouring
+particles have opened or closed in the end; ``dissipated``; ``broken``, how many links are broken; ``events``.
+Reference: Mikes, Jirasek, Zeman, Rokos, Peerlings, section 3, Fig. 2 and 4-7; softening and micromoduli: section 4.
 """
 
 import shutil
@@ -19,12 +30,21 @@ import pdpetsc as pd
 
 LENGTH = 1.0
 E = 100.0
+# Mean strain at the end of the load, over the ratio; the largest elongation at which a link holds is 0.01 of it.
 PULL = 0.012
+# Critical strain of a link without length and of one as long as the horizon.
+LAWS = {"constant": (0.01, 0.01), "decreasing": (0.01, 0.0001), "increasing": (0.0001, 0.01)}
+MICROMODULI = {
+    "constant": pd.influence.Constant(),
+    "linear": pd.influence.Linear(),
+    "cubic": pd.influence.Cubic(),
+    "gaussian": pd.influence.Gaussian(),
+}
 
 
 @dataclass(frozen=True)
 class SectionDamage(pd.Quantity):
-    """Largest share of broken ones among the bonds that cross a section between two particles."""
+    """Largest share of broken ones among the links that cross a section between two particles, Eq. (8)."""
 
     n: int
 
@@ -32,6 +52,31 @@ class SectionDamage(pd.Quantity):
         broken, crossing = section_counts(solution.model, self.n)
         both = solution.sum(np.array([broken, crossing]))
         return float((both[0] / both[1]).max())
+
+
+@dataclass(frozen=True)
+class Gaps(pd.Quantity):
+    """How many gaps between neighbouring particles open (sign 1) or close (-1) by over half the cell's elongation."""
+
+    n: int
+    sign: float
+
+    def evaluate(self, solution):
+        x, u = solution.model.cloud.x[: len(solution.u), 0], np.zeros(self.n)
+        u[np.rint(x * self.n / LENGTH - 0.5).astype(int)] = solution.u[:, 0]
+        u = solution.sum(u)
+        elongation = solution.cell_strain[0, 0] * LENGTH
+        opening = np.diff(u, append=u[0] + elongation)
+        return float(np.count_nonzero(self.sign * opening > 0.5 * elongation)) if elongation > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class BrokenLinks(pd.Quantity):
+    """How many links are broken."""
+
+    def evaluate(self, solution):
+        # Each is in the family of both of its ends.
+        return float(solution.sum(np.count_nonzero(solution.model.failure.integrity == 0.0)) // 2)
 
 
 def section_counts(model, n):
@@ -52,16 +97,31 @@ def section_counts(model, n):
     return counts
 
 
-def case(n=100, critical="constant", realisations=1, seed=1, perturbation=1e-6, horizon=0.1, updates=0):
+def case(
+    n=100,
+    critical="constant",
+    start=None,
+    end=None,
+    ratio=1.0,
+    micromodulus="constant",
+    realisations=1,
+    seed=1,
+    perturbation=1e-6,
+    horizon=0.1,
+    updates=0,
+):
     dx = LENGTH / n
     rng = np.random.default_rng(seed)
     weakest = rng.integers(n) * dx
-    laws = {
-        "constant": pd.CriticalFunction(lambda length, middle: weakened(length, middle, weakest, dx)),
-        "decreasing": pd.LinearCritical(0.00865, 0.0001, horizon),
-        "increasing": pd.LinearCritical(0.001, 0.01, horizon),
-    }
+    ends = pd.choose("critical", critical, LAWS)
+    first, last = (given if named is None else named for named, given in zip((start, end), ends, strict=True))
+    law = pd.LinearCritical(first, last, horizon)
+    if first == last:
+        law = pd.CriticalFunction(lambda length, middle: weakened(length, middle, weakest, dx, first))
     x = (np.arange(n) + 0.5) * dx + perturbation * rng.uniform(-1.0, 1.0, n)
+
+    def again(seed):
+        return case(n, critical, start, end, ratio, micromodulus, 1, seed, perturbation, horizon, updates)
 
     def results(h):
         carrying = np.array(h["force"]) > 1e-9 * max(h["force"])
@@ -69,19 +129,22 @@ def case(n=100, critical="constant", realisations=1, seed=1, perturbation=1e-6, 
             "max_force": max(h["force"]),
             "final_displacement": h["displacement"][int(np.flatnonzero(carrying)[-1]) + 1],
             "max_damage": h["section_damage"][-1],
+            "opened": h["opened"][-1],
+            "closed": h["closed"][-1],
             "dissipated": h["dissipated"][-1],
+            "broken": h["broken"][-1],
             "events": len(h["force"]) - 2,
         }
-        others = [case(n, critical, 1, seed + r, perturbation, horizon, updates) for r in range(1, realisations)]
-        return mean([found, *(run_aside(other) for other in others)])
+        return mean([found, *(run_aside(again(seed + r)) for r in range(1, realisations))])
 
     return pd.Case(
         particles=pd.Arrays(x[:, None], dx),
         horizon=horizon + 0.3 * dx,
+        influence=pd.choose("micromodulus", micromodulus, MICROMODULI),
         material=pd.BondBased(E=E, calibration="lattice"),
-        damage=pd.Brittle(pd.choose("critical", critical, laws)),
+        damage=pd.Brittle(law) if ratio == 1.0 else pd.LinearSoftening(law, ratio),
         cell=pd.Cell(0.0, LENGTH),
-        conditions=[pd.Displacement(pd.region.Nearest((0.5 * dx,)), x=0.0), pd.MeanStrain(xx=PULL)],
+        conditions=[pd.Displacement(pd.region.Nearest((0.5 * dx,)), x=0.0), pd.MeanStrain(xx=PULL * ratio)],
         solver=pd.EventDriven(updates or None),
         history={
             "displacement": pd.CellStrain("xx"),
@@ -89,16 +152,19 @@ def case(n=100, critical="constant", realisations=1, seed=1, perturbation=1e-6, 
             "energy": pd.StrainEnergy(),
             "dissipated": pd.DissipatedEnergy(),
             "section_damage": SectionDamage(n),
+            "opened": Gaps(n, 1.0),
+            "closed": Gaps(n, -1.0),
+            "broken": BrokenLinks(),
         },
         results=results,
         fields=[pd.displacement, pd.local_damage],
     )
 
 
-def weakened(length, middle, place, dx):
-    """Return 0.01, a millionth less for the shortest bond at one place: with uniform strain all would fail at once."""
+def weakened(length, middle, place, dx, critical):
+    """Return the critical strain, a millionth less for the shortest link at one place."""
     apart = np.abs((middle[:, 0] - place + 0.5 * LENGTH) % LENGTH - 0.5 * LENGTH)
-    return np.where((length < 1.5 * dx) & (apart < 0.25 * dx), 0.01 * (1.0 - 1e-6), 0.01)
+    return np.where((length < 1.5 * dx) & (apart < 0.25 * dx), critical * (1.0 - 1e-6), critical)
 
 
 def mean(runs):

@@ -32,6 +32,8 @@ from pdpetsc.gradient import (
 )
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTangent, Term
 from pdpetsc.quantities import (
     At,
     BrokenBonds,
@@ -124,6 +126,7 @@ __all__ = [
     "EventDriven",
     "ExponentialSoftening",
     "ExternalWork",
+    "ExtraTerm",
     "Force",
     "FractureEnergy",
     "Graded",
@@ -131,6 +134,7 @@ __all__ = [
     "HigherOrder",
     "Hold",
     "Interrupted",
+    "KeptArray",
     "Largest",
     "LargestError",
     "LargestStretch",
@@ -139,6 +143,7 @@ __all__ = [
     "LinearElastic",
     "LinearSoftening",
     "LinearSolid",
+    "LinearisedTerm",
     "Littlewood",
     "Mean",
     "MeanStrain",
@@ -152,6 +157,7 @@ __all__ = [
     "Penalty",
     "Picture",
     "PlaneCrack",
+    "PointTangent",
     "PolygonCrack",
     "Polyline",
     "PresentStretch",
@@ -172,11 +178,13 @@ __all__ = [
     "Solution",
     "SolveError",
     "Springs",
+    "State",
     "Steps",
     "StrainEnergy",
     "StressPoints",
     "SubHorizons",
     "Table",
+    "Term",
     "TextFile",
     "Traction",
     "Wan",

@@ -13,21 +13,34 @@ from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, law_of
 from pdpetsc.damage import ConstantCritical, LinearSoftening
-from pdpetsc.declared import called, numbers_from
+from pdpetsc.damage.state import FailingBonds
+from pdpetsc.declared import called, numbers_from, shown
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
+from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import cache_lock
-from pdpetsc.loading import Loading, select
 from pdpetsc.material import Graded, Material
-from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel, Model, NearAssembler
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.loose_springs import LooseSprings
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.nearest_neighbours import NearAssembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import nearest_distances, scales_of
+from pdpetsc.problem.term import Term
 from pdpetsc.scene.influence import evaluate
 from pdpetsc.scene.particles import Chunk
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.pairs import rehearse_pairs
-from pdpetsc.solve.scales import nearest_distances
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.conditions import apply
+from pdpetsc.terms.control import ZeroEnergyControl, stiffness_of
+from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.material_points import MaterialPoints
 
 # Positions and horizons beyond these overflow where they are raised to powers.
 FAR = 1e60
@@ -55,15 +68,15 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None
     refuse_beyond_memory(comm, bonds * each / comm.size, what)
 
 
-def make_model(case: Case, cloud: Cloud, families: Families) -> Model:
-    """Return the model of a case on a distributed cloud (collective)."""
+def make_problem(case: Case, cloud: Cloud, families: Families) -> Problem:
+    """Return the problem of a case on a distributed cloud (collective)."""
     if int(total(cloud.comm, len(families.neighbours))) == 0:
         raise CaseError(
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
             f"the cracks cut less."
         )
     materials, material_of, factor = _materials(case, cloud)
-    return _model(case, cloud, families, materials, material_of, factor)
+    return _problem(case, Body(cloud, families), materials, material_of, factor)
 
 
 def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
@@ -83,45 +96,86 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
-                # The case's critical stretches are those of another body.
-                damage = None if case.damage is None else LinearSoftening(ConstantCritical(1.0))
-                model = _model(replace(case, damage=damage), cloud, find_families(cloud), materials, alternating, None)
-                assembler = NearAssembler(model) if near else model.assembler()
-                u = np.zeros_like(x)
+                # The case's critical stretches are those of another body, its conditions and terms know that body only.
+                damage = None
+                if case.damage is not None:
+                    damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
+                bare = replace(case, damage=damage, conditions=[], cell=None, terms=())
+                problem = _problem(bare, Body(cloud, find_families(cloud)), materials, alternating, None)
+                assembler = NearAssembler(problem) if near else Assembler(problem)
+                state = problem.state(np.zeros_like(x))
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
-                assembler.assemble(u, np.empty(size[0]), np.empty(size[1]))
-                model.internal_force(u)
-                model.tangent_times(u, u)
-                model.energy(u)
-                model.commit(u)
-                model.out_of_plane(u)
-                nearest_distances(model)
-                Loading(model, [], case.particles).held_at_cut_families()
-                if damage is not None and isinstance(model, BondModel) and isinstance(case.solver, EventDriven):
-                    rehearse_pairs(model)
+                assembler.assemble(state, np.empty(size[0]), np.empty(size[1]))
+                problem.internal_force(state)
+                problem.linearised(state)(state.u)
+                problem.energies(state)
+                problem.commit(state)
+                problem.matter.out_of_plane(state)
+                nearest_distances(problem.body)
+                problem.supports.held_at_cut_families()
+                if damage is not None and case.of_bonds and isinstance(case.solver, EventDriven):
+                    rehearse_pairs(problem)
 
 
-def _model(
-    case: Case, cloud: Cloud, families: Families, materials: Sequence[Material | BondMaterial],
-    material_of: LocalIndex, factor: Float | None,
-) -> Model:  # fmt: skip
+def _problem(
+    case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None
+) -> Problem:
+    cloud, families = body.cloud, body.families
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     with agreed(cloud.comm):
         omega = evaluate(case.influence, length / cloud.horizon)
-    if case.of_bonds:
-        bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
-        bond_materials = cast(Sequence[BondMaterial], materials)
-        return BondModel(bonds, bond_materials, material_of, factor, case.damage, _protected(case, cloud))
+    bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+    make = _bonds if case.of_bonds else _points
+    matter, others, damage = make(case, body, bonds, materials, material_of, factor)
+    supports, loads = apply(body, matter, case.conditions, case.particles)
+    extra = []
+    for number, declared in enumerate(case.terms, 1):
+        term = called(f"build of term {number}, {type(declared).__name__},", declared.build, body)
+        with agreed(cloud.comm):
+            if not isinstance(term, Term):
+                raise CaseError(f"{type(declared).__name__} must build a Term, not {shown(term)}.")
+        extra.append(term)
+    problem = Problem(body, matter, [*others, loads, *extra], supports, damage)
+    if damage is not None:
+        problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
+        problem.terms.append(problem.springs)
+    return problem
+
+
+def _bonds(
+    case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
+    """Return the terms of a body whose forces act along bonds (collective)."""
+    matter = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
+    if case.damage is None:
+        return matter, [], None
+    state = FailingBonds(body.cloud, body.families, resolve(case.damage, bonds, matter.k), _protected(case, body.cloud))
+    damage = Damage(body, state, matter.finite)
+    matter.take_damage(damage)
+    return matter, [], damage
+
+
+def _points(
+    case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
+    """Return the terms of a body with deformation gradients (collective)."""
     laws = cast(Sequence[Material], materials)
+    damage: Damage | None = None
+    matter: Matter
     if case.damage is not None:
-        bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
         alike = [BondBased(law.E, plane=law.plane, calibration="lattice") for law in laws]
-        k = combine(bonds, alike, material_of, np.ones(cloud.n_owned) if factor is None else factor).k
-        return DamagedCorrespondenceModel(
-            cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor,
-            resolve(case.damage, bonds, k), _protected(case, cloud),
-        )  # fmt: skip
-    return CorrespondenceModel(cloud, families, omega, case.gradients, laws, material_of, case.stabilisation, factor)
+        k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
+        law = resolve(case.damage, bonds, k)
+        damage = Damage(body, FailingBonds(body.cloud, body.families, law, _protected(case, body.cloud)), True)
+        matter = DamagedPoints(body, bonds.omega, case.gradients, laws, material_of, factor, damage)
+    else:
+        matter = MaterialPoints(body, bonds.omega, case.gradients, laws, material_of, factor)
+    if case.stabilisation is None:
+        return matter, [], damage
+    stiffness = stiffness_of(body, laws, material_of, factor)
+    return matter, [ZeroEnergyControl(body, case.stabilisation, bonds.omega, stiffness, damage)], damage
 
 
 def _protected(case: Case, cloud: Cloud) -> Mask | None:

@@ -16,6 +16,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, SubHorizons
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
+from pdpetsc.problem.term import ExtraTerm
 from pdpetsc.quantities import Quantity, refuse_component
 from pdpetsc.scene.cell import Cell
 from pdpetsc.scene.conditions import Condition
@@ -98,6 +99,8 @@ class Case(Declared):
         What is drawn at the end.
     options : mapping of str to value
         PETSc options without dash, which the command line overrides.
+    terms : sequence of ExtraTerm
+        What adds forces besides material, control and conditions.
     """
 
     particles: Particles
@@ -118,6 +121,7 @@ class Case(Declared):
     checkpoints: int = 1
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+    terms: Sequence[ExtraTerm] = ()
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:

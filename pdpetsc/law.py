@@ -80,6 +80,11 @@ class Law(ABC):
     def has_history(self) -> bool:
         """Return whether its stress depends on converged steps."""
 
+    @property
+    def history(self) -> Float:
+        """Return what it remembers of converged steps at its points (n, n_history); nothing where it has none."""
+        return np.empty((len(self.points), 0))
+
     def largest_modulus(self) -> float:
         """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
         if len(self.points) == 0:
@@ -119,12 +124,17 @@ class HistoryLaw(Law):
     """A material with history at its points."""
 
     def __init__(self, material: HistoryMaterial, points: GlobalIndex, dim: int, factor: Float | None) -> None:
-        self._history = material.initial_history(dim, len(points))
+        self._history: Float = material.initial_history(dim, len(points))
         kernels = material.history_kernels(dim)
         super().__init__(material, kernels, points, dim, factor, self._history)
         self._commit = kernels.commit
         self._plastic_strain = material.plastic_strain
         self._out_of_plane = material.out_of_plane_stress
+
+    @property
+    def history(self) -> Float:
+        """Return what it remembers of converged steps at its points (n, n_history), to be overwritten in place."""
+        return self._history
 
     def _out_of_plane_stress(self, F: Float) -> Float:
         return self._out_of_plane(F, self._history)

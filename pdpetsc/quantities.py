@@ -157,7 +157,7 @@ class StrainEnergy(Quantity):
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
-        return solution.energies[0]
+        return solution.energies["strain"]
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class ControlEnergy(Quantity):
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
-        return solution.energies[1]
+        return solution.energies["control"]
 
 
 @dataclass(frozen=True)
@@ -189,8 +189,8 @@ class DissipatedEnergy(Quantity):
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
-        known = solution.model.dissipated_energy()
-        return solution.work - sum(solution.energies) if known is None else known
+        known = solution.problem.matter.dissipated_energy()
+        return solution.work - sum(solution.energies.values()) if known is None else known
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ class BrokenBonds(Quantity):
 
     def evaluate(self, solution: Solution) -> float:
         """Return the number."""
-        return float(solution.model.broken_bonds())
+        return float(solution.broken_bonds)
 
 
 @dataclass(frozen=True)
@@ -330,7 +330,7 @@ def _reference(
     solution: Solution, function: Callable[[Float, float], Float], mask: Mask, shape: tuple[int, ...]
 ) -> Float:
     """Return the values of a reference function in the shape of the field where the mask is true (collective)."""
-    with agreed(solution.model.cloud.comm):
+    with agreed(solution.cloud.comm):
         if not mask.any():
             return np.zeros(shape)
         values = numbers_from("reference", function, solution.x[mask], solution.t)
@@ -346,7 +346,7 @@ def _reference(
 def _values(solution: Solution, field: Field) -> Float:
     """Return a field, which is one value, vector or tensor per own particle on every rank (collective)."""
     values = field(solution)
-    with agreed(solution.model.cloud.comm):
+    with agreed(solution.cloud.comm):
         if np.shape(values)[:1] != (len(solution.x),) or np.asarray(values).dtype.kind not in "biuf":
             raise CaseError(
                 f"The field {name_of(field)} must return numbers for each of {len(solution.x)} particles, "
@@ -358,7 +358,7 @@ def _values(solution: Solution, field: Field) -> Float:
 def _component_of(solution: Solution, field: Field, name: str) -> Float:
     """Return a component of a field (collective)."""
     values = _values(solution, field)
-    with agreed(solution.model.cloud.comm):
+    with agreed(solution.cloud.comm):
         return component(values, name)
 
 
@@ -378,7 +378,7 @@ def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> No
 
 def _axes(solution: Solution, name: str) -> tuple[int, int]:
     """Return the pair of directions of a component that the cell has."""
-    images = solution.model.cloud.images
+    images = solution.cloud.images
     if images is None:
         raise CaseError("The mean strain and stress are those of a periodic cell; give the Case a cell.")
     letters = ["xyz"[a] + "xyz"[b] for a, b in images.cell.components]

@@ -17,7 +17,7 @@ from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
-from pdpetsc.build import make_cloud, make_model, rehearse
+from pdpetsc.build import make_cloud, make_problem, rehearse
 from pdpetsc.case import Case, check_declared
 from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
 from pdpetsc.discrete.failure import all_failed, give_up, keep_apart
@@ -25,9 +25,6 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
 from pdpetsc.kernels.compile import cache_trouble
-from pdpetsc.loading import Loading
-from pdpetsc.model import Model
-from pdpetsc.model.apart import pieces_left
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts
@@ -36,6 +33,8 @@ from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import Reporter
 from pdpetsc.output.records import write_summary
+from pdpetsc.problem.apart import pieces_left
+from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import DynamicRelaxation, EventDriven, PathFollowing
 from pdpetsc.signals import Signals, watched
 from pdpetsc.solution import Field, Solution, displacement
@@ -185,14 +184,13 @@ class _Run:
         with self._timed("families"):
             families = find_families(cloud, case.cracks)
         with self._timed("model"):
-            model = make_model(case, cloud, families)
-            loading = Loading(model, case.conditions, case.particles)
-            refuse_rigid_motion(cloud, families, loading.fixed[: cloud.n_owned])
-        self._describe(model)
-        self._report_loads(loading)
+            problem = make_problem(case, cloud, families)
+            refuse_rigid_motion(cloud, families, problem.supports.fixed[: cloud.n_owned])
+        self._describe(problem)
+        self._report_loads(problem)
         self.phase = "set-up"
-        choice = choose(model, self.options, case.solver)
-        defaults = default_options(model, case.solver, choice)
+        choice = choose(problem, self.options, case.solver)
+        defaults = default_options(problem, case.solver, choice)
         with petsc_options(self.options, defaults):
             self.summary["options"] = options_in_force(self.options, defaults)
             of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
@@ -200,10 +198,10 @@ class _Run:
             if of_environment:
                 self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
             try:
-                self.solver = self._solver(model, loading, choice, self.signals.asked)
+                self.solver = self._solver(problem, choice, self.signals.asked)
                 self.summary["solver"] = self.solver.description()
                 self.report.say(f"solver: {self.solver.description()}")
-                return self._march(model, loading, self.solver, self.signals.asked)
+                return self._march(problem, self.solver, self.signals.asked)
             finally:
                 self.summary["unused_options"] = unused(self.summary["options"])
 
@@ -240,7 +238,7 @@ class _Run:
             try:
                 self.keeper.save()
                 if "pieces" not in self.summary:
-                    self._say_what_holds(self.keeper.model)
+                    self._say_what_holds(self.keeper.problem)
             except KeyboardInterrupt:
                 said += " A second signal came before its last checkpoint was written."
             except Exception as other:
@@ -288,50 +286,46 @@ class _Run:
             with contextlib.suppress(OSError):
                 print(text, file=sys.stderr, flush=True)
 
-    def _solver(self, model: Model, loading: Loading, choice: Choice, stop: Callable[[], bool]) -> Running:
+    def _solver(self, problem: Problem, choice: Choice, stop: Callable[[], bool]) -> Running:
         chosen = self.case.solver
         if isinstance(chosen, DynamicRelaxation):
-            return RelaxationSolver(model, loading, chosen, stop)
+            return RelaxationSolver(problem, chosen, stop)
         if choice.matrix_free:
             with self._timed("kernels"):
-                rehearse(self.comm, self.case, model.dim, near=True)
+                rehearse(self.comm, self.case, problem.dim, near=True)
         with self._timed("pattern"):
-            filled = assembler(model, choice)
-            predicted = predicted_bytes(filled.pattern, model.dim)
+            filled = assembler(problem, choice)
+            predicted = predicted_bytes(filled.pattern, problem.dim)
             self.report.say(words(choice, predicted))
         with self._timed("allocation"):
             solver: StaticSolver | EventSolver | PathSolver
             if isinstance(chosen, EventDriven):
-                solver = EventSolver(model, loading, filled, chosen, stop)
+                solver = EventSolver(problem, filled, chosen, stop)
             elif isinstance(chosen, PathFollowing):
-                solver = PathSolver(model, loading, filled, chosen, stop)
+                solver = PathSolver(problem, filled, chosen, stop)
             else:
-                solver = StaticSolver(model, loading, filled, stop)
+                solver = StaticSolver(problem, filled, stop)
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
         self.summary["allocated"].append("matrix of nearest neighbours" if choice.matrix_free else "tangent matrix")
         return solver
 
-    def _march(self, model: Model, loading: Loading, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
-        case, cloud = self.case, model.cloud
+    def _march(self, problem: Problem, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
+        case, cloud = self.case, problem.body.cloud
         order = InCreationOrder(cloud)
-        start, origin = Solution(model, loading, np.zeros((cloud.n_rows, model.dim)), 0.0, 0), None
+        start, origin = Solution(problem, np.zeros((cloud.n_rows, problem.dim)), 0.0, 0), None
         declared = self.comm.bcast(declared_parts(case) if is_root(self.comm) else None)
         if self.restart is not None:
             if isinstance(solver, EventSolver):
                 raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
-            if not model.restartable:
-                raise CaseError(
-                    "A case with a history of materials or bonds cannot be restarted: a checkpoint lacks it."
-                )
             at_any_load = isinstance(solver, PathSolver)
-            origin = read_checkpoint(model, loading, order, self.restart, declared, self.restart_anyway, at_any_load)
+            origin = read_checkpoint(problem, order, self.restart, declared, self.restart_anyway, at_any_load)
             start = origin.start
             solver.resume(start.tangent_at, start.t)
         step = start.step
         self.phase = "output"
         self._try_records(start)
         with self._timed("output"):
-            checkpoints = case.checkpoints if model.restartable and not isinstance(solver, EventSolver) else 0
+            checkpoints = 0 if isinstance(solver, EventSolver) else case.checkpoints
             # From here on the folder is this run's.
             self.signals.patient = True
             if origin is None or not origin.inside(self.folder):
@@ -364,16 +358,16 @@ class _Run:
             self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
             step += 1
             self.report.step(step, converged.t, converged.result, solver.unit, converged.broken, converged.sweeps)
-            self._say_detached(model)
+            self._say_detached(problem)
             self.steps.append(_step_summary(step, converged, solver.unit))
             self.failed.clear()
             with self._timed("output"):
-                state = Solution(model, loading, converged.u, converged.t, step, pace=converged.pace)
+                state = Solution(problem, converged.u, converged.t, step, pace=converged.pace)
                 state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields)
             before, self.phase = time.perf_counter(), "solve"
         keeper.save()
-        self._say_what_holds(model)
+        self._say_what_holds(problem)
         self.phase = "results"
         self.signals.patient = False
         with agreed(self.comm):
@@ -432,19 +426,18 @@ class _Run:
             wanted += [f for f in (displacement, self.case.picture.field) if f not in wanted]
         return wanted
 
-    def _say_detached(self, model: Model) -> None:
-        if model.n_detached > self.summary.get("detached_particles", 0):
-            self.report.say(
-                f"           {model.n_detached} particles have too few bonds left for a gradient; their stress is gone"
-            )
-        if model.n_detached:
-            self.summary["detached_particles"] = model.n_detached
+    def _say_detached(self, problem: Problem) -> None:
+        lost = problem.matter.n_detached
+        if lost > self.summary.get("detached_particles", 0):
+            self.report.say(f"           {lost} particles have too few bonds left for a gradient; their stress is gone")
+        if lost:
+            self.summary["detached_particles"] = lost
 
-    def _say_what_holds(self, model: Model) -> None:
+    def _say_what_holds(self, problem: Problem) -> None:
         """Say whether bonds that broke have left the body in one piece, and what of its load it still carries."""
-        if not model.broken_bonds():
+        if problem.damage is None or not problem.damage.bonds.count_broken():
             return
-        pieces, lone = pieces_left(model)
+        pieces, lone = pieces_left(problem)
         self.summary["pieces"] = {"pieces": pieces, "lone_particles": lone}
         forces = [step["reference"] for step in self.steps]
         left = forces[-1] / max(forces) if forces and max(forces) > 0.0 else float("nan")
@@ -482,28 +475,30 @@ class _Run:
                     _warn(f"The run is finished, but its picture could not be drawn: {described(error)}")
         return results
 
-    def _describe(self, model: Model) -> None:
-        cloud, comm = model.cloud, self.comm
-        bonds, points, ghosts = total(comm, [len(model.families.neighbours), model.n_points, cloud.n_ghost])
+    def _describe(self, problem: Problem) -> None:
+        body, matter, comm = problem.body, problem.matter, self.comm
+        cloud = body.cloud
+        bonds, points, ghosts = total(comm, [len(body.families.neighbours), matter.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
-        self.summary["allocated"] = list(model.parts)
+        self.summary["allocated"] = list(problem.parts)
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
             f"{f'{int(points)} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
         )
         scheme = "bonds" if self.case.of_bonds else type(self.case.gradients).__name__
-        self.summary["scheme"] = {"name": scheme, "note": model.note}
-        if model.note:
-            self.report.say(f"scheme: {model.note}")
+        self.summary["scheme"] = {"name": scheme, "note": matter.note}
+        if matter.note:
+            self.report.say(f"scheme: {matter.note}")
 
-    def _report_loads(self, loading: Loading) -> None:
+    def _report_loads(self, problem: Problem) -> None:
+        resultants = [found for term in problem.terms for found in term.resultants]
         self.summary["loads"] = [
-            {"condition": name, "t": t, "resultant": force.tolist()} for name, t, force in loading.resultants
+            {"condition": name, "t": t, "resultant": force.tolist()} for name, t, force in resultants
         ]
-        for name, t, force in loading.resultants:
+        for name, t, force in resultants:
             self.report.say(f"{name}: resultant {' '.join(f'{f:.6g}' for f in force)} at step time {t:g}")
-        cut = loading.held_at_cut_families()
+        cut = problem.supports.held_at_cut_families()
         self.summary["held_at_cut_families"] = cut
         if cut:
             self.report.say(

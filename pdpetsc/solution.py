@@ -9,9 +9,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
-from pdpetsc.loading import Loading, select
-from pdpetsc.model import Model
+from pdpetsc.discrete.selection import select
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 from pdpetsc.scene.region import Region
 
 
@@ -20,8 +22,8 @@ class Solution:
 
     Parameters
     ----------
-    model, loading
-        The body and its conditions.
+    problem : Problem
+        Terms and supports.
     unknowns : (n_rows, dim) float64
         Converged displacements [length], then the virtual rows of a periodic cell.
     t : float
@@ -41,11 +43,10 @@ class Solution:
     """
 
     def __init__(
-        self, model: Model, loading: Loading, unknowns: Float, t: float, step: int, work: float = 0.0,
+        self, problem: Problem, unknowns: Float, t: float, step: int, work: float = 0.0,
         pace: tuple[float, ...] = (), tangent_at: Float | None = None,
     ) -> None:  # fmt: skip
-        self.model = model
-        self.loading = loading
+        self.problem = problem
         self.unknowns = unknowns
         self.t = t
         self.step = step
@@ -54,24 +55,38 @@ class Solution:
         self.tangent_at = tangent_at
 
     @property
+    def cloud(self) -> Cloud:
+        """Return the particles of this rank with their ghosts."""
+        return self.problem.body.cloud
+
+    @cached_property
+    def state(self) -> State:
+        """Return the state of the problem."""
+        return State(self.problem.body, self.unknowns, self.t)
+
+    def forget(self) -> None:
+        """Free what was computed for outputs and would be computed again."""
+        self.state.forget()
+
+    @property
     def x(self) -> Float:
         """Return the reference positions of the own particles (n_owned, dim) [length]."""
-        return self.model.cloud.x[: self.model.cloud.n_owned]
+        return self.cloud.x[: self.cloud.n_owned]
 
     @property
     def volume(self) -> Float:
         """Return the volumes of the own particles (n_owned,)."""
-        return self.model.cloud.volume[: self.model.cloud.n_owned]
+        return self.cloud.volume[: self.cloud.n_owned]
 
     @property
     def u(self) -> Float:
         """Return the displacements of the own particles (n_owned, dim) [length]."""
-        return self.unknowns[: self.model.cloud.n_owned]
+        return self.unknowns[: self.cloud.n_owned]
 
     @cached_property
     def internal_force(self) -> Float:
         """Return the internal forces (n_rows, dim) [force]."""
-        force = self.model.internal_force(self.unknowns)
+        force = self.problem.internal_force(self.state, of_solver=False)
         if force is None:
             raise FloatingPointError("a converged state has det F <= 0")
         return force
@@ -79,7 +94,7 @@ class Solution:
     @cached_property
     def reaction(self) -> Float:
         """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
-        return np.where(self.loading.fixed, self.internal_force - self._loads, 0.0)
+        return np.where(self.problem.supports.fixed, self.internal_force - self._loads, 0.0)
 
     def follow(self, before: Solution) -> None:
         """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
@@ -93,51 +108,57 @@ class Solution:
     @cached_property
     def _loads(self) -> Float:
         """Return the external forces (n_rows, dim) [force]."""
-        return self.loading.forces(self.t)
+        return self.problem.external_force(self.state)
 
     @cached_property
     def _acting(self) -> Float:
         """Return the forces of loads and supports (n_rows, dim) [force]."""
-        return np.where(self.loading.fixed, self.internal_force, self._loads)
+        return np.where(self.problem.supports.fixed, self.internal_force, self._loads)
 
     @cached_property
-    def energies(self) -> tuple[float, float]:
-        """Return the strain energy of the body and that of its zero-energy control [energy]."""
-        return self.model.energy(self.unknowns)
+    def energies(self) -> dict[str, float]:
+        """Return the energies by what they are the energy of: ``strain``, ``control``, ... [energy]."""
+        return self.problem.energies(self.state)
+
+    @property
+    def broken_bonds(self) -> int:
+        """Return how many pairs of particles have lost their bond (collective)."""
+        damage = self.problem.damage
+        return 0 if damage is None else damage.bonds.count_broken()
 
     @cached_property
     def cell_strain(self) -> Float:
         """Return the mean strain of the periodic cell (dim, dim) [-]."""
-        cloud = self.model.cloud
+        cloud = self.cloud
         assert cloud.images is not None
         return cloud.images.strain(self.unknowns[cloud.n_owned :])
 
     @cached_property
     def cell_stress(self) -> Float:
         """Return the mean stress of the periodic cell (dim, dim) [stress]."""
-        images = self.model.cloud.images
-        assert images is not None
-        stress = np.zeros((self.model.dim, self.model.dim))
-        for (a, b), value in zip(images.cell.components, self.loading.mean_stress(self.internal_force), strict=True):
+        cell = self.problem.supports.cell
+        assert cell is not None
+        stress = np.zeros((self.problem.dim, self.problem.dim))
+        for (a, b), value in zip(cell.components, cell.mean_stress(self.internal_force), strict=True):
             stress[a, b] = stress[b, a] = value
         return stress
 
     @cached_property
     def out_of_plane(self) -> tuple[Float, Float, Float]:
         """Return stretch [-], P and Cauchy stress [stress] across a line or plane body, each (n_owned,)."""
-        return self.model.out_of_plane(self.unknowns)
+        return self.problem.matter.out_of_plane(self.state)
 
     def select(self, region: Region) -> Any:
         """Return which own particles a region selects (n_owned,) bool."""
-        return select(self.model.cloud, region, "a quantity of interest")
+        return select(self.cloud, region, "a quantity of interest")
 
     def sum(self, values: Any) -> Any:
         """Return the sum over all ranks of numbers summed on each."""
-        return total(self.model.cloud.comm, values)
+        return total(self.cloud.comm, values)
 
     def largest(self, value: float) -> float:
         """Return the maximum over all ranks."""
-        return largest(self.model.cloud.comm, value)
+        return largest(self.cloud.comm, value)
 
 
 # A field of the own particles, (n_owned,) or (n_owned, dim) or (n_owned, dim, dim); its name is the function's.
@@ -151,17 +172,17 @@ def displacement(solution: Solution) -> Float:
 
 def deformation_gradient(solution: Solution) -> Float:
     """Return F, the mean over the points of each particle (n_owned, dim, dim) [-]."""
-    return solution.model.deformation_gradient(solution.unknowns)
+    return solution.problem.matter.deformation_gradient(solution.state)
 
 
 def stress(solution: Solution) -> Float:
     """Return the Cauchy stress, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
-    return solution.model.cauchy_stress(solution.unknowns)
+    return solution.problem.matter.cauchy_stress(solution.state)
 
 
 def first_piola_stress(solution: Solution) -> Float:
     """Return P, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
-    return solution.model.first_piola_stress(solution.unknowns)
+    return solution.problem.matter.first_piola_stress(solution.state)
 
 
 def in_space(field: Field) -> Field:
@@ -175,7 +196,7 @@ def in_space(field: Field) -> Field:
 
     def whole(solution: Solution) -> Float:
         inside = field(solution)
-        dim = solution.model.dim
+        dim = solution.problem.dim
         if dim == 3:
             return inside
         tensor = np.zeros((len(inside), 3, 3))
@@ -189,7 +210,7 @@ def in_space(field: Field) -> Field:
 
 def energy_density(solution: Solution) -> Float:
     """Return the strain energy density, the mean over the points of each particle (n_owned,) [energy / volume]."""
-    return solution.model.energy_density(solution.unknowns)
+    return solution.problem.matter.energy_density(solution.state)
 
 
 def reaction(solution: Solution) -> Float:
@@ -199,7 +220,7 @@ def reaction(solution: Solution) -> Float:
 
 def plastic_strain(solution: Solution) -> Float:
     """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
-    return solution.model.plastic_strain()
+    return solution.problem.matter.plastic_strain()
 
 
 def local_damage(solution: Solution) -> Float:
@@ -209,7 +230,7 @@ def local_damage(solution: Solution) -> Float:
     ----------
     Silling, Askari (2005), Eq. (29), with the bonds weighted by their stiffness.
     """
-    return solution.model.local_damage()
+    return solution.problem.matter.local_damage()
 
 
 def lost_bonds(solution: Solution) -> Float:
@@ -221,7 +242,8 @@ def lost_bonds(solution: Solution) -> Float:
     ----------
     Hashim et al., Eq. (46).
     """
-    return solution.model.lost_bonds()
+    damage = solution.problem.damage
+    return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()
 
 
 # Which of the numbers across a line or plane body completes a tensor.

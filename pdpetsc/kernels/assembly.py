@@ -17,7 +17,7 @@ from pdpetsc.kernels.compile import compiled
 
 @lru_cache
 def assemble_kernel(dim: int) -> Callable[..., Any]:
-    """Return the kernel that fills the values of rows ``first_row <= a < first_row + n_rows`` of K.
+    """Return the kernel that adds to the values of rows ``first_row <= a < first_row + n_rows`` of K.
 
     ``K_ab = sum_p W_p h_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p h_pa,m A_p,imkn g_pb,n``; ``h`` is ``g`` but
     where damage scales forces.
@@ -71,11 +71,11 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
                 start = size * diag_ptr[row] + i * dim * n_diag
                 for q in range(n_diag):
                     for k in range(dim):
-                        diag[start + dim * q + k] = blocks[q * size + i * dim + k]
+                        diag[start + dim * q + k] += blocks[q * size + i * dim + k]
                 start = size * off_ptr[row] + i * dim * n_off
                 for q in range(n_off):
                     for k in range(dim):
-                        off[start + dim * q + k] = blocks[(n_diag + q) * size + i * dim + k]
+                        off[start + dim * q + k] += blocks[(n_diag + q) * size + i * dim + k]
 
     return assemble
 

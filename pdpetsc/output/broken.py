@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.damage.state import FailingBonds
 from pdpetsc.discrete.communicator import Comm, total
-from pdpetsc.model.failure import BondFailure
 from pdpetsc.output.records import Table
 
 
@@ -22,7 +22,7 @@ class BrokenBonds:
         All ranks.
     folder : Path
         Where the file goes.
-    failure : BondFailure
+    failure : FailingBonds
         The state of the bonds; those that are broken already count as listed.
     kept : sequence of rows
         What an earlier run wrote before this one goes on.
@@ -32,7 +32,7 @@ class BrokenBonds:
     Construction and every method are collective; rank 0 writes.
     """
 
-    def __init__(self, comm: Comm, folder: Path, failure: BondFailure, kept: Sequence[Sequence[float]] = ()) -> None:
+    def __init__(self, comm: Comm, folder: Path, failure: FailingBonds, kept: Sequence[Sequence[float]] = ()) -> None:
         self._comm = comm
         self._failure = failure
         self._listed = ~failure.intact
@@ -58,7 +58,7 @@ class BrokenBonds:
         self._table.flush()
 
 
-def broken_header(failure: BondFailure) -> list[str]:
+def broken_header(failure: FailingBonds) -> list[str]:
     """Return the columns of the table (not collective)."""
     return ["step", "t", "i", "j", "length", *"xyz"[: failure.middle.shape[1]]]
 

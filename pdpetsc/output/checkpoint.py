@@ -17,10 +17,8 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, is_root, total
+from pdpetsc.discrete.communicator import agreed, is_root, largest, total
 from pdpetsc.errors import CaseError, OutputError
-from pdpetsc.loading import Loading
-from pdpetsc.model import Model
 from pdpetsc.output.files import (
     WRITE_ERRORS,
     InCreationOrder,
@@ -31,9 +29,11 @@ from pdpetsc.output.files import (
     writing_hdf5,
 )
 from pdpetsc.output.fingerprint import differing
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.term import KeptArray
 from pdpetsc.solution import Solution
 
-FORMAT = 5
+FORMAT = 6
 # What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
 # checksum is wrong, because it does not survive every damage.
 HEAD = 512
@@ -94,19 +94,22 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
     OutputError
         The disk is full; an earlier checkpoint stays as it was.
     """
-    model, u = solution.model, solution.unknowns
-    cloud = model.cloud
+    problem, u = solution.problem, solution.unknowns
+    cloud, arrays = solution.cloud, problem.arrays()
     identity = _identity(cloud)
-    keys, states = _damaged_bonds(model)
+    keys, states = _damaged_bonds(problem)
     counts = cloud.comm.gather(len(keys)) or []
     at = np.empty((0, cloud.dim)) if solution.tangent_at is None else solution.tangent_at
     virtual = cloud.comm.bcast((u[cloud.n_owned :].ravel(), at[cloud.n_owned :].ravel()), root=cloud.comm.size - 1)
     parts = order.parts_on_root(u[: cloud.n_owned])
     tangent = iter(()) if solution.tangent_at is None else order.parts_on_root(at[: cloud.n_owned])
     damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
+    tables = {name: _by_particle(array, cloud) for name, array in arrays.items()}
+    of_terms = {name: order.parts_on_root(table) for name, table in tables.items()}
     failure: OutputError | None = None
     if is_root(cloud.comm):
         size = 2 * cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
+        size += sum(8 * cloud.n_global * table.shape[1] for table in tables.values())
         try:
             with replacing(path) as aside:
                 with writing_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD) as file:
@@ -119,16 +122,21 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
                         for rows, part in tangent:
                             dataset[rows] = part
                     for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
-                        if model.failure is not None:
+                        if problem.damage is not None:
                             dataset = _dataset(file, f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
                             for rows, part in of_ranks:
                                 dataset[rows] = part
+                    for name, of_particles in of_terms.items():
+                        shape = cloud.n_global, tables[name].shape[1]
+                        dataset = _dataset(file, f"terms/{name}", shape, np.float64)
+                        for rows, part in of_particles:
+                            dataset[rows] = part
                     file.attrs["checksum"] = _checksum(file)
                 seal(aside)
         except WRITE_ERRORS as error:
             failure = cannot_write(path, error)
     for _ in itertools.chain(
-        parts, tangent, *damaged
+        parts, tangent, *damaged, *of_terms.values()
     ):  # other ranks send here, and after a failure root still has to receive
         pass
     with agreed(cloud.comm):
@@ -172,12 +180,12 @@ def _check_seal(path: Path) -> None:
 def _write_attributes(
     file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Sequence[Float]
 ) -> None:
-    model = solution.model
-    frozen = model.failure is not None and model.failure.frozen
+    damage = solution.problem.damage
+    frozen = damage is not None and damage.bonds.frozen
     file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
     file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity)
     file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
-    file.attrs.update(damage=_law(model), frozen=int(frozen), row=json.dumps(dict(record.row)))
+    file.attrs.update(damage=_law(solution.problem), frozen=int(frozen), row=json.dumps(dict(record.row)))
     file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
 
 
@@ -213,7 +221,7 @@ def find_checkpoint(path: str | Path) -> Path:
 
 
 def read_checkpoint(
-    model: Model, loading: Loading, order: InCreationOrder, path: str | Path, declared: Mapping[str, str] | None = None,
+    problem: Problem, order: InCreationOrder, path: str | Path, declared: Mapping[str, str] | None = None,
     anyway: bool = False, any_load: bool = False,
 ) -> Origin:  # fmt: skip
     """Return the state of a checkpoint; restore the bonds of the body (collective).
@@ -234,11 +242,14 @@ def read_checkpoint(
     CaseError
         The file is missing, damaged, of another version, body or case.
     """
-    cloud = model.cloud
+    cloud, damage = problem.body.cloud, problem.damage
     comm, rank = cloud.comm, cloud.comm.rank
     identity = _identity(cloud)
     n_virtual = comm.bcast(cloud.n_virtual, root=comm.size - 1)
     found, lacking = 0, 0
+    arrays = problem.arrays()
+    widths = {name: _width(array, cloud) for name, array in arrays.items()}
+    tables: dict[str, Float] = {}
     with agreed(comm):
         path = find_checkpoint(path)
         if is_root(comm):
@@ -250,18 +261,19 @@ def read_checkpoint(
                     raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
                 values = _attributes(file)
                 _refuse_other_body(path, values, identity, anyway)
-                _refuse_other_case(path, values, model, declared, anyway)
+                _refuse_other_case(path, values, problem, declared, anyway)
                 _check_values(values, n_virtual * cloud.dim, any_load)
-                _check_datasets(file, cloud)
+                _check_datasets(file, cloud, widths)
                 mine = slice(int(order.starts[rank]), int(order.starts[rank + 1]))
                 part = np.asarray(file["u"][mine])
                 tangent = np.asarray(file["tangent"][mine]) if "tangent" in file else None
                 for array in (part, tangent):
                     _must(array is None or bool(np.isfinite(array).all()), "a displacement is not a number")
-                if "bonds" in file and model.failure is not None:
+                tables = {name: np.asarray(file[f"terms/{name}"][mine]) for name in arrays}
+                if "bonds" in file and damage is not None:
                     found = len(file["bonds/keys"])
                     for keys, states in _blocks(file, cloud.n_global):
-                        lacking += model.failure.restore(keys, states)
+                        lacking += damage.bonds.restore(keys, states)
         except CaseError:
             raise
         except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
@@ -272,15 +284,18 @@ def read_checkpoint(
         raise CaseError(
             f"Cannot read the checkpoint {path}: this body has {lacking} of its damaged bonds not or twice."
         )
-    if model.failure is not None:
-        model.failure.frozen = bool(values["frozen"])
-    model.take_failure()
+    if damage is not None:
+        damage.bonds.frozen = bool(values["frozen"])
+        damage.restored()
+    for name, kept in arrays.items():
+        _put(kept, cloud, order.from_parts(tables[name]), f"{path}: {name}")
+    problem.restored()
     u = _with_virtual(cloud, order.from_parts(part), values["virtual"])
     at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), values["tangent_virtual"])
-    if not model.all_admissible(u):
+    if not problem.admissible(problem.state(u, float(values["t"]))):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
     pace = tuple(float(value) for value in values["pace"])
-    start = Solution(model, loading, u, float(values["t"]), int(values["step"]), float(values["work"]), pace, at)
+    start = Solution(problem, u, float(values["t"]), int(values["step"]), float(values["work"]), pace, at)
     return Origin(start, path, Record(values["run"], values["declared"], values["row"]))
 
 
@@ -337,12 +352,12 @@ def _refuse_other_body(path: Path, values: Mapping[str, Any], identity: Float, a
 
 
 def _refuse_other_case(
-    path: Path, values: Mapping[str, Any], model: Model, declared: Mapping[str, str] | None, anyway: bool
+    path: Path, values: Mapping[str, Any], problem: Problem, declared: Mapping[str, str] | None, anyway: bool
 ) -> None:
     if anyway:
         return
-    if values["damage"] != _law(model):
-        raise CaseError(f"{path} is of a case with damage {values['damage']}, this has {_law(model)}.")
+    if values["damage"] != _law(problem):
+        raise CaseError(f"{path} is of a case with damage {values['damage']}, this has {_law(problem)}.")
     if declared is None:
         return
     other = differing(values["declared"], declared)
@@ -377,11 +392,12 @@ def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> 
     _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
 
 
-def _check_datasets(file: h5py.File, cloud: Cloud) -> None:
+def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int]) -> None:
     """Raise where datasets are missing, too many, elsewhere, or of a wrong type or shape."""
     broken = ["bonds"] if "bonds" in file else []
     tangent = ["tangent"] if "tangent" in file else []
-    _must(sorted(file) == sorted(["u", *broken, *tangent]), f"it holds {', '.join(sorted(file))}")
+    terms = ["terms"] if widths else []
+    _must(sorted(file) == sorted(["u", *broken, *tangent, *terms]), f"it holds {', '.join(sorted(file))}")
     size = len(file.attrs["virtual"]) if tangent else 0
     _must(len(file.attrs["tangent_virtual"]) == size, f"its tangent is not of {size} numbers of a cell")
     for name in file:
@@ -389,6 +405,13 @@ def _check_datasets(file: h5py.File, cloud: Cloud) -> None:
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {
         name: ((cloud.n_global, cloud.dim), np.float64) for name in ("u", *tangent)
     }
+    if terms:
+        of_terms = file["terms"]
+        _must(isinstance(of_terms, h5py.Group), "what it holds of terms is no group")
+        _must(sorted(of_terms) == sorted(widths), f"it holds {', '.join(sorted(of_terms))} of terms")
+        for name, width in widths.items():
+            _must(isinstance(of_terms.get(name, getlink=True), h5py.HardLink), f"terms/{name} is a link")
+            shapes[f"terms/{name}"] = (cloud.n_global, width), np.float64
     if broken:
         bonds = file["bonds"]
         _must(isinstance(bonds, h5py.Group) and sorted(bonds) == ["keys", "states"], "its bonds are incomplete")
@@ -428,12 +451,44 @@ def _identity(cloud: Cloud) -> Float:
     return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums])
 
 
-def _damaged_bonds(model: Model) -> tuple[GlobalIndex, Float]:
+def _damaged_bonds(problem: Problem) -> tuple[GlobalIndex, Float]:
     """Return keys and states of the damaged bonds of this rank (not collective)."""
-    if model.failure is None:
+    if problem.damage is None:
         return np.empty((0, 3), dtype=np.int64), np.empty((0, 2))
-    return model.failure.damaged()
+    return problem.damage.bonds.damaged()
 
 
-def _law(model: Model) -> str:
-    return "none" if model.failure is None else type(model.failure.law).__name__
+def _law(problem: Problem) -> str:
+    return "none" if problem.damage is None else type(problem.damage.bonds.law).__name__
+
+
+def _place(array: KeptArray) -> GlobalIndex:
+    """Return the number of each row of an array among those of its particle."""
+    first = np.searchsorted(array.owner, array.owner, side="left")
+    return np.asarray(np.arange(len(array.owner)) - first)
+
+
+def _width(array: KeptArray, cloud: Cloud) -> int:
+    """Return how many numbers a particle has at most, over all ranks (collective)."""
+    most = int(largest(cloud.comm, float(np.bincount(array.owner, minlength=1).max(initial=0))))
+    return most * int(np.prod(array.values.shape[1:]))
+
+
+def _by_particle(array: KeptArray, cloud: Cloud) -> Float:
+    """Return a row of numbers for every own particle (n_owned, width), nan where it has fewer (collective)."""
+    each = int(np.prod(array.values.shape[1:]))
+    table = np.full((cloud.n_owned, _width(array, cloud) // max(each, 1), each), np.nan)
+    table[array.owner, _place(array)] = array.values.reshape(len(array.owner), each)
+    return table.reshape(cloud.n_owned, -1)
+
+
+def _put(array: KeptArray, cloud: Cloud, table: Float, what: str) -> None:
+    """Overwrite the values of an array by rows of numbers of the own particles (collective)."""
+    each = int(np.prod(array.values.shape[1:]))
+    rows = table.reshape(cloud.n_owned, -1, each)
+    counts = np.bincount(array.owner, minlength=cloud.n_owned)
+    with agreed(cloud.comm):
+        there = np.isfinite(rows).all(axis=2).sum(axis=1)
+        if not np.array_equal(there, counts):
+            raise CaseError(f"Cannot read the checkpoint {what} is not of this body or not of numbers.")
+    array.values[...] = rows[array.owner, _place(array)].reshape(array.values.shape)

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pdpetsc.discrete.communicator import Comm, is_root
-from pdpetsc.model import Model
 from pdpetsc.output.broken import BrokenBonds, broken_header
 from pdpetsc.output.checkpoint import Origin, Record, write_checkpoint
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.folder import set_history_aside
 from pdpetsc.output.records import HistoryWriter, whole_rows
+from pdpetsc.problem.problem import Problem
 from pdpetsc.quantities import Quantity
 from pdpetsc.solution import Field, Solution
 
@@ -67,7 +67,8 @@ class Keeper:
         start: Solution, order: InCreationOrder, origin: Origin | None = None,
         declared: Mapping[str, str] | None = None,
     ) -> None:  # fmt: skip
-        model, cloud, comm = start.model, start.model.cloud, start.model.cloud.comm
+        cloud, damage = start.cloud, start.problem.damage
+        comm = cloud.comm
         self._quantities = quantities
         self._order = order
         self._every = checkpoints
@@ -77,7 +78,7 @@ class Keeper:
         self._declared = dict(declared or {})
         self._row: dict[str, float] = {}
         self.history: dict[str, list[float]] = {name: [] for name in ("step", "t", *quantities)}
-        header = None if model.failure is None else broken_header(model.failure)
+        header = None if damage is None else broken_header(damage.bonds)
         rows, broken = (None, []) if origin is None else _beside(comm, origin, list(self.history), header)
         self.took_over = origin is None or rows is not None
         for row in rows or []:
@@ -88,7 +89,7 @@ class Keeper:
         if own and rows is None:
             # A table of other columns, or of another run, is not lost to the one that begins.
             set_history_aside(comm, folder)
-        self._broken = None if model.failure is None else BrokenBonds(comm, folder, model.failure, broken)
+        self._broken = None if damage is None else BrokenBonds(comm, folder, damage.bonds, broken)
         first = start.step if own else 0
         self._fields = FieldWriter(cloud, order, folder, fields, self._run, first) if fields else None
         # The work of the next step needs these forces, and by then bonds may have failed.
@@ -99,9 +100,9 @@ class Keeper:
         self._rows = HistoryWriter(comm, folder, list(self.history), [*(rows or ()), self._evaluated(start)])
 
     @property
-    def model(self) -> Model:
-        """Return the body (not collective)."""
-        return self._last.model
+    def problem(self) -> Problem:
+        """Return what is solved (not collective)."""
+        return self._last.problem
 
     def write(self, solution: Solution, write_fields: bool) -> None:
         """Keep the next converged step."""
@@ -113,6 +114,7 @@ class Keeper:
         self._record(solution, write_fields)
         if self._every > 0 and solution.step % self._every == 0:
             self._checkpoint_now()
+        solution.forget()
 
     def save(self) -> None:
         """Let everything be on the disk, and write the checkpoint of the last step, unless it is there or not wanted.

@@ -100,15 +100,27 @@ def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...]
 class Displacement(_Vector):
     """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free."""
 
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.displacement(self, name)
+
 
 @dataclass(frozen=True)
 class Force(_Vector):
     """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume."""
 
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.force(self, name)
+
 
 @dataclass(frozen=True)
 class BodyForce(_Vector):
     """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume]."""
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.body_force(self, name)
 
 
 @dataclass(frozen=True)
@@ -132,6 +144,10 @@ class Traction(_Vector):
     normal: Sequence[float] = ()
     distribution: Literal["layer", "consistent"] = "layer"
     area: float | None = field(default=None, kw_only=True)
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.traction(self, name)
 
     def unit_normal(self, dim: int) -> Float:
         """Return the outward unit normal (dim,)."""
@@ -202,6 +218,10 @@ class MeanStrain(_Tensor):
     At finite deformation it is the mean stretch less one, ``U - I``, in axes that do not rotate.
     """
 
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.mean_strain(self, name)
+
 
 @dataclass(frozen=True)
 class MeanStress(_Tensor):
@@ -209,6 +229,10 @@ class MeanStress(_Tensor):
 
     At finite deformation it is the symmetric part of the mean first Piola-Kirchhoff stress.
     """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.mean_stress(self, name)
 
 
 Condition: TypeAlias = Displacement | Force | BodyForce | Traction | MeanStrain | MeanStress

@@ -6,7 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 from pdpetsc.arrays import Float
-from pdpetsc.model import Model
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 
 
 @dataclass(frozen=True)
@@ -92,14 +93,21 @@ class StepSolver(Solver):
 
     Attributes
     ----------
-    model : Model
-        The body, whose damage and history the load stepping changes between equilibria.
+    problem : Problem
+        What is solved, whose damage and history the load stepping changes between equilibria.
     load : float
         Load factor of the last equilibrium, of solvers that find it [-].
+    t : float
+        Step time of the last solve [-].
     """
 
-    model: Model
+    problem: Problem
     load: float = 0.0
+    t: float = 0.0
+
+    def state(self, u: Float) -> State:
+        """Return the state at unknowns and the step time of the last solve (collective)."""
+        return self.problem.state(u, self.t)
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.solve.petsc import set_up_failed, start_anew
-from pdpetsc.solve.tangent import Tangent
+from pdpetsc.solve.tangent import PetscTangent
 
 
 class Bordered:
@@ -17,7 +17,7 @@ class Bordered:
 
     Parameters
     ----------
-    tangent : Tangent
+    tangent : PetscTangent
         K.
 
     Attributes
@@ -34,7 +34,7 @@ class Bordered:
     Construction and every method are collective. Call ``free`` before MPI ends.
     """
 
-    def __init__(self, tangent: Tangent) -> None:
+    def __init__(self, tangent: PetscTangent) -> None:
         self._tangent = tangent
         self._K = K = tangent.mat
         comm = K.getComm()

@@ -8,9 +8,9 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import Comm, total
+from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
-from pdpetsc.loading import select
-from pdpetsc.model import Model
+from pdpetsc.problem.body import Body
 from pdpetsc.scene.solver import Opening
 
 
@@ -38,13 +38,13 @@ class Constraint:
         return float(total(comm, float((self.of * (u - self.u0)).sum()))) + self.share * (load - self.load0)
 
 
-def opening_weights(model: Model, control: Opening) -> Float:
+def opening_weights(body: Body, control: Opening) -> Float:
     """Return the weights (n_rows, dim) of the unknowns in the opening (collective)."""
-    cloud = model.cloud
+    cloud = body.cloud
     axis = "xyz".index(control.component)
-    if axis >= model.dim:
-        raise CaseError(f"The Opening of a {model.dim}-dimensional body has no component {control.component}.")
-    weights = np.zeros((cloud.n_rows, model.dim))
+    if axis >= body.dim:
+        raise CaseError(f"The Opening of a {body.dim}-dimensional body has no component {control.component}.")
+    weights = np.zeros((cloud.n_rows, body.dim))
     for sign, region in ((1.0, control.region), (-1.0, control.against)):
         if region is not None:
             share = np.where(select(cloud, region, "the Opening"), cloud.volume[: cloud.n_owned], 0.0)

@@ -1,8 +1,8 @@
-"""Solver options and scales that a model suggests."""
+"""Solver options and scales that a problem suggests."""
 
 from __future__ import annotations
 
-from pdpetsc.model import Model
+from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import AnySolver, PathFollowing
 from pdpetsc.solve.jacobian import Choice
 
@@ -10,8 +10,8 @@ from pdpetsc.solve.jacobian import Choice
 LOOSE = 1e-3
 
 
-def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str, object]:
-    """Return pdpetsc's solver options for a model; those of the case and the command line override each.
+def default_options(problem: Problem, solver: AnySolver, choice: Choice) -> dict[str, object]:
+    """Return pdpetsc's solver options for a problem; those of the case and the command line override each.
 
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
     algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
@@ -30,7 +30,7 @@ def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
-        "snes_linesearch_type": "basic" if model.linear or isinstance(solver, PathFollowing) else "cp",
+        "snes_linesearch_type": "basic" if problem.linear or isinstance(solver, PathFollowing) else "cp",
         "snes_linesearch_max_it": 10,
         "snes_linesearch_atol": 0.0,
         "snes_atol": 0.0,
@@ -41,16 +41,16 @@ def default_options(model: Model, solver: AnySolver, choice: Choice) -> dict[str
     if choice.direct:
         defaults |= {
             "ksp_type": "preonly",
-            "pc_type": "cholesky" if model.symmetric else "lu",
+            "pc_type": "cholesky" if problem.symmetric else "lu",
             "pc_factor_mat_solver_type": "mumps",
             "mat_mumps_icntl_14": 50,
         }
-        if model.symmetric and model.cloud.comm.size > 1:
+        if problem.symmetric and problem.body.cloud.comm.size > 1:
             # The last dense block is factored without ScaLAPACK, which does not count negative pivots.
             defaults["mat_mumps_icntl_13"] = 1
-        return defaults if model.failure is None else defaults | {"mat_mumps_icntl_24": 1}
-    defaults |= {"ksp_type": "cg" if model.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    if not (model.linear or model.failure is not None or isinstance(solver, PathFollowing)):
+        return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
+    defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
+    if not (problem.linear or problem.damage is not None or isinstance(solver, PathFollowing)):
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if choice.pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}

@@ -10,11 +10,12 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, petsc_reason
-from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, Model
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import nearest_distances, scales_of
+from pdpetsc.problem.state import State
 from pdpetsc.solve.base import StepResult
 from pdpetsc.solve.jacobian import make_tangent
-from pdpetsc.solve.scales import nearest_distances, scales_of
 from pdpetsc.solve.stages import RESIDUAL, TANGENT, stage
 
 # The residual cannot fall below about this multiple of the round-off of K u.
@@ -30,8 +31,6 @@ HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
 HALVINGS = 40
 # A step with no more iterations may be followed by a longer one.
 EASY_ITERATIONS = 6
-# Stiffness that holds a particle which has lost bonds, over a typical one.
-DAMPING = 1e-8
 
 
 class Equilibrium:
@@ -39,18 +38,22 @@ class Equilibrium:
 
     Parameters
     ----------
-    model, loading, assembler
-        The body and its conditions.
+    problem : Problem
+        Terms and supports.
+    assembler : Assembler
+        What fills the matrix.
 
     Attributes
     ----------
     free : (n_rows, dim) bool
         Degrees of freedom that are not prescribed.
+    t : float
+        Step time of the present solve, set by ``impose`` [-].
     prescribed, external : (n_rows, dim) float64
-        The present conditions [length], [force]; set by the solver.
+        The prescribed unknowns [length] there, and the loads where the residual was last computed [force].
     scales : Scales
         What displacements, forces and the tangent are over in PETSc.
-    tangent : Tangent
+    tangent : PetscTangent
         At the displacement it was last filled for.
     norms : list of float
         Residual norms of the present solve [force].
@@ -64,49 +67,57 @@ class Equilibrium:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    def __init__(self, model: Model, loading: Loading, assembler: Assembler) -> None:
-        cloud = model.cloud
-        self.model = model
-        self.free = ~loading.fixed
-        spacing = nearest_distances(model)[:, None]
+    def __init__(self, problem: Problem, assembler: Assembler) -> None:
+        cloud, fixed = problem.body.cloud, problem.supports.fixed
+        self.problem = problem
+        self.free = ~fixed
+        spacing = nearest_distances(problem.body)[:, None]
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
-        self.scales = scales_of(model, spacing)
-        self.tangent = make_tangent(assembler, loading.fixed, self.scales.stiffness)
-        self.prescribed = np.zeros(loading.fixed.shape)
-        self.external = np.zeros(loading.fixed.shape)
+        self.scales = scales_of(problem.body, problem.matter)
+        self.tangent = make_tangent(assembler, fixed, self.scales.stiffness)
+        self.t = 0.0
+        self.prescribed = np.zeros(fixed.shape)
+        self.external = np.zeros(fixed.shape)
         self.norms: list[float] = []
         self.reference = 0.0
         self.reason = ""
-        self.damping: Float | None = None
-        self._anchor = np.zeros(loading.fixed.shape)
-        self._reaction = np.zeros(loading.fixed.shape)
+        self._reaction = np.zeros(fixed.shape)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.tangent.destroy()
 
+    def impose(self, t: float, prescribed: Float | None = None) -> None:
+        """Take the conditions of a step time, or prescribed unknowns that are known."""
+        self.t = t
+        self.prescribed = self.problem.supports.prescribed(t) if prescribed is None else prescribed
+
     def at_prescribed(self, x: Float) -> Float:
         """Return unknowns with the prescribed ones at their values (n_rows, dim) (not collective)."""
         return np.where(self.free, x.reshape(self.free.shape), self.prescribed)
+
+    def state(self, x: Float) -> State:
+        """Return the state at unknowns with the prescribed ones at their values."""
+        return self.problem.state(self.at_prescribed(x), self.t)
 
     def residual(self, x: Float) -> Float | None:
         """Return the residual (n_rows, dim) [force]; None on all ranks where the displacement is inadmissible."""
         values = x.reshape(self.free.shape)
         with stage(RESIDUAL):
-            force = self.model.internal_force(self.at_prescribed(values))
-        if force is None:
-            return None
+            state = self.state(values)
+            force = self.problem.internal_force(state)
+            if force is None:
+                return None
+            self.external = self.problem.external_force(state)
         residual = force - self.external
-        if self.damping is not None:
-            residual += self.damping[:, None] * (values - self._anchor)
         self._reaction = np.where(self.free, 0.0, residual)
         return np.where(self.free, residual, self.scales.stiffness * (values - self.prescribed))
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
-        """Make the tangent that at ``x``; ``effort`` is what the last linear solve took (``Tangent.update``)."""
+        """Make the tangent that at ``x``; ``effort`` is what the last linear solve took (``PetscTangent.update``)."""
         with stage(TANGENT):
-            self.tangent.update(self.at_prescribed(x), self.damping, effort)
+            self.tangent.update(self.state(x), effort)
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
         """Return the part of a Newton step, halved as often as det F > 0 asks.
@@ -117,10 +128,10 @@ class Equilibrium:
             The displacement (n_rows, dim) after a part of the step.
         """
         part = 1.0
-        if self.model.linear:
+        if self.problem.linear:
             return part
         for _ in range(HALVINGS):
-            if self.model.all_admissible(moved(part)):
+            if self.problem.admissible(self.problem.state(moved(part), self.t)):
                 break
             part *= 0.5
         return part
@@ -149,7 +160,7 @@ class Equilibrium:
         residual = self.residual(x)
         if residual is None:
             return False
-        norm = float(np.sqrt(total(self.model.cloud.comm, (residual**2).sum())))
+        norm = float(np.sqrt(total(self.problem.body.cloud.comm, (residual**2).sum())))
         if not self.norms:  # a solver of PETSc that does not ask
             self.norms.append(norm)
         return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol))
@@ -160,7 +171,7 @@ class Equilibrium:
         diagonal = self.tangent.diagonal.reshape(values.shape)
         round_off = np.where(self.free, diagonal * (np.abs(values) + self.spacing), 0.0)
         squares = total(
-            self.model.cloud.comm, [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
+            self.problem.body.cloud.comm, [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
         )
         self.reference = float(np.sqrt(max(squares[0], squares[1])))
         return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
@@ -177,7 +188,8 @@ class Equilibrium:
         That of the preconditioner is, where bonds have broken.
         """
         self.norms, self.reason = [], ""
-        self._hold_loose_particles(u)
+        if self.problem.springs is not None:
+            self.problem.springs.hold(u)
         return self.tangent.renew()
 
     def result(self, converged: bool, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
@@ -199,32 +211,26 @@ class Equilibrium:
             linear_iterations=linear_iterations,
         )
 
-    def _hold_loose_particles(self, u: Float) -> None:
-        """Damp particles that have lost bonds: a piece that has come free stays where it was, whatever it is.
-
-        The force is that of a spring far softer than a bond to the place where the solve starts; it vanishes where
-        nothing moves any more.
-        """
-        lost = self.model.local_damage()
-        self._anchor, self.damping = u, None
-        if self.model.has_history and float(total(self.model.cloud.comm, np.count_nonzero(lost))):
-            self.damping = np.zeros(len(self.free))
-            self.damping[: len(lost)] = np.where(lost > 0.0, DAMPING * self.scales.stiffness, 0.0)
+    @property
+    def resting(self) -> bool:
+        """Return whether no springs hold loose particles (not collective)."""
+        return self.problem.springs is None or not self.problem.springs.active
 
     def move_springs(self, u: Float) -> None:
         """Let the springs of loose particles have no force at ``u`` (not collective)."""
-        self._anchor = u
+        if self.problem.springs is not None:
+            self.problem.springs.move(u)
 
     def at_rest(self, x: Float, rtol: float) -> bool:
         """Return whether forces balance at ``x`` without the springs of loose particles; where not, ``reason`` says so.
 
         A load on a piece that has come free is held by nothing else, however far it moves.
         """
-        if self.damping is None:
+        springs = self.problem.springs
+        if springs is None or not springs.active:
             return True
-        values = x.reshape(self.free.shape)
-        springs = np.where(self.free, self.damping[:, None] * (values - self._anchor), 0.0)
-        force = float(np.sqrt(total(self.model.cloud.comm, (springs**2).sum())))
+        held = np.where(self.free, springs.force(self.at_prescribed(x)), 0.0)
+        force = float(np.sqrt(total(self.problem.body.cloud.comm, (held**2).sum())))
         resting = force <= max(self._tolerance(x, rtol))
         if not resting:
             self.reason = HELD_BY_NOTHING

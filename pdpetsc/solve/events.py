@@ -12,14 +12,17 @@ from pdpetsc.damage import PiecewiseLinear
 from pdpetsc.discrete.communicator import smallest
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied
-from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, BondModel, Model
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import EventDriven
 from pdpetsc.solve.base import Solver, StepResult
 from pdpetsc.solve.inelastic import InelasticForces
 from pdpetsc.solve.pairs import Key, Pairs, make_pairs
 from pdpetsc.solve.path import Changed, Direction, find_direction
 from pdpetsc.solve.steps import Converged
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.conditions import refuse_what_is_not_proportional
 
 # Bonds this close to their limit fail at the same load, one after the other in the order of their keys.
 TIED = 1e-10
@@ -45,8 +48,8 @@ class EventSolver(Solver):
 
     Parameters
     ----------
-    model, loading, assembler
-        The body and its conditions.
+    problem, assembler
+        What is solved, and what fills its matrix.
     options : EventDriven
         What the case declares.
     stop : callable
@@ -65,21 +68,22 @@ class EventSolver(Solver):
     unit = "event"
     advice = "perturb the positions, so that fewer bonds fail at once"
 
-    def __init__(
-        self, model: Model, loading: Loading, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]
-    ) -> None:
+    def __init__(self, problem: Problem, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]) -> None:
         # Events change the integrity; between them it stays.
-        model.freeze(True)
-        _refuse(model, loading)
-        self._law = _law_of(model) if isinstance(model, BondModel) and model.failure is not None else None
-        self._model = model
+        problem.freeze(True)
+        _refuse(problem)
+        damage = problem.damage
+        self._law = None if damage is None else _law_of(damage)
+        self._problem = problem
+        self._comm = problem.body.cloud.comm
         self._options = options
         self._stop = stop
         self._pairs: Pairs | None = None
-        if isinstance(model, BondModel) and model.failure is not None:
-            self._pairs = make_pairs(model)
-        self.solver = InelasticForces(model, loading, assembler, self._pairs)
-        unknowns = model.cloud.n_global * model.dim
+        if damage is not None:
+            assert isinstance(problem.matter, BondForces)
+            self._pairs = make_pairs(problem.matter)
+        self.solver = InelasticForces(problem, assembler, self._pairs)
+        unknowns = problem.body.cloud.n_global * problem.dim
         automatic = int(np.clip(UPDATES * np.sqrt(unknowns), FEWEST, MOST))
         self._updates = options.updates or automatic
         self.factored = 0
@@ -112,8 +116,8 @@ class EventSolver(Solver):
         Interrupted
             A signal asked to stop.
         """
-        model = self._model
-        u, t, highest, still = np.zeros((model.cloud.n_rows, model.dim)), 0.0, 0.0, 0
+        problem = self._problem
+        u, t, highest, still = np.zeros((problem.body.cloud.n_rows, problem.dim)), 0.0, 0.0, 0
         self._factor()
         for event in range(self._options.most):
             if self._stop():
@@ -155,7 +159,7 @@ class EventSolver(Solver):
         """Return the elongation of every pair here (n_pairs,) [length] (collective)."""
         if self._pairs is None:
             return np.empty(0)
-        return self._pairs.elongation(self._model.with_ghosts(u))
+        return self._pairs.elongation(self._problem.body.with_ghosts(u))
 
     def _ahead(self, t: float) -> Direction:
         """Return the direction of the path; bonds that it leaves out no longer fail."""
@@ -184,7 +188,7 @@ class EventSolver(Solver):
         step = end if breaks is None else min(end, max(-force[breaks] / ahead.force[breaks], 0.0))
         failing = np.inf
         if self._pairs is not None:
-            failing = smallest(self._model.cloud.comm, first_failure(self._e, de, self._reach, self._able))
+            failing = smallest(self._comm, first_failure(self._e, de, self._reach, self._able))
         if failing < step * (1.0 - NEARER):
             return failing, self._candidate(de, failing), None
         if step == np.inf:
@@ -201,7 +205,7 @@ class EventSolver(Solver):
             key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
             state = float(self._reach[found]), float(self._integrity[found])
             mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), *state)
-        found_by = [c for c in self._model.cloud.comm.allgather(mine) if c is not None]
+        found_by = [c for c in self._comm.allgather(mine) if c is not None]
         first: _Candidate = min(found_by, key=lambda c: c.key)
         return first
 
@@ -251,11 +255,12 @@ class EventSolver(Solver):
     def _store(self) -> None:
         """Give the body the present integrity of the bonds that have changed."""
         if self._pairs is not None:
-            assert isinstance(self._model, BondModel) and self._model.failure is not None and self._law is not None
+            damage = self._problem.damage
+            assert damage is not None and self._law is not None
             touched = np.array(self._touched, dtype=np.int64)
-            self._model.failure.integrity[self._pairs.bonds[touched]] = self._integrity[touched, None]
-            self._model.failure.worst[self._pairs.bonds[touched]] = self._law.reached(self._integrity[touched])[:, None]
-            self._model.version += 1
+            damage.bonds.integrity[self._pairs.bonds[touched]] = self._integrity[touched, None]
+            damage.bonds.worst[self._pairs.bonds[touched]] = self._law.reached(self._integrity[touched])[:, None]
+            damage.version += 1
             self._touched.clear()
 
 
@@ -270,9 +275,8 @@ class _Candidate:
     integrity: float
 
 
-def _law_of(model: Model) -> PiecewiseLinear:
-    assert isinstance(model, BondModel) and model.failure is not None
-    law = model.failure.law
+def _law_of(damage: Damage) -> PiecewiseLinear:
+    law = damage.bonds.law
     if not isinstance(law, PiecewiseLinear):
         raise CaseError(
             f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take Brittle, "
@@ -281,16 +285,16 @@ def _law_of(model: Model) -> PiecewiseLinear:
     return law
 
 
-def _refuse(model: Model, loading: Loading) -> None:
+def _refuse(problem: Problem) -> None:
     """Raise on all ranks if the laws are not piecewise linear or the conditions not proportional (collective)."""
-    if model.failure is not None and not isinstance(model, BondModel):
+    if problem.damage is not None and not isinstance(problem.matter, BondForces):
         raise CaseError(
             "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients fail in "
             "load steps, with Newton."
         )
-    if not model.linear:
+    if not problem.linear:
         raise CaseError(
             "The event-driven solver needs laws that are piecewise linear: LinearElastic, or bonds with small "
             "kinematics; this body has a law that is not linear between failures, so take Newton."
         )
-    loading.refuse_what_is_not_proportional("The event-driven solver")
+    refuse_what_is_not_proportional(problem, "The event-driven solver")

@@ -11,15 +11,16 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
-from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, Model
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import Opening, PathFollowing
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.bordered import Bordered
 from pdpetsc.solve.constraint import Constraint, opening_weights
 from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import linear_solver, negative_pivots, set_domain_error
-from pdpetsc.solve.steps import GROWTH, LAST, Converged, equilibrium, followed, settle
+from pdpetsc.solve.steps import GROWTH, LAST, Converged, damage_of, equilibrium, followed, settle
+from pdpetsc.terms.conditions import refuse_what_is_not_proportional
 
 # Bonds whose stretch over the critical one is within this of the largest share the control, relatively.
 BAND = 0.05
@@ -40,8 +41,8 @@ class PathSolver(StepSolver):
 
     Parameters
     ----------
-    model, loading, assembler
-        The body and its conditions.
+    problem, assembler
+        What is solved, and what fills its matrix.
     options : PathFollowing
         What the case declares.
     stop : callable
@@ -65,26 +66,31 @@ class PathSolver(StepSolver):
     advice = "take smaller steps of the control, or a control that grows all along the path"
 
     def __init__(
-        self, model: Model, loading: Loading, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
+        self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
     ) -> None:
-        loading.refuse_what_is_not_proportional("Path following")
-        self.model = model
+        refuse_what_is_not_proportional(problem, "Path following")
+        self.problem = problem
+        self._comm = problem.body.cloud.comm
+        fixed = problem.supports.fixed
         self.load = 0.0
         self._options = options
         self._stop = stop
-        self._whole = loading.prescribed(1.0), loading.forces(1.0)
-        self._opening = opening_weights(model, options.control) if isinstance(options.control, Opening) else None
-        if self._opening is None and model.failure is None:
+        self._whole = (
+            problem.supports.prescribed(1.0),
+            problem.external_force(problem.state(np.zeros(fixed.shape), 1.0)),
+        )
+        self._opening = opening_weights(problem.body, options.control) if isinstance(options.control, Opening) else None
+        if self._opening is None and problem.damage is None:
             raise CaseError("Path following by bond stretches needs bonds that can fail; give damage, or an Opening.")
-        self._equilibrium = Equilibrium(model, loading, assembler)
+        self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
         self._force = 1.0
         self._highest = 0.0
         self._target = 0.0
-        self._constraint = Constraint(np.zeros(loading.fixed.shape), 1.0, np.zeros(loading.fixed.shape), 0.0)
+        self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
         self._bordered = Bordered(self._equilibrium.tangent)
         self._r, self._x = self._bordered.vector(), self._bordered.vector()
-        self.snes = PETSc.SNES().create(comm=model.cloud.comm)
+        self.snes = PETSc.SNES().create(comm=self._comm)
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, self._bordered.mat)
         self.snes.setConvergenceTest(self._test)
@@ -136,10 +142,10 @@ class PathSolver(StepSolver):
             if result.converged and far and step > PATIENCE * options.control.step and self._constraint.share == 0.0:
                 result = replace(result, converged=False, reason="the load jumped")
             if self._stop():
-                self.model.revert()
+                self.problem.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
             if not result.converged:
-                self.model.revert()
+                self.problem.revert()
                 self.load = load
                 failures.append(result)
                 step = 0.5 * size if self._constraint.share == 0.0 else 0.5 * step
@@ -151,7 +157,8 @@ class PathSolver(StepSolver):
                     )
                 continue
             u, load, converged = attempt, self.load, converged + 1
-            self.model.commit(u)
+            self.t = load
+            self.problem.commit(self.state(u))
             highest = max(highest, result.reference)
             self._highest = max(self._highest, abs(load))
             if result.easy:
@@ -175,7 +182,7 @@ class PathSolver(StepSolver):
         self._bordered.iterations = 0
         self._bordered.put(self._x, u / self._scales.length, self.load)
         self.snes.solve(None, self._x)
-        resting = sought.damping is None
+        resting = sought.resting
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
@@ -188,7 +195,7 @@ class PathSolver(StepSolver):
         values, load = self._take(self._x)
         # Only the test of this solver knows the constraint too.
         converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
-        self.load = load if converged else of.load0
+        self.load = self.t = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
         if converged:
             result = replace(result, negative_pivots=negative_pivots(self._bordered.ksp))
@@ -196,13 +203,13 @@ class PathSolver(StepSolver):
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
         """Let the control grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
-        options, model, broken, swept = self._options, self.model, 0, 0
+        options, problem, broken, swept = self._options, self.problem, 0, 0
         if self._opening is not None:
             return equilibrium(self, options.breaks, u, size, self._stop)
         attempt, result, sweeps = self._settle(u, size)
         while result.converged:
             swept += sweeps
-            more = model.break_bonds(attempt, options.breaks)
+            more = problem.break_bonds(self.state(attempt), options.breaks)
             if not more:
                 break
             # The bonds that are now the most stretched ones stay as they are while the rest adapts.
@@ -223,17 +230,18 @@ class PathSolver(StepSolver):
         Newton with damage that follows first; where bonds that unload and load again keep it from converging,
         equilibria with damage held and damage there alternate.
         """
-        model, load = self.model, self.load
-        model.freeze(False)
+        problem, load = self.problem, self.load
+        problem.freeze(False)
         attempt, result = self.solve(u, size)
-        if not model.softens or self._stop():
+        if not problem.softens or self._stop():
             return attempt, result, 0
-        kept = model.damage()
+        damage = damage_of(self)
+        kept = damage.kept()
         if result.converged:
             attempt, result, change = followed(self, attempt, result, size)
             if self._stop() or (result.converged and change <= LAST):
                 return attempt, result, 0
-        model.take_damage(kept)
+        damage.take(kept)
         self.load = load
         attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
         return attempt, result, sweeps
@@ -245,14 +253,14 @@ class PathSolver(StepSolver):
             self._constraint = Constraint(self._opening, 0.0, u, self.load)
             assert isinstance(control, Opening)
             return min(step, control.end - self._opened(u))
-        of, largest = self.model.most_stretched(u, BAND)
+        of, largest = damage_of(self).most_stretched(self.problem.state(u, self.load), BAND)
         by_load = largest <= 0.0
         self._constraint = Constraint(of, float(by_load), u, self.load)
         return self._options.first * step / control.step if by_load else step
 
     def _opened(self, u: Float) -> float:
         assert self._opening is not None
-        return float(total(self.model.cloud.comm, float((self._opening * u).sum())))
+        return float(total(self._comm, float((self._opening * u).sum())))
 
     def _at_end(self, u: Float) -> bool:
         control = self._options.control
@@ -262,7 +270,7 @@ class PathSolver(StepSolver):
         """Return the unknowns without the load factor, and that; the conditions follow it."""
         sought = self._equilibrium
         values, load = self._bordered.split(x)
-        sought.prescribed, sought.external = load * self._whole[0], load * self._whole[1]
+        sought.impose(load, load * self._whole[0])
         return values * self._scales.length, load
 
     @property
@@ -280,18 +288,19 @@ class PathSolver(StepSolver):
             set_domain_error(snes)
             r.set(np.inf)
             return
-        grown = self._constraint.grown(self.model.cloud.comm, sought.at_prescribed(values), load)
+        grown = self._constraint.grown(self._comm, sought.at_prescribed(values), load)
         force = self._scales.force
         self._bordered.put(r, residual / force, self._force / force * (grown - self._target))
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         sought, row, free, scales = self._equilibrium, self._constraint, self._equilibrium.free, self._scales
         u = self._displacement(x)
+        state = sought.state(u)
         sought.assemble(u)
         whole, external = self._whole
         held = np.where(free, 0.0, whole)
-        column = self.model.tangent_times(u, held) - external
-        along = row.share + float(total(self.model.cloud.comm, float((row.of * held).sum())))
+        column = self.problem.linearised(state)(held) - external
+        along = row.share + float(total(self._comm, float((row.of * held).sum())))
         share = self._force / scales.force
         self._bordered.border(
             np.where(free, column, -scales.stiffness * whole) / scales.force,

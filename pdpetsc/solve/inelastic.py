@@ -8,12 +8,12 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import SolveError
-from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, Model
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import scales_of
 from pdpetsc.solve.equilibrium import read_options
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.pairs import Key, Pairs
-from pdpetsc.solve.scales import nearest_distances, scales_of
 
 # A linear solve whose residual is above this share of its right-hand side has failed, whatever the solver says.
 SOLVED = 1e-6
@@ -28,8 +28,8 @@ class InelasticForces:
 
     Parameters
     ----------
-    model, loading, assembler
-        The linear body and its conditions, proportional to the step time.
+    problem, assembler
+        What is solved, linear and with conditions proportional to the step time, and what fills its matrix.
     pairs : Pairs or None
         Its bonds where they can fail.
 
@@ -51,21 +51,23 @@ class InelasticForces:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    def __init__(self, model: Model, loading: Loading, assembler: Assembler, pairs: Pairs | None) -> None:
-        self._model = model
+    def __init__(self, problem: Problem, assembler: Assembler, pairs: Pairs | None) -> None:
+        self._problem = problem
+        self._body = problem.body
         self._pairs = pairs
-        self._free = ~loading.fixed
-        self._prescribed = loading.prescribed(1.0)
-        self._external = loading.forces(1.0)
-        self._scales = scales_of(model, nearest_distances(model))
-        self.matrix = TangentMatrix(assembler, loading.fixed, self._scales.stiffness)
+        fixed = problem.supports.fixed
+        self._free = ~fixed
+        self._prescribed = problem.supports.prescribed(1.0)
+        self._external = problem.external_force(problem.state(np.zeros(fixed.shape), 1.0))
+        self._scales = scales_of(problem.body, problem.matter)
+        self.matrix = TangentMatrix(assembler, fixed, self._scales.stiffness)
         self._x = self.matrix.mat.createVecRight()
         self._b = self._x.duplicate()
         self._r = self._x.duplicate()
-        self.ksp = PETSc.KSP().create(comm=model.cloud.comm)
+        self.ksp = PETSc.KSP().create(comm=self._body.cloud.comm)
         self.ksp.setOperators(self.matrix.mat)
-        self._w = np.empty((0, *loading.fixed.shape))
-        self.elastic: Float = np.zeros(loading.fixed.shape)
+        self._w = np.empty((0, *fixed.shape))
+        self.elastic: Float = np.zeros(fixed.shape)
         self.numbers: dict[Key, int] = {}
         self.local: list[int] = []
         read_options(self.destroy, self.ksp)
@@ -73,23 +75,23 @@ class InelasticForces:
     def factor(self) -> None:
         """Factor the present stiffness; no bond differs from it then."""
         zero = np.zeros(self._free.shape)
-        self.matrix.update(zero)
+        self.matrix.update(self._problem.state(zero))
         self.numbers, self.local = {}, []
-        load = self._external - self._model.tangent_times(zero, self._prescribed)
+        load = self._external - self._problem.linearised(self._problem.state(zero))(self._prescribed)
         self.elastic = self._solve(load) + self._prescribed
         if self._pairs is not None:
-            self._elongated = self._pairs.elongation(self._model.with_ghosts(self.elastic))
+            self._elongated = self._pairs.elongation(self._body.with_ghosts(self.elastic))
 
     def add(self, key: Key) -> tuple[Float, float]:
         """Take in a bond, with one solve; return its row of ``S`` (r + 1,) and its elongation under the whole load."""
-        model, pairs = self._model, self._pairs
+        body, pairs = self._body, self._pairs
         assert pairs is not None
         pair = pairs.local(key)
-        f = np.zeros_like(model.cloud.x)
+        f = np.zeros_like(body.cloud.x)
         if pair >= 0 and pairs.reported[pair]:
             f[pairs.ends[pair, 1]] += pairs.n[pair]
             f[pairs.ends[pair, 0]] -= pairs.n[pair]
-        w = self._solve(model.gather(f))
+        w = self._solve(body.gather(f))
         r = len(self.local)
         self.numbers[key] = r
         self.local.append(pair)
@@ -100,11 +102,11 @@ class InelasticForces:
         mine = np.flatnonzero((here >= 0) & pairs.reported[here])
         ends, n = pairs.ends[here[mine]], pairs.n[here[mine]]
         values = np.zeros(r + 2)
-        w_local = model.with_ghosts(w)
+        w_local = body.with_ghosts(w)
         values[mine] = np.einsum("pm,pm->p", n, w_local[ends[:, 1]] - w_local[ends[:, 0]])
         if len(mine) and mine[-1] == r:
             values[r + 1] = self._elongated[pair]
-        values = total(model.cloud.comm, values)
+        values = total(body.cloud.comm, values)
         return values[: r + 1], float(values[r + 1])
 
     def response(self, rate: float, p: Float) -> Float:

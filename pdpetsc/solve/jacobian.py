@@ -13,11 +13,13 @@ from scipy.spatial import cKDTree
 from pdpetsc.arrays import Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
-from pdpetsc.model import Assembler, Model, NearAssembler
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.nearest_neighbours import NearAssembler
+from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import AnySolver, DynamicRelaxation, EventDriven
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.matrix_free import MatrixFreeTangent
-from pdpetsc.solve.tangent import Tangent
+from pdpetsc.solve.tangent import PetscTangent
 
 # Largest number of unknowns for which the direct solver is the default, by dimension.
 DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
@@ -50,7 +52,7 @@ class Choice:
     estimate: int
 
 
-def choose(model: Model, chosen: Mapping[str, Any], solver: AnySolver) -> Choice:
+def choose(problem: Problem, chosen: Mapping[str, Any], solver: AnySolver) -> Choice:
     """Choose by ``-pd_jacobian``, else by size: direct where that is quick, assembled where rows are narrow.
 
     Parameters
@@ -74,23 +76,24 @@ def choose(model: Model, chosen: Mapping[str, Any], solver: AnySolver) -> Choice
         raise CaseError(f"-pd_jacobian takes assembled, matfree or auto, not {word!r}.")
     if word == "matfree" and isinstance(solver, EventDriven):
         raise CaseError("The event-driven solver factors its matrix; leave -pd_jacobian at assembled or auto.")
-    small = model.cloud.n_global * model.dim <= DIRECT_UNKNOWNS[model.dim]
+    cloud, dim = problem.body.cloud, problem.dim
+    small = cloud.n_global * dim <= DIRECT_UNKNOWNS[dim]
     direct = pc in ("lu", "cholesky") or (not pc and small)
     if word == "assembled" or isinstance(solver, EventDriven | DynamicRelaxation) or (word == "auto" and direct):
         return Choice(pc, direct, False, 0)
-    blocks = _blocks(model)
-    narrow = blocks <= WIDE * NEAR_BLOCKS[model.dim] * model.cloud.n_global
+    blocks = _blocks(problem)
+    narrow = blocks <= WIDE * NEAR_BLOCKS[dim] * cloud.n_global
     matrix_free = word == "matfree" or not narrow
-    size = model.dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
+    size = dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
     return Choice(pc, direct and not matrix_free, matrix_free, int(blocks * size))
 
 
-def assembler(model: Model, choice: Choice) -> Assembler:
+def assembler(problem: Problem, choice: Choice) -> Assembler:
     """Return what fills the matrix that the choice asks for (collective)."""
-    return NearAssembler(model) if choice.matrix_free else model.assembler()
+    return NearAssembler(problem) if choice.matrix_free else Assembler(problem)
 
 
-def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> Tangent:
+def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> PetscTangent:
     """Return the tangent over ``scale`` [force / length] whose matrix an assembler fills (collective)."""
     if isinstance(filled, NearAssembler):
         return MatrixFreeTangent(filled, fixed, scale)
@@ -107,10 +110,10 @@ def words(choice: Choice, predicted: int) -> str:
     return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted"
 
 
-def _blocks(model: Model) -> float:
+def _blocks(problem: Problem) -> float:
     """Return about how many blocks the assembled tangent has, from a sample of particles (collective)."""
-    cloud = model.cloud
-    reach = cloud.horizon * model.coupling * (1.0 + 1e-9)
+    cloud = problem.body.cloud
+    reach = cloud.horizon * problem.horizons * (1.0 + 1e-9)
     sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
     found = cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
     return float(total(cloud.comm, float(np.mean(found)) * cloud.n_owned))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import GlobalIndex, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.pattern import Pattern
 from pdpetsc.discrete.pieces import rigid_modes
 from pdpetsc.kernels.pattern import scalar_rows
-from pdpetsc.model import Assembler, Model
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 from pdpetsc.solve.petsc import seq_blocks, values_of
-from pdpetsc.solve.tangent import Tangent
+from pdpetsc.solve.tangent import PetscTangent
 
 
 def predicted_bytes(pattern: Pattern, dim: int) -> int:
@@ -27,7 +29,7 @@ def predicted_bytes(pattern: Pattern, dim: int) -> int:
     return int(total(pattern.cloud.comm, per_rank))
 
 
-class TangentMatrix(Tangent):
+class TangentMatrix(PetscTangent):
     """An AIJ matrix of block size ``dim`` that the model's assembler fills in place.
 
     It holds ``K / scale``. Rows and columns of prescribed degrees of freedom hold only 1 on the diagonal, so that the
@@ -51,9 +53,9 @@ class TangentMatrix(Tangent):
         self._assembler = assembler
         self._scale = scale
         self._fixed = fixed.ravel()
-        model, pattern = assembler.model, assembler.pattern
-        dim, n = model.dim, model.cloud.n_rows
-        self.mat = _allocate(model, pattern)
+        problem, pattern = assembler.problem, assembler.pattern
+        dim, n = problem.dim, problem.body.cloud.n_rows
+        self.mat = _allocate(problem, pattern)
         self.preconditioner = self.mat
         rows = pattern.rows
         self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
@@ -65,20 +67,16 @@ class TangentMatrix(Tangent):
         self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
         self._handles = seq_blocks(self.mat)
         self._filled = -1
-        self._damped = False
         self.diagonal = np.zeros(n * dim)
 
-    def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
-        """Fill the matrix with K(u); that of a linear model only where bonds have failed since."""
-        # (n_rows,) ``damping`` is added to the diagonal of the rows [force / length].
-        version = self._assembler.model.version
-        if self._filled == version and self._assembler.model.linear:
+    def update(self, state: State, effort: float | None = None) -> None:
+        """Fill the matrix with K; that of a linear problem only where it has changed since."""
+        version = self._assembler.problem.version
+        if self._filled == version and self._assembler.problem.linear:
             return
         with values_of(self._handles[0], self._n_diag) as diag, values_of(self._handles[1], self._n_off) as off:
-            self._assembler.assemble(u, diag, off)
+            self._assembler.assemble(state, diag, off)
             self.diagonal = diag[self._diagonal]
-            if damping is not None:
-                diag[self._diagonal] += np.repeat(damping, self._assembler.model.dim)
             diag *= 1.0 / self._scale
             off *= 1.0 / self._scale
             diag[self._zero_diag] = 0.0
@@ -86,18 +84,18 @@ class TangentMatrix(Tangent):
             diag[self._diagonal[self._fixed]] = 1.0
         self.mat.assemble()
         self.mat.stateIncrease()
-        self._filled, self._damped = version, damping is not None
+        self._filled = version
 
     def renew(self) -> bool:
         """Return False: the pattern is that of the whole families."""
         return False
 
-    def holds(self, damped: bool) -> bool:
-        """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
-        return self._filled == self._assembler.model.version and self._damped == damped
+    def holds(self) -> bool:
+        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        return self._filled == self._assembler.problem.version
 
     def forget(self) -> None:
-        """Let the next ``update`` fill it anew: it is of a displacement that led nowhere (not collective)."""
+        """Let the next ``update`` fill it anew: its displacement was given up (not collective)."""
         self._filled = -1
 
     @property
@@ -111,8 +109,8 @@ class TangentMatrix(Tangent):
         self.mat.destroy()
 
 
-def _allocate(model: Model, pattern: Pattern) -> PETSc.Mat:
-    dim, cloud = model.dim, model.cloud
+def _allocate(problem: Problem, pattern: Pattern) -> PETSc.Mat:
+    dim, cloud = problem.dim, problem.body.cloud
     columns = _global_columns(pattern)
     rows = pattern.rows
     block_ptr = rows.diag_ptr + rows.off_ptr
@@ -124,10 +122,10 @@ def _allocate(model: Model, pattern: Pattern) -> PETSc.Mat:
     mat.setSizes((size, size), bsize=dim)
     mat.setType("aij")
     mat.setPreallocationCSR((row_ptr, scalar))
-    if model.symmetric:
+    if problem.symmetric:
         mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
-    _attach_rigid_modes(mat, model)
+    _attach_rigid_modes(mat, problem)
     return mat
 
 
@@ -163,19 +161,20 @@ def _diagonal(ptr: GlobalIndex, columns: GlobalIndex, dim: int) -> GlobalIndex:
     return np.asarray(start[:, None] + (dim * np.diff(ptr))[:, None] * i + i).ravel()
 
 
-def _attach_rigid_modes(mat: PETSc.Mat, model: Model) -> None:
+def _attach_rigid_modes(mat: PETSc.Mat, problem: Problem) -> None:
     """Give the matrix its near-null space, which algebraic multigrid coarsens with."""
-    modes = rigid_modes(model.cloud)
+    cloud = problem.body.cloud
+    modes = rigid_modes(cloud)
     basis = []
     for m in range(modes.shape[2]):
         vec = mat.createVecLeft()
-        vec.array = np.concatenate([modes[:, :, m], np.zeros((model.cloud.n_virtual, model.dim))]).ravel()
+        vec.array = np.concatenate([modes[:, :, m], np.zeros((cloud.n_virtual, problem.dim))]).ravel()
         basis.append(vec)
     for m, vec in enumerate(basis):
         for earlier in basis[:m]:
             vec.axpy(-vec.dot(earlier), earlier)
         vec.normalize()
-    space = PETSc.NullSpace().create(vectors=basis, comm=model.cloud.comm)
+    space = PETSc.NullSpace().create(vectors=basis, comm=cloud.comm)
     mat.setNearNullSpace(space)
     space.destroy()
     for vec in basis:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Mask
 from pdpetsc.discrete.communicator import largest
-from pdpetsc.model import Linearised, Model, NearAssembler
+from pdpetsc.problem.nearest_neighbours import NearAssembler
+from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.state import State
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.stages import PRECONDITIONER, stage
-from pdpetsc.solve.tangent import Tangent
+from pdpetsc.solve.tangent import PetscTangent
 
 # A linear solve that takes this many times the iterations per digit of the first one wants a new preconditioner.
 HARDER = 1.3
@@ -18,7 +20,7 @@ HARDER = 1.3
 STIFFER = 1.05
 
 
-class MatrixFreeTangent(Tangent):
+class MatrixFreeTangent(PetscTangent):
     """A Mat of type python that applies ``K(u)`` family by family, and an AIJ matrix of nearest neighbours.
 
     Both are over ``scale``, and rows and columns of prescribed degrees of freedom hold only 1 on the diagonal.
@@ -36,39 +38,38 @@ class MatrixFreeTangent(Tangent):
     def __init__(self, near: NearAssembler, fixed: Mask, scale: float) -> None:
         self._near = near
         self._fixed, self._scale = fixed, scale
-        self._model: Model = near.model
-        self._breaks = self._model.breaks
+        self._problem: Problem = near.problem
+        self._breaks = self._problem.breaks
         self._matrix = TangentMatrix(near, fixed, scale)
         self.preconditioner, self.diagonal = self._matrix.mat, self._matrix.diagonal
         self._product = _Product(fixed, scale)
         sizes = self._matrix.mat.getSizes()
-        self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=self._model.cloud.comm)
-        if self._model.symmetric:
+        self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=self._problem.body.cloud.comm)
+        if self._problem.symmetric:
             self.mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self.mat.setUp()
-        self._version, self._damped = -1, False
+        self._version = -1
         self._effort: float | None = None
         self._strength = np.empty(0)
 
-    def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
-        """Make it K(u); the nearest neighbours stay as they are while linear solves do not get harder."""
-        version, damped = self._model.version, damping is not None
-        if self._model.linear and self.holds(damped):
+    def update(self, state: State, effort: float | None = None) -> None:
+        """Make it K at a state; the nearest neighbours stay as they are while linear solves do not get harder."""
+        version = self._problem.version
+        if self._problem.linear and self.holds():
             return
-        keep = self._does_well(effort) and damped == self._damped and self._model.failure is None
-        tangent = self._model.linearised(u) if keep else None
+        keep = self._does_well(effort) and self._problem.damage is None
+        tangent = self._problem.linearised(state) if keep else None
         if tangent is None or self._stiffer(tangent):
             self._matrix.forget()
             with stage(PRECONDITIONER):
-                self._matrix.update(u, damping)
+                self._matrix.update(state)
             tangent, self._effort = self._near.tangent, None
             self._strength = tangent.strength()
             self.diagonal = self._matrix.diagonal
         # The assembler does not keep the moduli of another displacement.
         self._near.tangent = self._product.tangent = tangent
-        self._product.damping = damping
-        self._version, self._damped = version, damped
+        self._version = version
         self.mat.stateIncrease()
 
     def _does_well(self, effort: float | None) -> bool:
@@ -79,27 +80,26 @@ class MatrixFreeTangent(Tangent):
             self._effort = effort
         return effort <= HARDER * self._effort
 
-    def _stiffer(self, tangent: Linearised) -> bool:
+    def _stiffer(self, tangent: Tangent) -> bool:
         """Return whether a particle is much stiffer than when the bounds of the smoother were estimated."""
         ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
-        return largest(self._model.cloud.comm, ratio) > STIFFER
+        return largest(self._problem.body.cloud.comm, ratio) > STIFFER
 
     def renew(self) -> bool:
         """Choose nearest neighbours anew where bonds have broken or mended."""
-        if self._breaks == self._model.breaks:
+        if self._breaks == self._problem.breaks:
             return False
-        self._breaks = self._model.breaks
+        self._breaks = self._problem.breaks
         self._matrix.destroy()
-        self._near = NearAssembler(self._model)
+        self._near = NearAssembler(self._problem)
         self._matrix = TangentMatrix(self._near, self._fixed, self._scale)
         self.preconditioner = self._matrix.mat
         self.forget()
         return True
 
-    def holds(self, damped: bool) -> bool:
-        """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
-        same = self._breaks == self._model.breaks and self._version == self._model.version
-        return same and self._damped == damped
+    def holds(self) -> bool:
+        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        return self._breaks == self._problem.breaks and self._version == self._problem.version
 
     def forget(self) -> None:
         """Let the next ``update`` make it anew (not collective)."""
@@ -123,8 +123,7 @@ class _Product:
         self._fixed, self._free = fixed, ~fixed
         self._weight = self._free / scale
         self._masked = np.zeros(fixed.shape)
-        self.tangent: Linearised | None = None
-        self.damping: Float | None = None
+        self.tangent: Tangent | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply; PETSc calls it."""
@@ -132,8 +131,6 @@ class _Product:
         values = x.array_r.reshape(self._free.shape)
         np.multiply(values, self._free, out=self._masked)
         product = self.tangent(self._masked)
-        if self.damping is not None:
-            product = product + self.damping[:, None] * self._masked
         result = y.array_w.reshape(self._free.shape)
         np.multiply(product, self._weight, out=result)
         np.copyto(result, values, where=self._fixed)

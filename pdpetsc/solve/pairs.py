@@ -11,7 +11,8 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
-from pdpetsc.model import BondModel, Model
+from pdpetsc.problem.problem import Problem
+from pdpetsc.terms.bond_forces import BondForces
 
 # What names a bond on every rank: ids of both ends and the relative place of the second.
 Key: TypeAlias = tuple[int, int, int]
@@ -60,21 +61,22 @@ class Pairs:
         return int(span[0] + found[0]) if len(found) else -1
 
 
-def make_pairs(model: BondModel) -> Pairs:
+def make_pairs(term: BondForces) -> Pairs:
     """Return the pairs of a body whose bonds can fail (collective)."""
-    failure, cloud, families = model.failure, model.cloud, model.families
-    if failure is None:
+    cloud, families = term.body.cloud, term.body.families
+    if term.damage is None:
         raise CaseError("This body has no bonds that fail.")
+    failure = term.damage.bonds
     keys, first, of_bond = np.unique(failure.keys, axis=0, return_index=True, return_inverse=True)
     of_bond = of_bond.reshape(-1)
-    k = np.bincount(of_bond, model.k, len(keys))
+    k = np.bincount(of_bond, term.k, len(keys))
     # The other direction of a bond that leaves the rank is held by the owner of the ghost.
     outward = np.flatnonzero(families.neighbours >= cloud.n_owned)
     firsts = np.array(cloud.comm.allgather(cloud.first), dtype=np.int64)
     owner = np.searchsorted(firsts, cloud.row[families.neighbours[outward]], side="right") - 1
     leaving = outward[owner != cloud.comm.rank]
     (their_keys, their_k), _ = exchange(
-        cloud.comm, owner[owner != cloud.comm.rank], [failure.keys[leaving], model.k[leaving]]
+        cloud.comm, owner[owner != cloud.comm.rank], [failure.keys[leaving], term.k[leaving]]
     )
     if len(their_keys):
         together, index = np.unique(np.concatenate([keys, their_keys]), axis=0, return_inverse=True)
@@ -94,11 +96,11 @@ def make_pairs(model: BondModel) -> Pairs:
     )
 
 
-def rehearse_pairs(model: Model) -> None:
-    """Compile or load the loops that go from event to event (collective on the model's ranks)."""
-    assert isinstance(model, BondModel)
-    pairs = make_pairs(model)
-    e = pairs.elongation(np.zeros_like(model.cloud.x))
+def rehearse_pairs(problem: Problem) -> None:
+    """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
+    assert isinstance(problem.matter, BondForces)
+    pairs = make_pairs(problem.matter)
+    e = pairs.elongation(np.zeros_like(problem.body.cloud.x))
     able = np.ones(len(e), dtype=bool)
     first_failure(e, e, pairs.limit, able)
     first_of_tied(e, e, pairs.limit, able, 0.0, 0.0)

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import largest, total
-from pdpetsc.loading import Loading
-from pdpetsc.model import Model
+from pdpetsc.discrete.communicator import largest, smallest, total
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.scene.solver import DynamicRelaxation
 from pdpetsc.solve.base import StepResult, StepSolver
 
@@ -36,8 +36,8 @@ class RelaxationSolver(StepSolver):
 
     Parameters
     ----------
-    model, loading
-        The body and its conditions.
+    problem : Problem
+        What is solved.
     options : DynamicRelaxation
         When it stops.
     stop : callable
@@ -51,16 +51,16 @@ class RelaxationSolver(StepSolver):
     unit = "relaxation"
     advice = "look for zero-energy modes, add or raise the stabilisation, take more steps or more iterations"
 
-    def __init__(self, model: Model, loading: Loading, options: DynamicRelaxation, stop: Callable[[], bool]) -> None:
-        self.model = model
-        self._loading = loading
+    def __init__(self, problem: Problem, options: DynamicRelaxation, stop: Callable[[], bool]) -> None:
+        self.problem = problem
+        self._comm = problem.body.cloud.comm
         self._options = options
         self._stop = stop
-        self._free = ~loading.fixed
-        cloud = model.cloud
+        self._free = ~problem.supports.fixed
+        cloud = problem.body.cloud
         whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
         self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])[:, None]
-        self._courant = _courant_step(model)
+        self._courant = _courant_step(problem)
         self._largest = 0.0
 
     @property
@@ -77,10 +77,10 @@ class RelaxationSolver(StepSolver):
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Move from ``u`` to rest under the conditions at step time ``t`` (collective)."""
-        external = self._loading.forces(t)
-        start = np.where(self._free, u, self._loading.prescribed(t))
+        self.t = t
+        start = np.where(self._free, u, self.problem.supports.prescribed(t))
         moved = start.copy()
-        residual, reference = self._residual(moved, external)
+        residual, reference = self._residual(moved)
         if residual is None:
             return moved, StepResult(False, "det F <= 0 at the start of the step: the prescribed step is too long")
         velocity = np.zeros_like(moved)
@@ -102,13 +102,13 @@ class RelaxationSolver(StepSolver):
             change = dt * velocity
             moved = moved + change
             old = residual
-            residual, reference = self._residual(moved, external)
+            residual, reference = self._residual(moved)
             if residual is None:
                 return moved, StepResult(False, "det F <= 0 in the motion", norms, reference, iteration)
             softness = np.where(velocity != 0.0, -(residual - old) / np.where(change != 0.0, change, 1.0), 0.0)
             travelled = moved - start
             sums = total(
-                self.model.cloud.comm,
+                self._comm,
                 [
                     (softness * travelled**2).sum(),
                     (self._mass * travelled**2).sum(),
@@ -136,25 +136,27 @@ class RelaxationSolver(StepSolver):
         norms.append(float(np.sqrt(sums[2])))
         return moved, StepResult(False, "too many time steps", norms, reference, self._options.most)
 
-    def _residual(self, u: Float, external: Float) -> tuple[Float | None, float]:
+    def _residual(self, u: Float) -> tuple[Float | None, float]:
         """Return ``f_ext - f_int`` on the free degrees of freedom and the norm of forces and reactions."""
-        force = self.model.internal_force(u)
+        state = self.state(u)
+        force = self.problem.internal_force(state)
         if force is None:
             return None, 0.0
+        external = self.problem.external_force(state)
         reaction = np.where(self._free, 0.0, force - external)
-        size = max(total(self.model.cloud.comm, [(external**2).sum(), (reaction**2).sum()]))
+        size = max(total(self._comm, [(external**2).sum(), (reaction**2).sum()]))
         return np.where(self._free, external - force, 0.0), float(np.sqrt(size))
 
     def _norm(self, values: Float) -> float:
-        return float(np.sqrt(total(self.model.cloud.comm, (values**2).sum())))
+        return float(np.sqrt(total(self._comm, (values**2).sum())))
 
     def _time_step(self, u: Float) -> float:
         """Return the time step that is stable at ``u``."""
-        cloud = self.model.cloud
+        cloud = self.problem.body.cloud
         gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
         gid = gid[:, None].astype(float)
         v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
-        tangent = self.model.linearised(u)
+        tangent = self.problem.linearised(self.state(u))
         square = 0.0
         for _ in range(POWER_ITERATIONS):
             v = v / max(self._norm(v), np.finfo(float).tiny)
@@ -165,15 +167,10 @@ class RelaxationSolver(StepSolver):
         return float(min(self._courant, SAFETY * critical))
 
 
-def _courant_step(model: Model) -> float:
+def _courant_step(problem: Problem) -> float:
     """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
-    cloud = model.cloud
-    shortest = -largest(cloud.comm, -_shortest_bond(model))
-    stiffest = largest(cloud.comm, model.largest_modulus)
-    several = largest(cloud.comm, float(model.n_points > cloud.n_owned))
-    return float((1.0 if several else 2.0) / model.dim * shortest / np.sqrt(stiffest))
-
-
-def _shortest_bond(model: Model) -> float:
-    bonds = model.families.bonds(model.cloud.x)
-    return float(np.linalg.norm(bonds, axis=1).min(initial=np.inf))
+    cloud = problem.body.cloud
+    shortest = smallest(cloud.comm, float(nearest_distances(problem.body).min(initial=np.inf)))
+    stiffest = largest(cloud.comm, problem.matter.largest_modulus)
+    several = largest(cloud.comm, float(problem.matter.n_points > cloud.n_owned))
+    return float((1.0 if several else 2.0) / problem.dim * shortest / np.sqrt(stiffest))

@@ -10,8 +10,8 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
-from pdpetsc.loading import Loading
-from pdpetsc.model import Assembler, Model
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
 from pdpetsc.solve.base import StepResult, StepSolver
 from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import (
@@ -34,8 +34,8 @@ class StaticSolver(StepSolver):
 
     Parameters
     ----------
-    model, loading, assembler
-        The body and its conditions.
+    problem, assembler
+        What is solved, and what fills its matrix.
     stop : callable
         Asked after every iteration, collectively; True ends the solve (a signal arrived).
 
@@ -50,19 +50,20 @@ class StaticSolver(StepSolver):
         "-snes_linesearch_type basic, a smaller smallest step or -snes_rtol 1e-8"
     )
 
-    def __init__(self, model: Model, loading: Loading, assembler: Assembler, stop: Callable[[], bool]) -> None:
-        self.model = model
-        self.loading = loading
+    def __init__(self, problem: Problem, assembler: Assembler, stop: Callable[[], bool]) -> None:
+        self.problem = problem
+        self._comm = problem.body.cloud.comm
+        self._fixed = problem.supports.fixed
         self._stop = stop
         self._filled_at: Float | None = None
         self._resumed_from: Float | None = None
-        self._equilibrium = Equilibrium(model, loading, assembler)
+        self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
-        self._all_prescribed = int(total(model.cloud.comm, np.count_nonzero(~loading.fixed))) == 0
+        self._all_prescribed = int(total(self._comm, np.count_nonzero(~self._fixed))) == 0
         tangent = self._equilibrium.tangent
         self._x = tangent.preconditioner.createVecRight()
         self._r = self._x.duplicate()
-        self.snes = PETSc.SNES().create(comm=model.cloud.comm)
+        self.snes = PETSc.SNES().create(comm=self._comm)
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
         self.snes.setConvergenceTest(self._test)
@@ -72,14 +73,14 @@ class StaticSolver(StepSolver):
     @property
     def tangent_at(self) -> Float | None:
         """Return the displacement of the last Newton iteration but one, whose tangent the next step begins with."""
-        sought, failure = self._equilibrium, self.model.failure
-        held = not self.model.linear and (failure is None or not failure.frozen)
-        return self._filled_at if held and sought.tangent.holds(sought.damping is not None) else None
+        damage = self.problem.damage
+        held = not self.problem.linear and (damage is None or not damage.bonds.frozen)
+        return self._filled_at if held and self._equilibrium.tangent.holds() else None
 
     def resume(self, tangent_at: Float | None, t: float) -> None:
         """Begin the next step as the run did that this one goes on from (collective)."""
         super().resume(tangent_at, t)
-        self._resumed_from = self.loading.prescribed(t)
+        self._resumed_from = self.problem.supports.prescribed(t)
 
     @property
     def matrix_bytes(self) -> int:
@@ -102,16 +103,17 @@ class StaticSolver(StepSolver):
         sought = self._equilibrium
         old_prescribed = sought.prescribed if self._resumed_from is None else self._resumed_from
         self._resumed_from = None
-        sought.prescribed, sought.external = self.loading.prescribed(t), self.loading.forces(t)
+        old_t, self.t = sought.t, t
+        sought.impose(t)
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
         if self._all_prescribed:
             return self._without_solve()
         start, linear = u, 0
-        if total(self.model.cloud.comm, np.count_nonzero(sought.prescribed != old_prescribed)):
-            start, linear = self._predict(u, sought.prescribed - np.where(self.loading.fixed, u, 0.0))
+        if total(self._comm, np.count_nonzero(sought.prescribed != old_prescribed)):
+            start, linear = self._predict(u, sought.prescribed - np.where(self._fixed, u, 0.0))
         linear += self._iterate(start)
-        resting = sought.damping is None
+        resting = sought.resting
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
@@ -127,12 +129,12 @@ class StaticSolver(StepSolver):
         converged = reason > 0 and resting and (seen or sought.judge(found, self._rtol))
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
         if converged:
-            failure = self.model.failure
+            damage = self.problem.damage
             # With damage held it is the secant that was factored, which tells nothing of stability.
-            secant = self.model.softens and failure is not None and failure.frozen
+            secant = damage is not None and damage.softens and damage.bonds.frozen
             result = replace(result, negative_pivots=None if secant else negative_pivots(self.snes.getKSP()))
         else:
-            sought.prescribed = old_prescribed
+            sought.impose(old_t, old_prescribed)
             sought.tangent.forget()
         self.resumed = None
         return sought.at_prescribed(found), result
@@ -191,20 +193,22 @@ class StaticSolver(StepSolver):
         """
         sought, free = self._equilibrium, self._equilibrium.free
         jump = np.where(free, 0.0, jump)
-        force = self.model.internal_force(u)
+        state = self.problem.state(u, sought.t)
+        force = self.problem.internal_force(state)
         if force is None:
             return u, 0
-        if not sought.tangent.holds(sought.damping is not None):
+        external = self.problem.external_force(state)
+        if not sought.tangent.holds():
             self._filled_at = u if self.resumed is None else self.resumed
-            sought.tangent.update(self._filled_at, sought.damping, effort(self.snes.getKSP()))
+            sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
-        b = sought.external - force - self.model.tangent_times(u, jump)
+        b = external - force - self.problem.linearised(state)(jump)
         self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
         ksp = self.snes.getKSP()
         ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
         ksp.solve(self._r, self._x)
         change = self._displacement(self._x).reshape(u.shape) + jump
-        finite = np.isfinite(float(total(self.model.cloud.comm, float(change.sum()))))
+        finite = np.isfinite(float(total(self._comm, float(change.sum()))))
         return u + (change if finite else jump), ksp.getIterationNumber()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import Interrupted, SolveError
+from pdpetsc.problem.damage import Damage
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solve.base import StepResult, StepSolver
 
@@ -95,23 +96,23 @@ def load_steps(
         if result.converged and result.negative_pivots and steps.unstable != "warn":
             result = replace(result, converged=False, reason=_unstable(result.negative_pivots))
             if steps.unstable == "refuse":
-                solver.model.revert()
+                solver.problem.revert()
                 raise SolveError(
                     f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
                     f"the body to find the stable branch, or follow the path."
                 )
         if stop():
-            solver.model.revert()
+            solver.problem.revert()
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
         if result.converged:
             u, t = attempt, target
-            solver.model.commit(u)
+            solver.problem.commit(solver.state(u))
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
             yield Converged(u, t, result, failures, broken, sweeps, (dt,))
             failures = []
             continue
-        solver.model.revert()
+        solver.problem.revert()
         failures.append(result)
         dt = 0.5 * (target - t)
         on_failure(t, dt, result)
@@ -134,20 +135,26 @@ def equilibrium(
 
     ``breaks`` is how many bonds break at once (``Steps``).
     """
-    model, broken = solver.model, 0
-    model.freeze(False)
+    problem, broken = solver.problem, 0
+    problem.freeze(False)
     attempt, result = solver.solve(u, target)
-    if not model.softens:
-        while result.converged and (more := model.break_bonds(attempt, breaks)):
+    if not problem.softens:
+        while result.converged and (more := problem.break_bonds(solver.state(attempt), breaks)):
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
     if not stop() and result.converged:
         attempt, result, change = followed(solver, attempt, result, target)
-    if stop() or (result.converged and change <= LAST and not model.break_bonds(attempt, 1)):
+    if stop() or (result.converged and change <= LAST and not problem.break_bonds(solver.state(attempt), 1)):
         return attempt, result, broken, 0
-    model.revert()
-    return settle(solver, u, target, SWEEPS, lambda v: model.break_bonds(v, breaks))
+    problem.revert()
+    return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), breaks))
+
+
+def damage_of(solver: StepSolver) -> Damage:
+    """Return the damage of what a solver solves, whose bonds soften."""
+    assert solver.problem.damage is not None
+    return solver.problem.damage
 
 
 def followed(
@@ -166,11 +173,12 @@ def followed(
         At most ``LAST`` where it is one with the damage that has been taken [-].
     """
     iterations, linear, change = result.iterations, result.linear_iterations, 1.0
+    damage = damage_of(solver)
     for _ in range(FOLLOWING):
-        change = solver.model.fading(u)
+        change = damage.fading(solver.state(u))
         if change > most:
             break
-        solver.model.soften(u)
+        damage.soften(solver.state(u))
         if change <= LAST:
             break
         u, again = solver.solve(u, target)
@@ -200,23 +208,24 @@ def settle(
     -------
     As ``equilibrium``.
     """
-    solver.model.freeze(True)
+    damage = damage_of(solver)
+    damage.freeze(True)
     broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
         u, result = solver.solve(u, target)
         iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         if not result.converged:
             return u, result, broken, sweep
-        change = solver.model.soften(u)
+        change = damage.soften(solver.state(u))
         # Bonds that heal break at equilibrium with their present damage only, which this is once damage has settled.
-        more = 0 if solver.model.heals and change >= SETTLED else fail(u)
+        more = 0 if damage.heals and change >= SETTLED else fail(u)
         if change < SETTLED and not more:
-            solver.model.freeze(False)
+            damage.freeze(False)
             load = solver.load
             attempt, closed = solver.solve(u, target)
             if closed.converged:
                 attempt, closed, change = followed(solver, attempt, closed, target, CLOSE)
-            solver.model.freeze(True)
+            damage.freeze(True)
             iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
             if closed.converged and change <= LAST:
                 u, result = attempt, closed

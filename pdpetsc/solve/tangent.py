@@ -7,9 +7,10 @@ from abc import ABC, abstractmethod
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
+from pdpetsc.problem.state import State
 
 
-class Tangent(ABC):
+class PetscTangent(ABC):
     """The tangent of a body with prescribed degrees of freedom, and the matrix that its preconditioner is made from.
 
     Attributes
@@ -31,8 +32,8 @@ class Tangent(ABC):
     diagonal: Float
 
     @abstractmethod
-    def update(self, u: Float, damping: Float | None = None, effort: float | None = None) -> None:
-        """Make it K(u), with (n_rows,) ``damping`` [force / length] on the diagonal.
+    def update(self, state: State, effort: float | None = None) -> None:
+        """Make it K at a state.
 
         ``effort`` is what the last linear solve with it took, in iterations per digit: the matrix of the preconditioner
         may stay as it is while that does not grow. Without it that is made anew.
@@ -43,12 +44,12 @@ class Tangent(ABC):
         """Follow bonds that have broken or mended; return whether ``preconditioner`` is another one now."""
 
     @abstractmethod
-    def holds(self, damped: bool) -> bool:
-        """Return whether it is a tangent of the body as it is, at whatever displacement (not collective)."""
+    def holds(self) -> bool:
+        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
 
     @abstractmethod
     def forget(self) -> None:
-        """Let the next ``update`` make it anew: it is of a displacement that led nowhere (not collective)."""
+        """Let the next ``update`` make it anew: its displacement was given up (not collective)."""
 
     @property
     @abstractmethod

@@ -125,7 +125,7 @@ def fill(
     transposed = transpose(*stencils, pattern.cloud.n_local)
     values = []
     for rows in (pattern.owned, pattern.ghost):
-        diag, off = np.empty(dim * dim * rows.diag_ptr[-1]), np.empty(dim * dim * rows.off_ptr[-1])
+        diag, off = np.zeros(dim * dim * rows.diag_ptr[-1]), np.zeros(dim * dim * rows.off_ptr[-1])
         kernel(
             rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *transposed,
             *stencils, *data, diag, off,

@@ -10,7 +10,8 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.kernels.pattern import nearest_neighbours
-from pdpetsc.model import Model
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.matter import Matter
 
 
 @dataclass(frozen=True)
@@ -38,28 +39,28 @@ class Scales:
         return self.stiffness * self.length
 
 
-def scales_of(model: Model, spacing: Float) -> Scales:
-    """Return the scales of a body whose particles have nearest neighbours at ``spacing`` (any shape) (collective)."""
-    comm = model.cloud.comm
-    length = float(total(comm, float(spacing.sum()))) / model.cloud.n_global
-    return Scales(_power_of_two(length), _power_of_two(stiffness_scale(model)))
+def scales_of(body: Body, matter: Matter) -> Scales:
+    """Return the scales of a body (collective)."""
+    cloud = body.cloud
+    length = float(total(cloud.comm, float(nearest_distances(body).sum()))) / cloud.n_global
+    return Scales(_power_of_two(length), _power_of_two(stiffness_scale(body, matter)))
 
 
-def stiffness_scale(model: Model) -> float:
+def stiffness_scale(body: Body, matter: Matter) -> float:
     """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials (collective)."""
-    cloud = model.cloud
+    cloud = body.cloud
     volume = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global
-    return model.kappa * volume / cloud.horizon**2
+    return matter.kappa * volume / cloud.horizon**2
 
 
-def nearest_distances(model: Model) -> Float:
+def nearest_distances(body: Body) -> Float:
     """Return the distance of each own particle to its nearest neighbour (n_owned,) [length]; the horizon without one.
 
     Notes
     -----
     Not collective.
     """
-    cloud, family = model.cloud, model.families
+    cloud, family = body.cloud, body.families
     nearest = np.full(cloud.n_owned, cloud.horizon)
     nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
     return nearest

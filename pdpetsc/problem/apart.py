@@ -6,19 +6,19 @@ import numpy as np
 
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pieces import find_pieces
-from pdpetsc.model.base import Model
+from pdpetsc.problem.problem import Problem
 
 
-def pieces_left(model: Model) -> tuple[int, int]:
+def pieces_left(problem: Problem) -> tuple[int, int]:
     """Return how many pieces of two particles or more the bonds that are not broken hold together, and lone particles.
 
     Notes
     -----
     Collective.
     """
-    cloud, families = model.cloud, model.families
-    if model.failure is not None:
-        intact = model.failure.intact
+    cloud, families = problem.body.cloud, problem.body.families
+    if problem.damage is not None:
+        intact = problem.damage.bonds.intact
         before = np.concatenate([[0], np.cumsum(intact)])
         families = Families(before[families.indptr], families.neighbours[intact])
     labels, size = np.unique(find_pieces(cloud, families), return_counts=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.damage import BondDamage
+from pdpetsc.damage.bond import BondDamage
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.families import Families
@@ -15,7 +15,7 @@ from pdpetsc.errors import CaseError
 TOGETHER = 1e-8
 
 
-class BondFailure:
+class FailingBonds:
     """Integrity and critical elongation of the bonds of the own particles.
 
     A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one.

@@ -1,0 +1,131 @@
+"""What fills the matrix of the tangent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.discrete.pattern import Pattern, Rows, build_pattern
+from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries
+
+
+class Assembler:
+    """Fills the value arrays of the tangent matrix of a problem, term by term.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose tangent it is.
+
+    Attributes
+    ----------
+    pattern : Pattern
+        Where the values go.
+    tangent : Tangent
+        The tangent where the matrix was last filled.
+
+    Notes
+    -----
+    Construction and ``assemble`` are collective.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._start(problem, build_pattern(problem.body.cloud, *_stencils(problem)))
+
+    def _start(self, problem: Problem, pattern: Pattern) -> None:
+        self.problem = problem
+        self.pattern = pattern
+        dim = problem.dim
+        self._ghost = np.empty(dim**2 * int(pattern.ghost.diag_ptr[-1]))
+        self._own_blocks = _positions_of_own_blocks(pattern.owned, pattern.n_own_columns, dim)
+
+    def assemble(self, state: State, diag: Float, off: Float) -> None:
+        """Write the values of K for the own rows: own columns into ``diag``, the others into ``off``.
+
+        Parameters
+        ----------
+        state : State
+            Where; admissible on all ranks.
+        diag, off : float64
+            Scalar CSR values in ``pattern.rows`` order.
+        """
+        self.tangent = self.problem.linearised(state)
+        dim, owned = self.problem.dim, self.pattern.owned
+        n_diag, n_off = dim**2 * int(owned.diag_ptr[-1]), dim**2 * int(owned.off_ptr[-1])
+        diag[:] = 0.0
+        off[:] = 0.0
+        self._ghost[:] = 0.0
+        entries = Entries(self.pattern, diag[:n_diag], off[:n_off], self._ghost)
+        assembled = self._fill(entries)
+        if assembled.blocks is not None:
+            entries.diag[self._own_blocks] += assembled.blocks
+        self.pattern.complete(self._ghost, entries.diag, entries.off, dim)
+        if self.pattern.border is not None:
+            self._assemble_border(assembled, diag, off)
+
+    def _fill(self, entries: Entries) -> Tangent:
+        """Add the rows of families; return the tangent that the matrix stands for."""
+        for part in self.tangent.parts:
+            part.add_rows(entries)
+        return self.tangent
+
+    def _assemble_border(self, tangent: Tangent, diag: Float, off: Float) -> None:
+        """Write the columns of the virtual unknowns, from the tangent applied to each of them, and their rows."""
+        pattern, cloud, dim = self.pattern, self.problem.body.cloud, self.problem.dim
+        border, n = pattern.border, cloud.n_owned
+        assert border is not None
+        rows = pattern.rows
+        numbers = np.concatenate([border.arrived, border.columns])
+        order = np.argsort(numbers)
+        n_here = dim * int(np.count_nonzero(numbers < pattern.n_own_columns))
+        # Virtual columns are the last of the columns of the rank that holds them, and of the others elsewhere.
+        values, ptr = (diag, rows.diag_ptr) if cloud.n_virtual else (off, rows.off_ptr)
+        n_blocks = np.diff(ptr)[border.particles]
+        start = dim * dim * ptr[border.particles] + dim * (n_blocks - cloud.n_virtual_global)
+        for v in range(cloud.n_virtual_global):
+            for c in range(dim):
+                unit = np.zeros((cloud.n_rows, dim))
+                if cloud.n_virtual:
+                    unit[n + v, c] = 1.0
+                column = tangent(unit)
+                for i in range(dim):
+                    values[start + i * dim * n_blocks + dim * v + c] = column[border.particles, i]
+                arrived = border.gather(np.ascontiguousarray(column[border.particles]))
+                if cloud.n_virtual:
+                    row = np.concatenate([arrived, column[n:]])[order].ravel()
+                    here = dim * dim * rows.diag_ptr[n + v] + c * n_here
+                    diag[here : here + n_here] = row[:n_here]
+                    there = dim * dim * rows.off_ptr[n + v] + c * (len(row) - n_here)
+                    off[there : there + len(row) - n_here] = row[n_here:]
+
+
+def _stencils(problem: Problem) -> tuple[GlobalIndex, LocalIndex]:
+    """Return what all terms couple: the families alone where a term couples them whole and the others lie in them."""
+    terms = [term for term in problem.terms if term.stencils is not None]
+    if any(term.whole_families for term in terms):
+        whole = problem.body.with_centres
+        found = [(whole.point_ptr, whole.members)]
+        terms = [term for term in terms if not term.within_families]
+    else:
+        found = []
+    found += [term.stencils for term in terms if term.stencils is not None]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        own = np.arange(problem.body.cloud.n_owned + 1, dtype=np.int64)
+        return own, own[:-1].astype(np.int32)
+    starts = [0, *np.cumsum([ptr[-1] for ptr, _ in found])]
+    ptr = np.concatenate([[0], *(p[1:] + start for (p, _), start in zip(found, starts, strict=False))])
+    return ptr.astype(np.int64), np.concatenate([members for _, members in found])
+
+
+def _positions_of_own_blocks(rows: Rows, n_own: int, dim: int) -> GlobalIndex:
+    """Return where the values of the diagonal block of each row are (n_rows, dim, dim)."""
+    row = np.repeat(np.arange(len(rows.diag_ptr) - 1), np.diff(rows.diag_ptr))
+    block = np.flatnonzero(rows.columns[rows.columns < n_own] == row)
+    width = np.diff(rows.diag_ptr)
+    start = dim * dim * rows.diag_ptr[:-1] + dim * (block - rows.diag_ptr[:-1])
+    i, k = np.arange(dim)[:, None], np.arange(dim)[None, :]
+    return np.asarray(start[:, None, None] + (dim * width)[:, None, None] * i + k)

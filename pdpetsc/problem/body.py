@@ -1,0 +1,76 @@
+"""A discrete body: particles, bonds, and the exchange of displacements and forces with other ranks."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.spread import Spread, start_displacements, start_forces
+from pdpetsc.gradient.base import Stencils, whole_families
+from pdpetsc.kernels.bonds import elongation_kernel
+
+
+class Body:
+    """Particles of this rank and their bonds.
+
+    Unknowns ``u`` (n_rows, dim) are the displacements of the own particles and, on the last rank, the virtual rows of a
+    periodic cell; forces have the same rows. Arrays with ghosts have ``n_local`` rows.
+
+    Parameters
+    ----------
+    cloud, families
+        Particles of this rank and their bonds.
+    """
+
+    def __init__(self, cloud: Cloud, families: Families) -> None:
+        self.cloud = cloud
+        self.families = families
+
+    @property
+    def dim(self) -> int:
+        """Return the dimension."""
+        return self.cloud.dim
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Return what applies work on families, with the exchange of ghosts behind it."""
+        return Spread(self.cloud, self.families)
+
+    @cached_property
+    def with_centres(self) -> Stencils:
+        """Return the families with their centre first."""
+        return whole_families(self.cloud, self.families, np.ones(len(self.families.neighbours)))
+
+    def with_ghosts(self, u: Float) -> Float:
+        """Return the displacements of all local particles (n_local, dim) (collective)."""
+        u_local = np.empty((self.cloud.n_local, self.cloud.dim))
+        start_displacements(self.cloud, u, u_local)()
+        return u_local
+
+    def gather(self, f: Float) -> Float:
+        """Return forces on the unknowns (n_rows, dim) from those on local particles (n_local, dim), overwritten.
+
+        Notes
+        -----
+        Collective.
+        """
+        return start_forces(self.cloud, f)()
+
+    def elongated(self, u_local: Float, finite: bool) -> tuple[Float, float]:
+        """Return the elongation of every bond (n_bonds,) [length] and the least current length of a bond.
+
+        Parameters
+        ----------
+        u_local : (n_local, dim) float64
+            Displacements with ghosts [length].
+        finite : bool
+            Whether elongations are those of the current length, or along the first direction of the bond.
+        """
+        family, e = self.families, np.empty(len(self.families.neighbours))
+        kernel = elongation_kernel(self.dim, int(finite))
+        least = kernel(family.indptr, family.neighbours, self.cloud.x, u_local, e)
+        return e, float(least)

@@ -1,0 +1,246 @@
+"""Terms and constraints: what solvers see of a case."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.discrete.communicator import total
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.loose_springs import LooseSprings
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.state import State
+from pdpetsc.problem.supports import Supports
+from pdpetsc.problem.term import KeptArray, LinearisedTerm, Term
+
+
+class Problem:
+    """The residual ``sum of terms`` of a body with prescribed unknowns, its tangent and its energy.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    matter : Matter
+        The term of the material.
+    terms : sequence of Term
+        The others: zero-energy control, loads, whatever a case adds.
+    supports : Supports
+        Prescribed unknowns.
+    damage : Damage, optional
+        The bonds that can fail.
+
+    Attributes
+    ----------
+    springs : LooseSprings or None
+        One of the terms, which solvers move, where bonds can fail.
+
+    Notes
+    -----
+    Every method is collective but where it says otherwise.
+    """
+
+    def __init__(
+        self, body: Body, matter: Matter, terms: Sequence[Term], supports: Supports, damage: Damage | None = None
+    ) -> None:
+        self.body = body
+        self.matter = matter
+        self.terms: list[Term] = [matter, *terms]
+        self.supports = supports
+        self.damage = damage
+        self.springs: LooseSprings | None = None
+        self._last: State | None = None
+        self._last_version = -1
+
+    @property
+    def dim(self) -> int:
+        """Return the dimension (not collective)."""
+        return self.body.dim
+
+    @property
+    def linear(self) -> bool:
+        """Return whether the residual is linear in the unknowns now (not collective)."""
+        return all(term.linear for term in self.terms)
+
+    @property
+    def symmetric(self) -> bool:
+        """Return whether the tangent is symmetric (not collective)."""
+        return all(term.symmetric for term in self.terms)
+
+    @property
+    def horizons(self) -> int:
+        """Return over how many horizons particles are coupled (not collective)."""
+        return max(term.horizons for term in self.terms)
+
+    @property
+    def version(self) -> int:
+        """Return a number that grows whenever the tangent at the same unknowns changes (not collective)."""
+        return sum(term.version for term in self.terms) + (0 if self.damage is None else self.damage.version)
+
+    @property
+    def breaks(self) -> int:
+        """Return a number that grows whenever bonds break or mend (not collective)."""
+        return 0 if self.damage is None else self.damage.breaks
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether forces depend on converged steps; the same on all ranks (not collective)."""
+        return self.damage is not None or any(term.has_history for term in self.terms)
+
+    @property
+    def parts(self) -> list[str]:
+        """Return what it is made of, for the record (not collective)."""
+        damage = [] if self.damage is None else [f"damage {type(self.damage.bonds.law).__name__}"]
+        return ["families", *(part for term in self.terms for part in term.parts), *damage]
+
+    def state(self, u: Float, t: float = 0.0) -> State:
+        """Return the state at unknowns (n_rows, dim) and a step time: the last one where it is still that."""
+        last = self._last
+        changed = last is None or last.t != t or self._last_version != self.version or not np.array_equal(last.u, u)
+        if last is None or int(total(self.body.cloud.comm, int(changed))) > 0:
+            self._last = last = State(self.body, u.copy(), t)
+            self._last_version = self.version
+        return last
+
+    def admissible(self, state: State) -> bool:
+        """Return whether forces are defined at a state on every rank."""
+        here = [term.admissible(state) for term in self.terms]
+        return int(total(self.body.cloud.comm, int(not all(here)))) == 0
+
+    def internal_force(self, state: State, of_solver: bool = True) -> Float | None:
+        """Return the forces of all terms but loads (n_rows, dim) [force]; None on all ranks where they are undefined.
+
+        Without ``of_solver`` terms that only help a solver are left out.
+        """
+        return self._sum(state, [term for term in self.terms if not term.load and (of_solver or not term.of_solver)])
+
+    def external_force(self, state: State) -> Float:
+        """Return the forces of loads (n_rows, dim) [force]."""
+        loads = [term for term in self.terms if term.load]
+        found = self._sum(state, loads)
+        assert found is not None
+        return -found
+
+    def _sum(self, state: State, terms: Sequence[Term]) -> Float | None:
+        here = [term.admissible(state) for term in terms]
+        if any(not term.load for term in terms) and int(total(self.body.cloud.comm, int(not all(here)))):
+            return None
+        r = np.zeros_like(state.u)
+        for term in terms:
+            term.add_row_force(state, r)
+        coupling = [term for term in terms if term.horizons]
+        if coupling:
+            f = np.zeros((self.body.cloud.n_local, self.dim))
+            for term in coupling:
+                term.add_force(state, f)
+            r += self.body.gather(f)
+        return r
+
+    def linearised(self, state: State) -> Tangent:
+        """Return the tangent at a state, which is applied without assembling it."""
+        parts = [part for part in (term.linearised(state) for term in self.terms) if part is not None]
+        if state is self._last:
+            # Moduli take its place in memory.
+            self._last = None
+        return Tangent(self.body, parts)
+
+    def energies(self, state: State) -> dict[str, float]:
+        """Return the energies of the terms by what they are the energy of [energy]: ``strain``, ``control``, ..."""
+        names = dict.fromkeys(["strain", "control", *(term.energy_of for term in self.terms)])
+        sums = dict.fromkeys(names, 0.0)
+        for term in self.terms:
+            sums[term.energy_of] += term.energy(state)
+        found = total(self.body.cloud.comm, list(sums.values()))
+        return {name: float(value) for name, value in zip(sums, found, strict=True)}
+
+    def arrays(self) -> dict[str, KeptArray]:
+        """Return what a continued run needs besides unknowns and bonds, by names of term and array (not collective)."""
+        found = {}
+        for number, term in enumerate(self.terms):
+            for name, array in term.arrays().items():
+                found[f"{number}_{type(term).__name__}_{name}"] = array
+        return found
+
+    def restored(self) -> None:
+        """Let terms follow their arrays, which have been read (not collective)."""
+        for term in self.terms:
+            if term.arrays():
+                term.restored()
+
+    def commit(self, state: State) -> None:
+        """Take a state as converged: what has a history remembers it."""
+        if self.damage is not None:
+            self.damage.commit(state)
+        for term in self.terms:
+            term.commit(state)
+
+    def revert(self) -> None:
+        """Take back what failed since the last ``commit``."""
+        if self.damage is not None:
+            self.damage.revert()
+
+    def break_bonds(self, state: State, most: int | None = None) -> int:
+        """Break bonds past their final stretch (``Damage.break_bonds``); 0 where bonds do not fail."""
+        return 0 if self.damage is None else self.damage.break_bonds(state, most)
+
+    @property
+    def softens(self) -> bool:
+        """Return whether bonds lose their force gradually (not collective)."""
+        return self.damage is not None and self.damage.softens
+
+    def freeze(self, frozen: bool) -> None:
+        """Let damage stay, or follow the displacement (not collective)."""
+        if self.damage is not None:
+            self.damage.freeze(frozen)
+
+
+class Tangent:
+    """The tangent ``K`` of a problem at a state.
+
+    Parameters
+    ----------
+    body : Body
+        Whose unknowns it takes.
+    parts : sequence of LinearisedTerm
+        What it is the sum of.
+
+    Notes
+    -----
+    Application is collective.
+    """
+
+    def __init__(self, body: Body, parts: Sequence[LinearisedTerm]) -> None:
+        self.body = body
+        self.parts = list(parts)
+        self._passes: list[LinearisedTerm] = []
+        for part in self.parts:
+            if not any(other.absorb(part) for other in self._passes):
+                self._passes.append(part)
+        blocks = [part.blocks for part in self.parts if part.blocks is not None]
+        self.blocks: Float | None = np.sum(blocks, axis=0) if blocks else None
+
+    def __call__(self, du: Float) -> Float:
+        """Return ``K du`` (n_rows, dim) [force]; the next call may overwrite it."""
+        found = self.body.spread(du, self.forces)
+        if self.blocks is not None:
+            n = len(self.blocks)
+            found[:n] += np.einsum("pij,pj->pi", self.blocks, du[:n])
+        return found
+
+    def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the families of some own particles (not collective): all arrays (n_local, dim)."""
+        for part in self._passes:
+            part.add_product(du, f, particles)
+
+    def stiffness(self) -> Float:
+        """Return ``sum_p W_p dP/dF`` of every own particle (n_owned, dim, dim, dim, dim) [energy] (not collective)."""
+        found = [D for D in (part.stiffness() for part in self.parts) if D is not None]
+        return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))
+
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness`` (n_owned,) [energy] (not collective)."""
+        found = [s for s in (part.strength() for part in self.parts) if s is not None]
+        return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))

@@ -1,0 +1,59 @@
+"""One point at which a problem is evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+from pdpetsc.arrays import Float
+from pdpetsc.problem.body import Body
+
+T = TypeVar("T")
+
+
+class State:
+    """Unknowns and step time, and what terms have computed from them.
+
+    Ghosts are exchanged once, when they are first asked for, and what a term keeps here (deformation gradients,
+    integrities of bonds) is computed once for forces, tangent, energy and outputs.
+
+    Parameters
+    ----------
+    body : Body
+        Whose unknowns they are.
+    u : (n_rows, dim) float64
+        Unknowns [length]; not to be changed while the state is in use.
+    t : float
+        Step time, which is the load factor where loads are proportional to it [-].
+    """
+
+    def __init__(self, body: Body, u: Float, t: float = 0.0) -> None:
+        self.body = body
+        self.u = u
+        self.t = t
+        self._u_local: Float | None = None
+        self._kept: dict[Hashable, Any] = {}
+
+    @property
+    def own(self) -> Float:
+        """Return the displacements of the own particles (n_owned, dim) [length]."""
+        return self.u[: self.body.cloud.n_owned]
+
+    @property
+    def u_local(self) -> Float:
+        """Return the displacements with ghosts (n_local, dim) [length] (collective on first use)."""
+        if self._u_local is None:
+            self._u_local = self.body.with_ghosts(self.u)
+        return self._u_local
+
+    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what was kept under ``key``, or make and keep it."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        value: T = self._kept[key]
+        return value
+
+    def forget(self) -> None:
+        """Free what is kept, which would be computed again."""
+        self._u_local = None
+        self._kept.clear()

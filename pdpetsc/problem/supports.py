@@ -1,0 +1,123 @@
+"""Prescribed unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.pattern import first_moments
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.cell import CellRows
+from pdpetsc.scene.conditions import Displacement, MeanStrain, Value, evaluated
+
+# A family is cut in a direction where its first moment is more than this share of what one side alone would have.
+ONE_SIDED = 0.9
+
+
+@dataclass(frozen=True)
+class _Held:
+    """One component of a displacement on the particles ``where``."""
+
+    condition: Displacement
+    axis: int
+    value: Value
+    where: GlobalIndex
+
+
+class Supports:
+    """Prescribed unknowns of a case on this rank.
+
+    Parameters
+    ----------
+    body : Body
+        Whose unknowns they are.
+    cell : CellRows, optional
+        The virtual unknowns of a periodic cell.
+
+    Attributes
+    ----------
+    fixed : (n_rows, dim) bool
+        Prescribed degrees of freedom.
+
+    Notes
+    -----
+    Every method is collective.
+    """
+
+    def __init__(self, body: Body, cell: CellRows | None = None) -> None:
+        self.body = body
+        self.cell = cell
+        self.fixed: Mask = np.zeros((body.cloud.n_rows, body.dim), dtype=bool)
+        self._held: list[_Held] = []
+        self._strains: list[tuple[MeanStrain, int, float]] = []
+        if cell is not None and cell.here:
+            # Entries of the virtual rows that stand for no component.
+            cell.rows(self.fixed)[len(cell.sizes) :] = True
+
+    def prescribe(
+        self, condition: Displacement, components: Sequence[tuple[int, Value]], where: GlobalIndex, name: str
+    ) -> None:
+        """Prescribe components of the displacement of some own particles.
+
+        Raises
+        ------
+        CaseError
+            A degree of freedom is prescribed already, on every rank.
+        """
+        cloud = self.body.cloud
+        with agreed(cloud.comm):
+            for axis, value in components:
+                twice = where[self.fixed[where, axis]]
+                if len(twice):
+                    raise CaseError(
+                        f"{name} prescribes {'xyz'[axis]} of {len(twice)} particles a second time "
+                        f"(id {cloud.gid[twice[0]]}); let each degree of freedom have one condition."
+                    )
+                self.fixed[where, axis] = True
+                self._held.append(_Held(condition, axis, value, where))
+
+    def prescribe_strain(self, condition: MeanStrain, components: Sequence[tuple[int, float]]) -> None:
+        """Prescribe components of the mean strain of the cell."""
+        assert self.cell is not None
+        for unknown, value in components:
+            self._strains.append((condition, unknown, value))
+            if self.cell.here:
+                self.cell.rows(self.fixed)[unknown] = True
+
+    def prescribed(self, t: float) -> Float:
+        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free."""
+        u = np.zeros(self.fixed.shape)
+        cloud = self.body.cloud
+        x = cloud.x[: cloud.n_owned]
+        with agreed(cloud.comm):
+            for held in self._held:
+                u[held.where, held.axis] = held.condition.value(held.value, x[held.where], t)
+            what = "schedule of a MeanStrain condition"
+            factors = [float(evaluated(what, strain.schedule, (), t, t)) for strain, _, _ in self._strains]
+        if self.cell is not None and self.cell.here:
+            for (_, unknown, value), factor in zip(self._strains, factors, strict=True):
+                self.cell.rows(u)[unknown] += self.cell.sizes[unknown] * value * factor
+        return u
+
+    def held_at_cut_families(self) -> int:
+        """Return how many particles are held in the direction in which their family is cut, beside ones that are free.
+
+        There the weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the stress of
+        the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
+        """
+        cloud, families = self.body.cloud, self.body.families
+        n, dim = cloud.n_owned, cloud.dim
+        free = np.ones((cloud.n_local, dim))
+        free[:n] = ~self.fixed[:n]
+        cloud.halo.forward(free)
+        moment, size, beside = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim), dtype=bool)
+        first_moments(
+            families.indptr, families.neighbours, cloud.x, cloud.volume, free > 0.0, moment, size, beside
+        )  # fmt: skip
+        found = self.fixed[:n] & (np.abs(moment) > ONE_SIDED * size) & beside
+        return int(total(cloud.comm, np.count_nonzero(found.any(axis=1))))

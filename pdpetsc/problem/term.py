@@ -1,0 +1,236 @@
+"""What adds forces to a body."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.declared import Declared
+from pdpetsc.discrete.pattern import Pattern, Rows
+from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@dataclass(frozen=True)
+class KeptArray:
+    """An array that a continued run needs.
+
+    Attributes
+    ----------
+    per : {"particle", "point"}
+        What each row belongs to: an own particle, or a gradient point of one.
+    owner : (n,) int
+        The own particle of each row, ascending.
+    values : (n, ...) float64
+        Written and, when a run goes on, overwritten in place.
+    """
+
+    per: Literal["particle", "point"]
+    owner: LocalIndex
+    values: Float
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Where a linearised term adds its rows of the tangent matrix.
+
+    Attributes
+    ----------
+    sparsity : Pattern
+        The blocks there are.
+    diag, off : float64
+        Values of the own rows, own columns and others, in scalar CSR layout.
+    ghost : float64
+        This rank's share of the rows of its ghosts.
+    """
+
+    sparsity: Pattern
+    diag: Float
+    off: Float
+    ghost: Float
+
+    def row_sets(self) -> Iterator[tuple[Rows, Float]]:
+        """Return the rows of own particles and of ghosts with the values of their own columns."""
+        yield self.sparsity.owned, self.diag
+        yield self.sparsity.ghost, self.ghost
+
+
+class LinearisedTerm:
+    """The tangent of a term at one state.
+
+    A term without ghosts (a foundation, a spring) gives ``blocks`` alone; one that couples families gives
+    ``add_product``, ``add_rows`` and ``stiffness``.
+    """
+
+    @property
+    def blocks(self) -> Float | None:
+        """Return what couples each own particle to itself (n_owned, dim, dim) [force / length], or None."""
+        return None
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add ``K du`` of the families of some own particles, both with ghosts (n_local, dim) (not collective)."""
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the matrix (collective)."""
+
+    def stiffness(self) -> Float | None:
+        """Return ``sum_p W_p dP/dF`` of the own particles (n_owned, dim, dim, dim, dim) [energy], or None.
+
+        It is what a matrix of nearest neighbours is made of (not collective).
+        """
+        return None
+
+    def strength(self) -> Float | None:
+        """Return the trace of ``stiffness`` (n_owned,) [energy], or None (not collective)."""
+        D = self.stiffness()
+        return None if D is None else np.asarray(np.einsum("pikik->p", D))
+
+    def absorb(self, other: LinearisedTerm) -> bool:
+        """Take the product of another term into the pass of this one, if that is quicker; return whether it does."""
+        return False
+
+    def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return bond stiffness and shape tensors with which it is a penalty on what a gradient leaves unexplained."""
+        return None
+
+
+class PointTangent(LinearisedTerm):
+    """The tangent of a term that couples each particle to itself alone.
+
+    Parameters
+    ----------
+    blocks : (n_owned, dim, dim) float64
+        Minus the derivative of the force on each own particle by its displacement [force / length].
+    """
+
+    def __init__(self, blocks: Float) -> None:
+        self._blocks = blocks
+
+    @property
+    def blocks(self) -> Float:
+        """Return the blocks."""
+        return self._blocks
+
+
+class Term(ABC):
+    """Something that adds forces to the residual ``sum of internal forces - sum of loads``.
+
+    A term adds what it contributes to the residual: an internal force with its sign, a load with the opposite one.
+    Derive from it, give the forces and their tangent, and let a declared ``ExtraTerm`` make it.
+
+    Attributes
+    ----------
+    linear, symmetric : bool
+        Whether its forces are linear in the unknowns now, and its tangent symmetric.
+    load : bool
+        Whether it is a load, which the residual is judged against, like the reactions.
+    of_solver : bool
+        Whether it only helps a solver on its way and outputs leave it out.
+    horizons : int
+        Over how many horizons it couples particles; 0 for each with itself alone.
+    energy_of : str
+        Under which name its energy is summed: ``"strain"``, ``"control"`` or one of its own.
+    version : int
+        Grows whenever its tangent at the same unknowns changes.
+
+    Notes
+    -----
+    Every method is collective but where it says otherwise.
+    """
+
+    linear: bool = True
+    symmetric: bool = True
+    load: bool = False
+    of_solver: bool = False
+    horizons: int = 0
+    energy_of: str = "strain"
+    version: int = 0
+
+    @property
+    def parts(self) -> list[str]:
+        """Return what it is made of, for the record (not collective)."""
+        return [type(self).__name__]
+
+    @property
+    def resultants(self) -> list[tuple[str, float, Float]]:
+        """Return name, step time and sum of the forces (dim,) of the loads in it, for the record (not collective)."""
+        return []
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
+        """Return what it couples as ``(point_ptr, members)``, None for each particle with itself (not collective)."""
+        return None
+
+    @property
+    def within_families(self) -> bool:
+        """Return whether all members of a stencil are in one family (not collective)."""
+        return True
+
+    @property
+    def whole_families(self) -> bool:
+        """Return whether it couples all members of a family with each other (not collective)."""
+        return False
+
+    def admissible(self, state: State) -> bool:
+        """Return whether its forces are defined on this rank; ghosts are exchanged."""
+        return True
+
+    def add_force(self, state: State, f: Float) -> None:  # noqa: B027
+        """Add forces on local particles, ghosts among them (n_local, dim) [force] (not collective but for ghosts)."""
+
+    def add_row_force(self, state: State, r: Float) -> None:  # noqa: B027
+        """Add forces on the unknowns of this rank (n_rows, dim) [force]: what needs no ghosts (not collective)."""
+
+    @abstractmethod
+    def linearised(self, state: State) -> LinearisedTerm | None:
+        """Return its tangent at a state; None where it has none."""
+
+    def energy(self, state: State) -> float:
+        """Return its energy on this rank [energy]."""
+        return 0.0
+
+    def commit(self, state: State) -> None:  # noqa: B027
+        """Take a state as converged: what has a history remembers it."""
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether its forces depend on converged steps; the same on all ranks (not collective)."""
+        return False
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return what a continued run needs besides the unknowns, by names of its own (not collective)."""
+        return {}
+
+    def restored(self) -> None:
+        """Follow its arrays, which have been read from a checkpoint (not collective)."""
+        self.version += 1
+
+
+@dataclass(frozen=True)
+class ExtraTerm(Declared, ABC):
+    """A term as a case declares it, besides material, control and conditions.
+
+    Examples
+    --------
+    A bed of springs under every particle of a region::
+
+        @dataclass(frozen=True)
+        class Foundation(pd.ExtraTerm):
+            stiffness: float
+
+            def build(self, body):
+                return FoundationTerm(self.stiffness * body.cloud.volume[: body.cloud.n_owned])
+    """
+
+    @abstractmethod
+    def build(self, body: Body) -> Term:
+        """Return the term of a body (collective)."""

@@ -1,0 +1,336 @@
+"""Materials whose forces act along bonds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.bond_based import BondMaterial, Neighbourhood, combine
+from pdpetsc.discrete.pattern import sharing_stencil
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
+from pdpetsc.kernels.pattern import sum_by, transpose
+from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries, LinearisedTerm
+
+
+class BondForces(Matter):
+    """The energy ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, ``theta_i = sum_j a_ij e_ij``.
+
+    A pair of particles counts from both ends. The integrity ``mu`` is 1 without damage.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    bonds : Neighbourhood
+        What materials ask of the bonds.
+    materials : sequence of BondMaterial
+        Materials of the body, of one kinematics.
+    material_of : (n_owned,) int
+        Index into ``materials`` of each own particle.
+    factor : (n_owned,) float64, optional
+        What multiplies the moduli of each own particle [-].
+
+    Raises
+    ------
+    CaseError
+        The materials do not fit together or the dimension, on every rank.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    def __init__(
+        self, body: Body, bonds: Neighbourhood, materials: Sequence[BondMaterial], material_of: LocalIndex,
+        factor: Float | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(body)
+        if len({material.kinematics for material in materials}) > 1:
+            raise CaseError("All materials of a body need the same kinematics, small or finite.")
+        self.finite = materials[0].kinematics == "finite"
+        self.damage: Damage | None = None
+        self._bonds = bonds
+        self._materials = materials
+        self._material_of = material_of
+        self._elastic = [material.elastic(body.dim) for material in materials]
+        self._factor = np.ones(body.cloud.n_owned) if factor is None else factor
+        constants = combine(bonds, materials, material_of, self._factor)
+        self.k, self.a, self.B = constants.k, constants.a, constants.B
+        self.horizons = 1 if self.a is None else 2
+
+    def take_damage(self, damage: Damage) -> None:
+        """Let the bonds fail (not collective).
+
+        Raises
+        ------
+        CaseError
+            There is a dilatation.
+        """
+        if self.a is not None:
+            raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
+        self.damage = damage
+
+    @property
+    def n_points(self) -> int:
+        """Return 0: there are no gradient points."""
+        return 0
+
+    @property
+    def parts(self) -> list[str]:
+        """Return what it is made of."""
+        made = [f"bonds {type(material).__name__}" for material in self._materials]
+        return made + ([] if self.a is None else ["dilatation"])
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
+        """Return whether bonds keep their directions and their integrity while the displacement changes."""
+        return not self.finite and (self.damage is None or not self.damage.bonds.softens)
+
+    @property
+    def within_families(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
+        """Return the bonds, or the families where there is a dilatation."""
+        if self.a is not None:
+            return self.body.with_centres.point_ptr, self.body.with_centres.members
+        return self.ends_ptr, self.ends
+
+    @property
+    def whole_families(self) -> bool:
+        """Return whether there is a dilatation."""
+        return self.a is not None
+
+    @cached_property
+    def ends(self) -> LocalIndex:
+        """Return both particles of every bond one after the other, (2 n_bonds,)."""
+        return np.stack([self.body.families.centres, self.body.families.neighbours], axis=1).ravel()
+
+    @cached_property
+    def ends_ptr(self) -> GlobalIndex:
+        """Return where the ends of every bond start."""
+        return 2 * np.arange(len(self.body.families.neighbours) + 1, dtype=np.int64)
+
+    @cached_property
+    def ends_by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
+        """Return the ends of bonds by particle."""
+        entry_ptr, entries, points = transpose(self.ends_ptr, self.ends, self.body.cloud.n_local)
+        return entry_ptr, entries, points
+
+    @cached_property
+    def families_by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
+        """Return the members of families by particle."""
+        whole = self.body.with_centres
+        entry_ptr, entries, points = transpose(whole.point_ptr, whole.members, self.body.cloud.n_local)
+        return entry_ptr, entries, points
+
+    def elongated(self, state: State) -> tuple[Float, float]:
+        """Return the elongation of every bond (n_bonds,) and the least current length of one here [length]."""
+        u_local = state.u_local
+        return state.kept(("elongation", self.finite), lambda: self.body.elongated(u_local, self.finite))
+
+    def elongation(self, state: State) -> Float:
+        """Return the elongation of every bond (n_bonds,) [length]."""
+        return self.elongated(state)[0]
+
+    def secant(self, state: State) -> Float:
+        """Return ``T k`` of every bond (n_bonds,) [force / length]."""
+        return self.k if self.damage is None else self.damage.at(state)[0] * self.k
+
+    def tangent(self, state: State) -> Float:
+        """Return ``d(T k e)/de`` of every bond (n_bonds,) [force / length]."""
+        if self.damage is None:
+            return self.k
+        T, slope = self.damage.at(state)
+        return self.k * (T + slope * self.elongation(state))
+
+    def tension(self, state: State) -> Float:
+        """Return the tension of every bond of every own particle (n_bonds,) [force]."""
+        e = self.elongation(state)
+        t = self.secant(state) * e
+        if self.a is None or self.B is None:
+            return t
+        return np.asarray(t + self.a * (self.B * self.dilatation(e))[self.body.families.centres])
+
+    def dilatation(self, e: Float) -> Float:
+        """Return ``theta`` of the own particles (n_owned,) [-]; zeros for a material without it."""
+        n = self.body.cloud.n_owned
+        if self.a is None:
+            return np.zeros(n)
+        return np.asarray(np.bincount(self.body.families.centres, self.a * e, n), dtype=float)
+
+    def admissible(self, state: State) -> bool:
+        """Return whether no bond has lost its length on this rank."""
+        least = self.elongated(state)[1]
+        return not self.finite or least > 0.0
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Add the forces of bonds under tension."""
+        families = self.body.families
+        kernel = bond_force_kernel(self.body.dim, int(self.finite))
+        u_local = state.u_local
+        kernel(families.indptr, families.neighbours, self.body.cloud.x, u_local, self.tension(state), f)
+
+    def linearised(self, state: State) -> LinearisedTerm:
+        """Return the tangent with the directions and tensions at a state."""
+        return BondTangent(self, state)
+
+    def energy(self, state: State) -> float:
+        """Return the energy of the bonds."""
+        return float(self.body.cloud.volume[: self.body.cloud.n_owned] @ self.energy_density(state))
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether bonds can fail."""
+        return self.damage is not None
+
+    @property
+    def kappa(self) -> float:
+        """Return the largest ``lambda + 2 mu / dim`` of the materials [stress]."""
+        return max(elastic.bulk_like_modulus(self.body.dim) for elastic in self._elastic)
+
+    @property
+    def largest_modulus(self) -> float:
+        """Return the largest ``lambda + 2 mu`` of the materials times the largest factor on this rank [stress]."""
+        lame = [elastic.lame(self.body.dim) for elastic in self._elastic]
+        return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
+
+    def dissipated_energy(self) -> float:
+        """Return what bonds have dissipated in failing [energy] (collective)."""
+        return 0.0 if self.damage is None else self.damage.bonds.dissipated(self.k)
+
+    def local_damage(self) -> Float:
+        """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
+        centres, n = self.body.families.centres, self.body.cloud.n_owned
+        whole = np.bincount(centres, self.k, n)
+        left = whole if self.damage is None else np.bincount(centres, self.k * self.damage.bonds.integrity, n)
+        return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
+
+    def deformation_gradient(self, state: State) -> Float:
+        """Return the gradient that fits the family best (n_owned, dim, dim) [-], 1 in directions that it lacks."""
+        cloud, families = self.body.cloud, self.body.families
+        xi, eta = families.bonds(cloud.x), families.bonds(state.u_local)
+        weight = self._bonds.omega * cloud.volume[families.neighbours]
+        K = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, xi, xi), cloud.n_owned)
+        N = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, eta, xi), cloud.n_owned)
+        return np.asarray(np.eye(self.body.dim) + N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
+
+    def first_piola_stress(self, state: State) -> Float:
+        """Return ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]: dW/dF in uniform deformation."""
+        cloud, families = self.body.cloud, self.body.families
+        xi = families.bonds(cloud.x)
+        y = xi + self.finite * families.bonds(state.u_local)
+        n = y / np.linalg.norm(y, axis=1)[:, None]
+        moment = sum_by(families.centres, np.einsum("b,bi,bj->bij", self.tension(state), n, xi), cloud.n_owned)
+        return np.asarray(moment / cloud.volume[: cloud.n_owned, None, None])
+
+    def cauchy_stress(self, state: State) -> Float:
+        """Return ``P F^T / J`` (n_owned, dim, dim) [stress], hidden stretches to first order; P where linear."""
+        P = self.first_piola_stress(state)
+        if self.linear:
+            return P
+        F = self.deformation_gradient(state)
+        stretch = np.array([elastic.thickness_stretch(F) for elastic in self._elastic])
+        J = np.linalg.det(F) * stretch[self._material_of, np.arange(len(F))]
+        return np.asarray(np.einsum("pik,pjk->pij", P, F) / J[:, None, None])
+
+    def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
+        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,), of small strain across it.
+
+        In plane strain the stress is Poisson's ratio times the trace of that in the plane.
+        """
+        dim, here = self.body.dim, np.arange(self.body.cloud.n_owned)
+        F = self.deformation_gradient(state)
+        across = np.array([elastic.thickness_stretch(F) for elastic in self._elastic])[self._material_of, here]
+        strained = [elastic.nu if dim == 2 and elastic.plane == "strain" else 0.0 for elastic in self._elastic]
+        ratio = np.array(strained)[self._material_of]
+        P, sigma = self.first_piola_stress(state), self.cauchy_stress(state)
+        traces = [ratio * np.einsum("pii->p", stress) for stress in (P, sigma)]
+        return np.sqrt(across) if dim == 1 else across, traces[0], traces[1]
+
+    def energy_density(self, state: State) -> Float:
+        """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
+        e, n = self.elongation(state), self.body.cloud.n_owned
+        psi = np.bincount(self.body.families.centres, 0.5 * self.secant(state) * e**2, n)
+        if self.B is not None:
+            psi += 0.5 * self.B * self.dilatation(e) ** 2
+        return np.asarray(psi / self.body.cloud.volume[:n])
+
+    def uniform_stress_force(self, P: Float) -> Float:
+        """Refuse: a bond does not know the stress of its particle."""
+        raise CaseError('Bonds have no consistent traction; use distribution="layer", or a correspondence material.')
+
+    def reach(self, marked: Float) -> Mask:
+        """Return the own particles in a family with a marked local particle (collective)."""
+        whole = self.body.with_centres
+        return sharing_stencil(self.body.cloud, whole.point_ptr, whole.members, marked)
+
+
+class BondTangent(LinearisedTerm):
+    """Stiffness along bonds, tension that turns with them, and dilatation, which reaches two horizons."""
+
+    def __init__(self, term: BondForces, state: State) -> None:
+        self._term = term
+        none = np.empty(0)
+        a, B = (none, none) if term.a is None or term.B is None else (term.a, term.B)
+        families = term.body.families
+        self._u = state.u_local
+        self._data = families.indptr, families.neighbours, term.body.cloud.x, self._u
+        self._tangent, self._tension, self._secant = term.tangent(state), term.tension(state), term.secant(state)
+        self._dilatation = a, B
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of all bonds of the particles."""
+        kernel = bond_times_kernel(self._term.body.dim, int(self._term.finite))
+        kernel(particles, *self._data, self._tangent, self._tension, *self._dilatation, du, f)
+
+    def stiffness(self) -> Float:
+        """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
+
+        Bonds that soften count with their secant, which is not negative.
+        """
+        body = self._term.body
+        D = np.empty((body.cloud.n_owned, *(body.dim,) * 4))
+        kernel = bond_moduli_kernel(body.dim, int(self._term.finite))
+        kernel(*self._data, self._secant, self._tension, *self._dilatation, D)
+        return D
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of bonds, and those of ``sum_i B_i grad theta_i (x) grad theta_i``."""
+        term, sparsity = self._term, entries.sparsity
+        kernel = bond_rows_kernel(term.body.dim, int(term.finite))
+        for rows, own in entries.row_sets():
+            kernel(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
+                *term.ends_by_particle, term.ends, term.body.cloud.x, self._u, self._tangent, self._tension, own,
+                entries.off,
+            )  # fmt: skip
+        if term.a is not None:
+            self._add_dilatation(entries)
+
+    def _add_dilatation(self, entries: Entries) -> None:
+        term, body = self._term, self._term.body
+        assert term.a is not None and term.B is not None
+        families, whole, dim = body.families, body.with_centres, body.dim
+        y = families.bonds(body.cloud.x) + term.finite * families.bonds(self._u)
+        bond = term.a[:, None] * y / np.linalg.norm(y, axis=1)[:, None]
+        g = np.insert(bond, families.indptr[:-1], -sum_by(families.centres, bond, body.cloud.n_owned), axis=0)
+        one = np.eye(dim)
+        A = np.tile(np.einsum("im,kn->imkn", one, one), (body.cloud.n_owned, 1, 1, 1, 1))
+        for rows, own in entries.row_sets():
+            assemble_kernel(dim)(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *entries.sparsity.locals_of_columns,
+                *term.families_by_particle, whole.point_ptr, whole.members, g, g, term.B, A, own, entries.off,
+            )  # fmt: skip

@@ -1,0 +1,145 @@
+"""From declared conditions to supports and loads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.communicator import agreed, largest
+from pdpetsc.discrete.selection import select
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.cell import CellRows
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.supports import Supports
+from pdpetsc.scene.conditions import BodyForce, Condition, Displacement, Force, MeanStrain, MeanStress, Traction
+from pdpetsc.scene.particles import Particles
+from pdpetsc.scene.region import Region
+from pdpetsc.terms.dead_loads import DeadLoads
+
+# Step times at which conditions are compared with their proportional values, and how closely.
+PROBES = (0.0, 0.3, 0.7)
+PROPORTIONAL = 1e-12
+
+
+class Applied:
+    """Takes in one condition after the other; conditions call the method of their kind.
+
+    Parameters
+    ----------
+    body, matter, particles
+        As for ``DeadLoads``.
+
+    Attributes
+    ----------
+    supports : Supports
+        What is prescribed.
+    loads : DeadLoads
+        What acts.
+    """
+
+    def __init__(self, body: Body, matter: Matter, particles: Particles) -> None:
+        self.body = body
+        self.cell = None if body.cloud.images is None else CellRows(body.cloud, particles.thickness)
+        self.supports = Supports(body, self.cell)
+        self.loads = DeadLoads(body, matter, particles, self.cell)
+        self._of_cell: set[int] = set()
+
+    def displacement(self, condition: Displacement, name: str) -> None:
+        """Prescribe displacements."""
+        mask = self._select(condition.region, name)
+        with agreed(self.body.cloud.comm):
+            components = condition.components(self.body.dim)
+        self.supports.prescribe(condition, components, np.flatnonzero(mask), name)
+
+    def force(self, condition: Force, name: str) -> None:
+        """Add a total force."""
+        mask = self._select(condition.region, name)
+        with agreed(self.body.cloud.comm):
+            components = condition.components(self.body.dim)
+        self.loads.add_total(condition, components, np.flatnonzero(mask), name)
+
+    def body_force(self, condition: BodyForce, name: str) -> None:
+        """Add a force per volume."""
+        mask = self._select(condition.region, name)
+        with agreed(self.body.cloud.comm):
+            components = condition.components(self.body.dim)
+        self.loads.add_per_volume(condition, components, np.flatnonzero(mask), name)
+
+    def traction(self, condition: Traction, name: str) -> None:
+        """Add a traction."""
+        mask = self._select(condition.region, name)
+        with agreed(self.body.cloud.comm):
+            components = condition.components(self.body.dim)
+            normal = condition.unit_normal(self.body.dim)
+        self.loads.add_traction(condition, components, mask, normal, name)
+
+    def mean_strain(self, condition: MeanStrain, name: str) -> None:
+        """Prescribe components of the mean strain of the cell."""
+        self.supports.prescribe_strain(condition, self._components(condition, name))
+
+    def mean_stress(self, condition: MeanStress, name: str) -> None:
+        """Let a mean stress act on the cell."""
+        self.loads.add_stress(condition, self._components(condition, name))
+
+    def _select(self, region: Region, name: str) -> Mask:
+        return select(self.body.cloud, region, name)
+
+    def _components(self, condition: MeanStrain | MeanStress, name: str) -> list[tuple[int, float]]:
+        if self.cell is None:
+            raise CaseError(f"{name} needs a periodic cell; give the Case a cell.")
+        found = condition.components(self.cell.components)
+        for unknown, _ in found:
+            if unknown in self._of_cell:
+                a, b = self.cell.components[unknown]
+                raise CaseError(
+                    f"{name} gives {'xyz'[a]}{'xyz'[b]} of the cell a second time; let it have one condition."
+                )
+            self._of_cell.add(unknown)
+        return found
+
+
+def apply(
+    body: Body, matter: Matter, conditions: Sequence[Condition], particles: Particles
+) -> tuple[Supports, DeadLoads]:
+    """Return what conditions prescribe and what they let act (collective).
+
+    Raises
+    ------
+    CaseError
+        A region selects nothing, a degree of freedom is prescribed twice, a component is wrong, or a traction acts on a
+        face whose area is not known.
+    """
+    onto = Applied(body, matter, particles)
+    for number, condition in enumerate(conditions, 1):
+        condition.put(onto, f"{type(condition).__name__} condition {number}")
+    try:
+        onto.supports.prescribed(1.0)
+        onto.loads.forces(1.0)
+    except SolveError as error:
+        raise CaseError(str(error)) from error
+    return onto.supports, onto.loads
+
+
+def refuse_what_is_not_proportional(problem: Problem, who: str) -> None:
+    """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective)."""
+    zero = np.zeros(problem.supports.fixed.shape)
+
+    def at(t: float) -> list[Float]:
+        return [problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))]
+
+    whole = at(1.0)
+    comm = problem.body.cloud.comm
+    for t in PROBES:
+        part = at(t)
+        # Displacements and forces, each by their own size.
+        off = [largest(comm, np.abs(p - t * w).max(initial=0.0)) for p, w in zip(part, whole, strict=True)]
+        size = [largest(comm, np.abs(w).max(initial=0.0)) for w in whole]
+        if any(o > PROPORTIONAL * max(s, 1e-300) for o, s in zip(off, size, strict=True)):
+            raise CaseError(
+                f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
+                f"the load goes up and down as equilibrium demands, which has no meaning for others."
+            )

@@ -1,0 +1,171 @@
+"""The zero-energy control as a term."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.material.base import Material
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries, LinearisedTerm, Term
+from pdpetsc.stabilisation.base import Control, ControlMatrix, Stabilisation, Stiffness
+from pdpetsc.terms.falling import FallingBonds, gradient_of_integrity
+
+
+class ZeroEnergyControl(Term):
+    """Forces linear in the displacement that resist what the gradients do not see.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    stabilisation : Stabilisation
+        As declared.
+    omega : (n_bonds,) float64
+        Influence of every bond [-].
+    stiffness : Stiffness
+        Of the own particles.
+    damage : Damage, optional
+        The bonds that fail; the control has their integrity as the effect of the damage law says.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    horizons = 2
+    energy_of = "control"
+
+    def __init__(
+        self, body: Body, stabilisation: Stabilisation, omega: Float, stiffness: Stiffness, damage: Damage | None = None
+    ) -> None:
+        self.body = body
+        self.name = type(stabilisation).__name__
+        self.damage = damage
+        self._whole = stabilisation.build(body.cloud, body.families, omega, stiffness)
+        self.control: Control = self._whole
+        self._matrix: tuple[Control, Pattern, ControlMatrix] | None = None
+        self._shared: tuple[Control, GradientOperator, tuple[Float, Float] | None] | None = None
+        if damage is not None:
+            self._effect = damage.bonds.law.effect
+            self._follow(False)
+            damage.followers.append(self._follow)
+
+    @property
+    def parts(self) -> list[str]:
+        """Return its name."""
+        return [f"control {self.name}"]
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
+        """Return whether damage does not change it while the displacement does."""
+        return self.damage is None or not self.damage.bonds.softens or not self._fades
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """Return whether no integrity scales its forces alone."""
+        return self.damage is None or not self._fades
+
+    @property
+    def whole_families(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
+        """Return the families with their centre first."""
+        return self._whole.stencils
+
+    @property
+    def _fades(self) -> bool:
+        return self._effect.fading(np.ones(1)) is not None
+
+    def at(self, state: State) -> Control:
+        """Return the control with the integrity of the bonds at a state."""
+        if self.damage is None:
+            return self.control
+        fading = self._effect.fading(self.damage.at(state)[0])
+        if fading is None:
+            return self.control
+        # One object a state: its matrix is made once.
+        return state.kept(("control", self.damage.version, id(self.control)), lambda: self.control.faded(fading))
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Add the forces of the control."""
+        self.at(state).force(state.u_local, f, self.body.families.everyone)
+
+    def energy(self, state: State) -> float:
+        """Return the energy of the control."""
+        u_local = state.u_local
+        return self.at(state).force(u_local, np.zeros_like(u_local), self.body.families.everyone)
+
+    def linearised(self, state: State) -> LinearisedTerm:
+        """Return its constant matrix, and what the derivative of the integrity adds where it fades."""
+        control, falling = self.at(state), None
+        if self.damage is not None and self._fades and self.damage.bonds.softens:
+            slope = self.damage.at(state)[1]
+            bonds = np.flatnonzero(slope)
+            v = self.control.bond_forces(state.u_local)[bonds]
+            falling = FallingBonds(self.body, bonds, v, gradient_of_integrity(state, slope, bonds))
+        return ControlTangent(self, control, falling)
+
+    def matrix(self, control: Control, sparsity: Pattern) -> ControlMatrix:
+        """Return the matrix of the control, made once for a pattern (collective)."""
+        if self._matrix is None or self._matrix[0] is not control or self._matrix[1] is not sparsity:
+            self._matrix = control, sparsity, control.matrix(sparsity)
+        return self._matrix[2]
+
+    def shared_gradient(self, control: Control, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return stiffness and shape tensors with which it penalises what an operator leaves unexplained, if so."""
+        if self._shared is None or self._shared[0] is not control or self._shared[1] is not operator:
+            self._shared = control, operator, control.of_gradient(operator)
+        return self._shared[2]
+
+    def _follow(self, rebuild: bool) -> None:
+        """Take the integrity of the bonds."""
+        assert self.damage is not None
+        self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.integrity))
+
+
+class ControlTangent(LinearisedTerm):
+    """The tangent of a zero-energy control."""
+
+    def __init__(self, term: ZeroEnergyControl, control: Control, falling: FallingBonds | None) -> None:
+        self._term, self._control, self._falling = term, control, falling
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the control."""
+        self._control.force(du, f, particles)
+        if self._falling is not None:
+            self._falling.add_product(du, f, particles)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add its constant matrix, and what its falling bonds add (collective)."""
+        dim = self._term.body.dim
+        self._term.matrix(self._control, entries.sparsity).add(dim, entries.diag, entries.off)
+        if self._falling is not None:
+            self._falling.add_rows(entries)
+
+    def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return what lets a gradient's pass do it too."""
+        return None if self._falling is not None else self._term.shared_gradient(self._control, operator)
+
+
+def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIndex, factor: Float | None) -> Stiffness:
+    """Return the small-strain stiffness of the own particles, which scales a control (not collective)."""
+    dim = body.dim
+    factor = np.ones(body.cloud.n_owned) if factor is None else factor
+    kappa = np.array([material.bulk_like_modulus(dim) for material in materials])[material_of] * factor
+    one = np.eye(dim)
+    moduli = np.empty((len(materials), *(dim,) * 4))
+    for number, material in enumerate(materials):
+        lam, mu = material.lame(dim)
+        symmetric = np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one)
+        moduli[number] = lam * np.einsum("im,kn->imkn", one, one) + mu * symmetric
+    return Stiffness(kappa, moduli, material_of, factor)

@@ -1,0 +1,253 @@
+"""Correspondence with bonds that fail: forces of bonds scaled by their integrity, broken ones out of the gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError, FlatFamilies
+from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
+from pdpetsc.kernels.pattern import sum_by
+from pdpetsc.material.base import Material
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries, LinearisedTerm
+from pdpetsc.terms.falling import FallingBonds, gradient_of_integrity
+from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
+
+
+class DamagedPoints(MaterialPoints):
+    """Correspondence whose force states are multiplied with the integrity of the bonds, ``T = T_s omega P K^-1 xi``.
+
+    ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
+    with the stretch of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken
+    bond leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
+    more; its neighbours' gradients and the control hold it. What else damage does, to volumes and to bonds that lie
+    across the pull, the effect of the damage law says.
+
+    Parameters
+    ----------
+    body, omega, scheme, materials, material_of, factor
+        As for ``MaterialPoints``.
+    damage : Damage
+        The bonds that fail.
+
+    References
+    ----------
+    Hashim et al., Eq. (45)-(54).
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    symmetric = False
+
+    def __init__(
+        self, body: Body, omega: Float, scheme: Scheme, materials: Sequence[Material], material_of: LocalIndex,
+        factor: Float | None, damage: Damage,
+    ) -> None:  # fmt: skip
+        super().__init__(body, omega, scheme, materials, material_of, factor)
+        if any(law.has_history for law in self.laws):
+            raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
+        self._omega = omega
+        self._scheme = scheme
+        self._material_of = material_of
+        self._factor = factor
+        self.damage = damage
+        self._effect = damage.bonds.law.effect
+        self._take_operator(self.operator)
+        damage.followers.append(self._follow)
+        damage.torn = self.tensile_strain
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
+        """Return whether materials are linear and damage stays."""
+        return self._linear and not self.damage.bonds.softens
+
+    @property
+    def whole_families(self) -> bool:
+        """Return True: the pattern is that of whole families, which no broken bond changes."""
+        return True
+
+    @property
+    def has_history(self) -> bool:
+        """Return True."""
+        return True
+
+    def scaled_weights(self, of_bond: Float) -> Float:
+        """Return ``h_pk = T_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
+        h: Float = self.operator.g * np.append(of_bond, 0.0)[self.bond_of_entry][:, None]
+        first = self.operator.point_ptr[:-1]
+        h[first] = -np.add.reduceat(h, first, axis=0)
+        return np.asarray(h)
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Add ``H^T (W P)`` with the integrity of the bonds at the state."""
+        T, _ = self.damage.at(state)
+        operator, h = self.operator, self.scaled_weights(T)
+        P = self.stress(self.deformation(state))
+        divergence_kernel(self.body.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
+
+    def linearised(self, state: State) -> LinearisedTerm:
+        """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
+        return DamagedTangent(self, state)
+
+    def falling(self, state: State, slope: Float) -> FallingBonds:
+        """Return the bonds whose integrity falls with ``slope`` (n_bonds,) [1 / length].
+
+        ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
+        """
+        bonds = np.flatnonzero(slope)
+        falling = np.zeros(len(slope), dtype=bool)
+        falling[bonds] = True
+        operator = self.operator
+        entries = np.flatnonzero((self.bond_of_entry >= 0) & np.append(falling, False)[self.bond_of_entry])
+        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
+        P = self.stress(self.deformation(state))
+        force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
+        v = sum_by(self.bond_of_entry[entries], force, len(slope))[bonds]
+        return FallingBonds(self.body, bonds, v, gradient_of_integrity(state, slope, bonds))
+
+    def tensile_strain(self, state: State) -> Float:
+        """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.
+
+        ``<.>+`` keeps the positive principal strains of the stretch ``U = (F^T F)^1/2``. It is the stretch of a bond
+        along the largest principal strain, and more than its stretch along other directions. Zero where the centre has
+        lost no bond. Bonds that lie across the pull shorten with the material: a gradient that has no others left
+        stretches without end and carries its stress through bonds that never reach their critical stretch.
+        """
+        operator, cloud, families = self.operator, self.body.cloud, self.body.families
+        bonds_here = self.damage.bonds
+        hurt = np.zeros(cloud.n_owned, dtype=bool)
+        hurt[families.centres[~bonds_here.intact]] = True
+        strain = np.zeros(len(bonds_here.intact))
+        deformation = self.deformation(state)
+        points = np.flatnonzero(hurt[operator.owner] & (operator.volume > 0.0))
+        if len(points) == 0:
+            return strain
+        F = deformation[points]
+        squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", F, F))
+        tension = np.maximum(np.sqrt(np.maximum(squares, 0.0)) - 1.0, 0.0)
+        positive = np.einsum("pij,pj,pkj->pik", axes, tension, axes)
+        size = np.diff(operator.point_ptr)[points]
+        entries = np.repeat(operator.point_ptr[points] - np.cumsum(size) + size, size) + np.arange(size.sum())
+        bonds, of = self.bond_of_entry[entries], np.repeat(np.arange(len(points)), size)
+        served = (bonds >= 0) & operator.g[entries].any(axis=1)
+        bonds, of = bonds[served], of[served]
+        xi = cloud.x[families.neighbours[bonds]] - cloud.x[families.centres[bonds]]
+        pulled = np.linalg.norm(np.einsum("eij,ej->ei", positive[of], xi), axis=1)
+        np.maximum.at(strain, bonds, pulled / bonds_here.length[bonds])
+        return strain
+
+    def energy(self, state: State) -> float:
+        """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point."""
+        T, _ = self.damage.at(state)
+        return float(self.operator.volume @ (self.point_energy(self.deformation(state)) * self._at_points(T)))
+
+    def local_damage(self) -> Float:
+        """Return ``1 - sum_j T V_j / sum_j V_j`` of the own particles (n_owned,) [-] (not collective)."""
+        return self.damage.lost_volume()
+
+    def mean_stress(self, stress: Float) -> Float:
+        """Return the mean of ``T_p`` times the stress over the points of each own particle (not collective)."""
+        T = self._at_points(self.damage.bonds.integrity)
+        return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
+
+    def _at_points(self, T: Float) -> Float:
+        """Return the mean integrity of the bonds of every point (n_points,)."""
+        sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
+        return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
+
+    def _follow(self, rebuild: bool) -> None:
+        """Follow bonds that have broken or mended (collective)."""
+        if rebuild:
+            self._take_operator(self._rebuilt())
+
+    def _take_operator(self, operator: GradientOperator) -> None:
+        self.operator = operator
+        self.bond_of_entry = np.empty(len(operator.members), dtype=np.int64)
+        families = self.body.families
+        bonds_of_entries(
+            operator.owner, operator.point_ptr, operator.members, families.indptr, families.neighbours,
+            self.body.cloud.n_local, self.bond_of_entry,
+        )  # fmt: skip
+        law_of = self._material_of[operator.owner]
+        for number, law in enumerate(self.laws):
+            law.points = np.flatnonzero(law_of == number)
+            law.factor = None if self._factor is None else self._factor[operator.owner[law.points]]
+
+    def _rebuilt(self) -> GradientOperator:
+        """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""
+        cloud, families = self.body.cloud, self.body.families
+        centres, n = families.centres, cloud.n_owned
+        detached = np.zeros(n, dtype=bool)
+        while True:
+            omega = np.where(self.damage.bonds.intact | detached[centres], self._omega, 0.0)
+            try:
+                operator = self._scheme.build(cloud, families, omega)
+                break
+            except FlatFamilies as flat:
+                more = np.isin(cloud.gid[:n], flat.gid) & ~detached
+                if int(total(cloud.comm, np.count_nonzero(more))) == 0:
+                    raise
+                detached |= more
+        self.n_detached = int(total(cloud.comm, np.count_nonzero(detached)))
+        volume = np.where(detached[operator.owner], 0.0, self._by_bonds_left(operator))
+        return replace(operator, volume=volume)
+
+    def _by_bonds_left(self, operator: GradientOperator) -> Float:
+        """Return the volumes of the points: where the effect says so, bonds that are gone take their share with them.
+
+        ``V_i sum_left omega V / sum_all omega V`` of a particle, divided among its points as the volumes of their
+        neighbours: the force states of the bonds that are left stay as they were when a bond breaks, though the
+        gradient is that of fewer bonds, and a point with one bond left across a crack does not carry a whole stress.
+        """
+        cloud, centres = self.body.cloud, self.body.families.centres
+        n = cloud.n_owned
+        weight = self._omega * cloud.volume[self.body.families.neighbours]
+        left = np.bincount(centres, weight * self.damage.bonds.intact, n) / np.bincount(centres, weight, n)
+        left = self._effect.volume_left(left)
+        whole = np.add.reduceat(cloud.volume[operator.members], operator.point_ptr[:-1])
+        of_point = whole - cloud.volume[operator.owner]
+        share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
+        hurt = (left < 1.0)[operator.owner]
+        return np.where(hurt, (cloud.volume[:n] * left)[operator.owner] * share, operator.volume)
+
+
+class DamagedTangent(PointsTangent):
+    """``H^T (W A) G + d(H^T)/du (W P)``: forces fade with the stretch of each bond."""
+
+    points: DamagedPoints
+
+    def __init__(self, points: DamagedPoints, state: State) -> None:
+        T, slope = points.damage.at(state)
+        super().__init__(points, points.moduli(points.deformation(state)), points.scaled_weights(T))
+        self._T = T
+        self._falling = points.falling(state, slope) if points.damage.bonds.softens else None
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of moduli, and of the bonds whose integrity falls."""
+        super().add_product(du, f, particles)
+        if self._falling is not None:
+            self._falling.add_product(du, f, particles)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of both."""
+        super().add_rows(entries)
+        if self._falling is not None:
+            self._falling.add_rows(entries)
+
+    def stiffness(self) -> Float:
+        """Return the sum over the points of each particle, times the mean integrity of its bonds."""
+        body = self.points.body
+        centres, n = body.families.centres, body.cloud.n_owned
+        intact = self.points.damage.bonds.intact
+        left = np.bincount(centres, self._T, n) / np.maximum(np.bincount(centres, intact, n), 1)
+        return np.asarray(super().stiffness() * left[:, None, None, None, None])

@@ -1,0 +1,229 @@
+"""Loads that keep direction and nominal size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.cloud import from_parts
+from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.cell import CellRows
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import LinearisedTerm, Term
+from pdpetsc.scene.conditions import BodyForce, Force, MeanStress, Traction, Value, evaluated
+from pdpetsc.scene.particles import Particles
+
+# A consistent traction whose forces add up to a share of traction times face outside of these is not that of one face.
+WHOLE_FACE = (0.5, 2.0)
+# That share is round-off where it differs from 1 by less.
+EXACT = 1e-9
+# Step times at which loads are looked at for the record.
+SHOWN = (1.0, 0.75, 0.5, 0.25)
+
+
+@dataclass(frozen=True)
+class _Applied:
+    """One component of a load on the particles ``where``, times ``scale`` (len(where),)."""
+
+    condition: Force | BodyForce | Traction
+    axis: int
+    value: Value
+    where: GlobalIndex
+    scale: Float
+
+    def at(self, x: Float, t: float) -> Float:
+        return self.scale * self.condition.value(self.value, x[self.where], t)
+
+
+@dataclass(frozen=True)
+class _Consistent:
+    """A consistent traction with the share of the forces of its uniform stress that each particle takes (n_owned,)."""
+
+    traction: Traction
+    normal: Float
+    share: Float
+
+
+class DeadLoads(Term):
+    """External forces of a case on this rank.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    matter : Matter
+        The material, which knows what forces hold a uniform stress.
+    particles : Particles
+        As declared; they tell thickness and faces.
+    cell : CellRows, optional
+        The virtual unknowns of a periodic cell.
+
+    Notes
+    -----
+    Construction and every method are collective.
+    """
+
+    load = True
+
+    def __init__(self, body: Body, matter: Matter, particles: Particles, cell: CellRows | None = None) -> None:
+        self.body = body
+        self._resultants: list[tuple[str, float, Float]] = []
+        self._matter = matter
+        self._particles = particles
+        self._cell = cell
+        self._x = body.cloud.x[: body.cloud.n_owned]
+        self._forces: list[_Applied] = []
+        self._consistent: list[_Consistent] = []
+        self._stresses: list[tuple[MeanStress, int, float]] = []
+        self._last: tuple[float, Float] | None = None
+
+    @property
+    def parts(self) -> list[str]:
+        """Return nothing: loads have a record of their own."""
+        return []
+
+    @property
+    def resultants(self) -> list[tuple[str, float, Float]]:
+        """Return name, step time and sum of the forces (dim,) [force] of every load, at a step time when it acts."""
+        return self._resultants
+
+    def add_row_force(self, state: State, r: Float) -> None:
+        """Subtract the forces at the step time of the state."""
+        r -= self.forces(state.t)
+
+    def linearised(self, state: State) -> LinearisedTerm | None:
+        """Return None: they do not depend on the displacement."""
+        return None
+
+    def forces(self, t: float) -> Float:
+        """Return the external forces at step time ``t`` (n_rows, dim) [force]; not to be changed."""
+        if self._last is None or self._last[0] != t:
+            f = self._sum(self._forces, self._consistent, t)
+            with agreed(self.body.cloud.comm):
+                what = "schedule of a MeanStress condition"
+                factors = [float(evaluated(what, stress.schedule, (), t, t)) for stress, _, _ in self._stresses]
+            if self._cell is not None and self._cell.here:
+                for (_, unknown, value), factor in zip(self._stresses, factors, strict=True):
+                    self._cell.rows(f)[unknown] += self._cell.per_stress[unknown] * value * factor
+            self._last = t, f
+        return self._last[1]
+
+    def add_total(
+        self, condition: Force, components: Sequence[tuple[int, Value]], where: GlobalIndex, name: str
+    ) -> None:
+        """Add a total force, shared by some own particles by volume."""
+        volume = self.body.cloud.volume[where]
+        share = np.asarray(volume / float(total(self.body.cloud.comm, volume.sum())))
+        self._add([_Applied(condition, axis, value, where, share) for axis, value in components], [], name)
+
+    def add_per_volume(
+        self, condition: BodyForce, components: Sequence[tuple[int, Value]], where: GlobalIndex, name: str
+    ) -> None:
+        """Add a force per volume on some own particles."""
+        volume = self.body.cloud.volume[where]
+        self._add([_Applied(condition, axis, value, where, volume) for axis, value in components], [], name)
+
+    def add_traction(
+        self, condition: Traction, components: Sequence[tuple[int, Value]], mask: Mask, normal: Float, name: str
+    ) -> None:
+        """Add a traction on the face whose outer particles a mask (n_owned,) selects.
+
+        Raises
+        ------
+        CaseError
+            The area of the face is not known, or the face is not one face.
+        """
+        where = np.flatnonzero(mask)
+        face = self._face(condition, normal, where, name)
+        if condition.distribution == "consistent":
+            share = self._share(normal, mask, face, name)
+            self._add([], [_Consistent(condition, normal, share)], name)
+        else:
+            self._add([_Applied(condition, axis, value, where, face) for axis, value in components], [], name)
+
+    def add_stress(self, condition: MeanStress, components: Sequence[tuple[int, float]]) -> None:
+        """Add components of the mean stress of the cell."""
+        self._stresses += [(condition, unknown, value) for unknown, value in components]
+        self._last = None
+
+    def _add(self, forces: Sequence[_Applied], consistent: Sequence[_Consistent], name: str) -> None:
+        """Take in a load and note its resultant."""
+        self._forces += forces
+        self._consistent += consistent
+        self._last = None
+        try:
+            sums = [total(self.body.cloud.comm, self._sum(forces, consistent, t).sum(axis=0)) for t in SHOWN]
+        except SolveError as error:
+            raise CaseError(str(error)) from error
+        acting = next((number for number, force in enumerate(sums) if force.any()), 0)
+        self._resultants.append((name, SHOWN[acting], sums[acting]))
+
+    def _sum(self, forces: Sequence[_Applied], consistent: Sequence[_Consistent], t: float) -> Float:
+        """Return the sum of loads at step time ``t`` (n_rows, dim) [force]."""
+        f = np.zeros((self.body.cloud.n_rows, self.body.dim))
+        with agreed(self.body.cloud.comm):
+            for applied in forces:
+                f[applied.where, applied.axis] += applied.at(self._x, t)
+            stresses = [self._uniform(part, t) for part in consistent]
+        n = len(self._x)
+        for P, part in zip(stresses, consistent, strict=True):
+            f[:n] += self._matter.uniform_stress_force(P)[:n] * part.share[:, None]
+        return f
+
+    def _uniform(self, part: _Consistent, t: float) -> Float:
+        """Return the stresses ``t (x) n`` (n_owned, dim, dim) of a consistent traction (not collective)."""
+        P = np.zeros((len(self._x), self.body.dim, self.body.dim))
+        for axis, value in part.traction.components(self.body.dim):
+            P[:, axis, :] = part.traction.value(value, self._x, t)[:, None] * part.normal
+        return P
+
+    def _face(self, traction: Traction, normal: Float, where: GlobalIndex, name: str) -> Float:
+        """Return the free face of each particle of a traction's region (len(where),) [area]."""
+        cloud = self.body.cloud
+        if traction.area is not None:
+            share = cloud.volume[where] ** ((cloud.dim - 1) / cloud.dim)
+            return np.asarray(traction.area * share / float(total(cloud.comm, float(share.sum()))))
+        with agreed(cloud.comm):
+            try:
+                part = self._particles.faces(cloud.comm.rank, cloud.comm.size, normal)
+            except CaseError as error:
+                raise CaseError(f"{name}: {str(error)[:1].lower()}{str(error)[1:]}") from None
+        face = from_parts(cloud, part)[where]
+        if not float(total(cloud.comm, float(face.sum()))) > 0.0:
+            raise CaseError(
+                f"The region of {name} has no free face with normal {np.round(normal, 6).tolist()}; select the outer "
+                f"particles of the face, and let the normal point out of the body."
+            )
+        return np.asarray(face)
+
+    def _share(self, normal: Float, mask: Mask, face: Float, name: str) -> Float:
+        """Return what the forces of a uniform stress are multiplied with to be those of a traction (n_owned,) [-].
+
+        Where the weights of the gradient satisfy the divergence theorem that is 1 near the face; else it lets the sum
+        be traction times face. A face whose neighbourhood reaches another one is refused: there the forces of the two
+        cancel.
+        """
+        P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
+        reached = self._reach(mask)
+        along = self._matter.uniform_stress_force(P)[: len(self._x)] @ normal
+        found, wanted = total(self.body.cloud.comm, [along[reached].sum(), face.sum()])
+        if not WHOLE_FACE[0] * wanted <= found <= WHOLE_FACE[1] * wanted:
+            raise CaseError(
+                f"{name} on a face of {wanted:.4g} adds up to {found:.4g} per unit stress: its region is not the outer "
+                f'layer of a face with that normal, or another face is within two horizons; use distribution="layer".'
+            )
+        factor = float(wanted / found)
+        return np.where(reached, 1.0 if abs(factor - 1.0) < EXACT else factor, 0.0)
+
+    def _reach(self, mask: Mask) -> Mask:
+        """Return the own particles whose forces depend on a marked own one."""
+        marked = np.zeros(self.body.cloud.n_local)
+        marked[: len(mask)] = mask
+        self.body.cloud.halo.forward(marked)
+        return self._matter.reach(marked)

@@ -1,0 +1,304 @@
+"""Correspondence: materials at gradient points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.pattern import sharing_stencil
+from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.kernels.gradient import determinant_kernel
+from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.tangent import gradient_times_kernel
+from pdpetsc.law import Law, make_law
+from pdpetsc.material.base import Material
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm
+
+# In place of stiffness and shape tensors of a control that does not share the pass.
+NOTHING = np.empty(0), np.empty((0, 0, 0))
+
+
+class MaterialPoints(Matter):
+    """Internal forces ``f = G^T (W P)`` with the tangent ``K = G^T (W A) G``.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    omega : (n_bonds,) float64
+        Influence of every bond [-].
+    scheme : Scheme
+        Where gradients are evaluated.
+    materials : sequence of Material
+        Materials of the body.
+    material_of : (n_owned,) int
+        Index into ``materials`` of each own particle.
+    factor : (n_owned,) float64, optional
+        What multiplies the moduli of each own particle [-].
+
+    Raises
+    ------
+    CaseError
+        A family is too small or flat, on every rank.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        omega: Float,
+        scheme: Scheme,
+        materials: Sequence[Material],
+        material_of: LocalIndex,
+        factor: Float | None = None,
+    ) -> None:
+        super().__init__(body)
+        self.operator: GradientOperator = scheme.build(body.cloud, body.families, omega)
+        self.note = self.operator.note
+        law_of = material_of[self.operator.owner]
+        self.laws: list[Law] = []
+        for number, material in enumerate(materials):
+            points = np.flatnonzero(law_of == number)
+            at_points = None if factor is None else factor[self.operator.owner[points]]
+            self.laws.append(make_law(material, points, body.dim, at_points))
+        self._linear = all(material.linear for material in materials)
+        self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
+        """Return whether all materials are linear."""
+        return self._linear
+
+    @property
+    def n_points(self) -> int:
+        """Return the gradient points of this rank."""
+        return self.operator.n_points
+
+    @property
+    def parts(self) -> list[str]:
+        """Return what it is made of."""
+        return ["gradient operator", *(f"material {type(law.material).__name__}" for law in self.laws)]
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
+        """Return those of the operator."""
+        return self.operator.point_ptr, self.operator.members
+
+    def deformation(self, state: State) -> Float:
+        """Return ``F_p`` (n_points, dim, dim) [-]."""
+        u_local, operator = state.u_local, self.operator
+
+        def make() -> Float:
+            F = operator.gradient(u_local)
+            F += np.eye(self.body.dim)
+            return F
+
+        return state.kept(("F", id(operator)), make)
+
+    def admissible(self, state: State) -> bool:
+        """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
+        F = self.deformation(state)
+        return self._linear or bool(determinant_kernel(self.body.dim)(F) > 0.0)
+
+    def stress(self, F: Float) -> Float:
+        """Return ``P_p`` (n_points, dim, dim) [stress]."""
+        P = np.empty_like(F)
+        for law in self.laws:
+            law.stress(F, P)
+        return P
+
+    def moduli(self, F: Float) -> Float:
+        """Return ``A_p = dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
+        A = np.empty((len(F), *(self.body.dim,) * 4))
+        for law in self.laws:
+            law.tangent(F, A)
+        return A
+
+    def point_energy(self, F: Float) -> Float:
+        """Return ``psi_p`` (n_points,) [energy / volume]."""
+        psi = np.empty(len(F))
+        for law in self.laws:
+            law.energy(F, psi)
+        return psi
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Add ``G^T (W P)``."""
+        self.operator.divergence(self.stress(self.deformation(state)), f)
+
+    def linearised(self, state: State) -> LinearisedTerm:
+        """Return ``G^T W A G`` with the moduli A at a state."""
+        return PointsTangent(self, self.moduli(self.deformation(state)), self.operator.g)
+
+    def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
+        """Return the entries of the operator by particle (not collective)."""
+        if self._by_particle is None or self._by_particle[0] is not self.operator:
+            found = transpose(self.operator.point_ptr, self.operator.members, self.body.cloud.n_local)
+            self._by_particle = self.operator, found
+        return self._by_particle[1]
+
+    def uniform_stress_force(self, P: Float) -> Float:
+        """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
+        f = np.zeros((self.body.cloud.n_local, self.body.dim))
+        self._intact_operator.divergence(P[self._intact_operator.owner], f)
+        return self.body.gather(f)
+
+    @cached_property
+    def _intact_operator(self) -> GradientOperator:
+        """Return the operator as it was when a load first asked: a dead load does not change when bonds break."""
+        return self.operator
+
+    def energy(self, state: State) -> float:
+        """Return ``sum_p W_p psi_p``."""
+        return float(self.operator.volume @ self.point_energy(self.deformation(state)))
+
+    def commit(self, state: State) -> None:
+        """Let materials with history remember a converged state."""
+        if self.has_history:
+            F = self.deformation(state)
+            for law in self.laws:
+                law.commit(F)
+            self.version += 1
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether stresses depend on converged steps; the same on all ranks."""
+        return any(law.has_history for law in self.laws)
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return the histories of the materials that have one, by the number of the material."""
+        owner = self.operator.owner
+        return {
+            f"history_{number}": KeptArray("point", owner[law.points], law.history)
+            for number, law in enumerate(self.laws)
+            if law.has_history
+        }
+
+    @property
+    def kappa(self) -> float:
+        """Return the largest ``lambda + 2 mu / dim`` of the materials [stress]."""
+        return max(law.material.bulk_like_modulus(self.body.dim) for law in self.laws)
+
+    @property
+    def largest_modulus(self) -> float:
+        """Return the largest entry of the small-strain stiffness on this rank [stress]."""
+        return max(law.largest_modulus() for law in self.laws)
+
+    def reach(self, marked: Float) -> Mask:
+        """Return the own particles that share a gradient point with a marked local one (collective)."""
+        return sharing_stencil(self.body.cloud, self.operator.point_ptr, self.operator.members, marked)
+
+    def cauchy(self, F: Float) -> Float:
+        """Return ``sigma_p = P F^T / J`` (n_points, dim, dim) [stress], J with the hidden stretches; P where linear."""
+        sigma = self.stress(F)
+        for law in self.laws:
+            if not law.material.linear and len(law.points):
+                part = F[law.points]
+                J = np.linalg.det(part) * law.material.thickness_stretch(part)
+                sigma[law.points] = np.einsum("pik,pjk->pij", sigma[law.points], part) / J[:, None, None]
+        return sigma
+
+    def deformation_gradient(self, state: State) -> Float:
+        """Return the mean of F over the points of each own particle (n_owned, dim, dim) [-]."""
+        return self._mean(self.deformation(state))
+
+    def first_piola_stress(self, state: State) -> Float:
+        """Return the mean of P over the points of each own particle (n_owned, dim, dim) [stress]."""
+        return self.mean_stress(self.stress(self.deformation(state)))
+
+    def cauchy_stress(self, state: State) -> Float:
+        """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
+        return self.mean_stress(self.cauchy(self.deformation(state)))
+
+    def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
+        """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""
+        F = self.deformation(state)
+        stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
+        for law in self.laws:
+            part = F[law.points]
+            across = law.material.thickness_stretch(part)
+            stretch[law.points] = np.sqrt(across) if self.body.dim == 1 else across
+            P[law.points] = law.out_of_plane_stress(part)
+            current = 1.0 if law.material.linear else stretch[law.points] / (np.linalg.det(part) * across)
+            sigma[law.points] = P[law.points] * current
+        return self._mean(stretch), self.mean_stress(P), self.mean_stress(sigma)
+
+    def energy_density(self, state: State) -> Float:
+        """Return the mean of psi over the points of each own particle (n_owned,) [energy / volume]."""
+        return self._mean(self.point_energy(self.deformation(state)))
+
+    def plastic_strain(self) -> Float:
+        """Return the mean accumulated plastic strain over the points of each own particle (n_owned,) [-]."""
+        alpha = np.zeros(self.operator.n_points)
+        for law in self.laws:
+            alpha[law.points] = law.plastic_strain()
+        return self._mean(alpha)
+
+    def mean_stress(self, stress: Float) -> Float:
+        """Return the stress of the own particles (n_owned, ...) from that of their points (not collective)."""
+        return self._mean(stress)
+
+    def _mean(self, values: Float) -> Float:
+        return self.operator.mean_over_points(values, self.body.cloud.n_owned)
+
+
+class PointsTangent(LinearisedTerm):
+    """``H^T (W A) G`` with the weights ``h`` of forces, which are those of the gradient but where damage scales them.
+
+    Parameters
+    ----------
+    points : MaterialPoints
+        The term.
+    A : (n_points, dim, dim, dim, dim) float64
+        Moduli [stress].
+    h : (n_entries, dim) float64
+        Weights with which points put forces on particles [1 / length].
+    """
+
+    def __init__(self, points: MaterialPoints, A: Float, h: Float) -> None:
+        self.points = points
+        self.operator = points.operator
+        self.A, self._h = A, h
+        self._shared: tuple[Float, Float] | None = None
+
+    def absorb(self, other: LinearisedTerm) -> bool:
+        """Take a control that penalises what this gradient leaves unexplained into the pass."""
+        if self._shared is not None or self._h is not self.operator.g:
+            return False
+        self._shared = other.shared_gradient(self.operator)
+        return self._shared is not None
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of moduli, and of a control that shares the pass."""
+        operator = self.operator
+        gradient_times_kernel(self.points.body.dim, int(self._shared is not None))(
+            particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
+            self.A, *(self._shared or NOTHING), du, f,
+        )  # fmt: skip
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the points."""
+        operator, sparsity = self.operator, entries.sparsity
+        for rows, own in entries.row_sets():
+            assemble_kernel(self.points.body.dim)(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
+                *self.points.by_particle(), operator.point_ptr, operator.members, self._h, operator.g, operator.volume,
+                self.A, own, entries.off,
+            )  # fmt: skip
+
+    def stiffness(self) -> Float:
+        """Return the sum over the points of each particle."""
+        return self.operator.sum_over_points(self.operator.volume[:, None, None, None, None] * self.A)
+
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness`` without forming it."""
+        return self.operator.sum_over_points(self.operator.volume * np.einsum("pikik->p", self.A))

@@ -95,13 +95,15 @@ def write_curves(folder, name, title, columns, curves, reference=(), **axes):
     print(f"{folder / name}.csv and .png: {title}", flush=True)
 
 
-def dense_tangent(model, u, assembler=None):
-    """Return K(u) of a small model on one process, or what another assembler makes of it, as a dense matrix."""
-    assembler = model.assembler() if assembler is None else assembler
-    dim, rows = model.dim, assembler.pattern.rows
+def dense_tangent(problem, u, assembler=None):
+    """Return K(u) of a small problem on one process, or what another assembler makes of it, as a dense matrix."""
+    from pdpetsc.problem.assembly import Assembler
+
+    assembler = Assembler(problem) if assembler is None else assembler
+    dim, rows = problem.dim, assembler.pattern.rows
     values = np.empty(dim * dim * int(rows.diag_ptr[-1]))
-    assembler.assemble(u, values, np.empty(0))
-    n = model.cloud.n_rows
+    assembler.assemble(problem.state(u), values, np.empty(0))
+    n = problem.body.cloud.n_rows
     K = np.zeros((n, dim, n, dim))
     for a in range(n):
         first, last = rows.diag_ptr[a], rows.diag_ptr[a + 1]
@@ -111,13 +113,13 @@ def dense_tangent(model, u, assembler=None):
 
 
 def build(case):
-    """Return the model of a case on this process."""
-    from pdpetsc.build import make_cloud, make_model
+    """Return the problem of a case on this process."""
+    from pdpetsc.build import make_cloud, make_problem
     from pdpetsc.discrete.communicator import world
     from pdpetsc.discrete.families import find_families
 
     cloud = make_cloud(world(), case)
-    return make_model(case, cloud, find_families(cloud, case.cracks))
+    return make_problem(case, cloud, find_families(cloud, case.cracks))
 
 
 def _text(value):

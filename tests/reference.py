@@ -49,19 +49,19 @@ def silling_energy(x, volume, neighbours, G, kappa, u):
 
 def bond_forces(model, u):
     """Return the internal forces of a free body of bonds, bond by bond."""
-    x, family = model.cloud.x, model.families
+    x, family, term = model.cloud.x, model.families, model.matter
     f = np.zeros_like(u)
     for i in range(len(u)):
         bonds = range(family.indptr[i], family.indptr[i + 1])
         xi = np.array([x[family.neighbours[b]] - x[i] for b in bonds])
         eta = np.array([u[family.neighbours[b]] - u[i] for b in bonds])
-        y = xi + eta if model.finite else xi
+        y = xi + eta if term.finite else xi
         n = y / np.linalg.norm(y, axis=1)[:, None]
-        e = np.linalg.norm(y, axis=1) - np.linalg.norm(xi, axis=1) if model.finite else (n * eta).sum(axis=1)
-        t = model.k[bonds.start : bonds.stop] * e
-        if model.a is not None:
-            a = model.a[bonds.start : bonds.stop]
-            t += a * model.B[i] * (a @ e)
+        e = np.linalg.norm(y, axis=1) - np.linalg.norm(xi, axis=1) if term.finite else (n * eta).sum(axis=1)
+        t = term.k[bonds.start : bonds.stop] * e
+        if term.a is not None:
+            a = term.a[bonds.start : bonds.stop]
+            t += a * term.B[i] * (a @ e)
         for b, force in zip(bonds, t[:, None] * n, strict=True):
             f[family.neighbours[b]] += force
             f[i] -= force

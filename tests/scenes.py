@@ -9,13 +9,22 @@ import numpy as np
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood
+from pdpetsc.bond_based.fracture import resolve
+from pdpetsc.damage.state import FailingBonds
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import BondModel, CorrespondenceModel, DamagedCorrespondenceModel
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.supports import Supports
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.control import ZeroEnergyControl, stiffness_of
+from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.material_points import MaterialPoints
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
-from study import dense_tangent as dense_tangent
+import study
 
 DIMS = (1, 2, 3)
 MATERIALS = {
@@ -73,6 +82,91 @@ def lattice(dim, rng=None, shake=0.15):
     return x if rng is None else x + shake * rng.uniform(-1.0, 1.0, x.shape)
 
 
+class Small:
+    """A small problem on this process, free of conditions, with methods that take displacements."""
+
+    def __init__(self, problem):
+        self.problem = problem
+        self.cloud, self.families, self.dim = problem.body.cloud, problem.body.families, problem.dim
+        self.matter = problem.matter
+
+    @property
+    def operator(self):
+        return self.matter.operator
+
+    @property
+    def laws(self):
+        return self.matter.laws
+
+    @property
+    def failure(self):
+        return self.problem.damage.bonds
+
+    @property
+    def control(self):
+        controls = [term.control for term in self.problem.terms if isinstance(term, ZeroEnergyControl)]
+        return controls[0] if controls else None
+
+    def at(self, u):
+        return self.problem.state(np.asarray(u, dtype=float))
+
+    def internal_force(self, u):
+        return self.problem.internal_force(self.at(u))
+
+    def linearised(self, u):
+        return self.problem.linearised(self.at(u))
+
+    def tangent_times(self, u, du):
+        return self.linearised(u)(du)
+
+    def energy(self, u):
+        return tuple(self.problem.energies(self.at(u)).values())
+
+    def all_admissible(self, u):
+        return self.problem.admissible(self.at(u))
+
+    def commit(self, u):
+        self.problem.commit(self.at(u))
+
+    def revert(self):
+        self.problem.revert()
+
+    def freeze(self, frozen):
+        self.problem.freeze(frozen)
+
+    def break_bonds(self, u, most=None):
+        return self.problem.break_bonds(self.at(u), most)
+
+    def soften(self, u):
+        return self.problem.damage.soften(self.at(u))
+
+    def elongation(self, u):
+        return self.problem.body.elongated(self.problem.body.with_ghosts(u), getattr(self.matter, "finite", True))[0]
+
+    def take_failure(self):
+        self.problem.damage.restored()
+
+
+def dense_tangent(small, u, assembler=None):
+    """Return K(u) of a small problem, or what another assembler makes of it, as a dense matrix."""
+    return study.dense_tangent(small.problem, u, assembler)
+
+
+def small_points(cloud, families, omega, scheme, materials, material_of, control, law=None):
+    """Return a small problem of deformation gradients, whose bonds fail where there is a law."""
+    whole = Body(cloud, families)
+    damage = None if law is None else Damage(whole, FailingBonds(cloud, families, law), True)
+    if damage is None:
+        matter = MaterialPoints(whole, omega, scheme, materials, material_of)
+    else:
+        matter = DamagedPoints(whole, omega, scheme, materials, material_of, None, damage)
+    terms = []
+    if control is not None:
+        stiffness = stiffness_of(whole, materials, material_of, None)
+        terms = [ZeroEnergyControl(whole, control, omega, stiffness, damage)]
+    return Small(Problem(whole, matter, terms, Supports(whole), damage))
+
+
 def body(
     dim, scheme=SCHEMES["correspondence"], stabilisation=None, material=MATERIALS["hencky"], horizon=2.015, rng=None
 ):
@@ -83,7 +177,7 @@ def body(
     families = find_families(cloud)
     omega = np.ones(len(families.neighbours))
     material_of = np.zeros(cloud.n_owned, dtype=np.int32)
-    return CorrespondenceModel(cloud, families, omega, scheme, [material], material_of, stabilisation)
+    return small_points(cloud, families, omega, scheme, [material], material_of, stabilisation)
 
 
 LAWS = {
@@ -103,7 +197,7 @@ def damaged_body(
     cloud = distribute(world(), x, np.ones(len(x)), {}, horizon)
     families = find_families(cloud)
     omega, material_of = np.ones(len(families.neighbours)), np.zeros(cloud.n_owned, dtype=np.int32)
-    return DamagedCorrespondenceModel(cloud, families, omega, scheme, [material], material_of, control, None, law, None)
+    return small_points(cloud, families, omega, scheme, [material], material_of, control, law)
 
 
 def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
@@ -116,7 +210,13 @@ def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     influence = pd.influence.Gaussian()
     bonds = Neighbourhood(cloud, families, influence(length / horizon), length, influence, 1.0)
-    return BondModel(bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32), damage=damage)
+    around = Body(cloud, families)
+    matter = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
+    failing = None
+    if damage is not None:
+        failing = Damage(around, FailingBonds(cloud, families, resolve(damage, bonds, matter.k)), matter.finite)
+        matter.take_damage(failing)
+    return Small(Problem(around, matter, [], Supports(around), failing))
 
 
 def bond_bodies(rng):

@@ -51,7 +51,7 @@ def test_forces_and_moments_balance(rng):
         size = np.abs(f).sum()
         assert np.abs(f.sum(axis=0)).max() < 1e-13 * size, label
         if model.cloud.images is None:
-            moment = (model.cloud.x + model.finite * u).T @ f
+            moment = (model.cloud.x + model.matter.finite * u).T @ f
             assert np.abs(moment - moment.T).max() < 1e-12 * size * len(u), label
 
 
@@ -97,8 +97,8 @@ def test_uniform_strain_of_a_lattice_has_the_energy_of_its_calibration(dim, rng)
         values[at] = 0.01 * solid.cloud.images.sizes[at] if a == b else 0.0
     u[solid.cloud.n_owned :] = values.reshape(-1, dim)
     u[: solid.cloud.n_owned] = 0.01 * solid.cloud.x[: solid.cloud.n_owned]
-    kappa = solid.kappa
-    assert np.allclose(solid.energy_density(u), 0.5 * kappa * (0.01 * dim) ** 2, rtol=1e-12)
+    kappa = solid.matter.kappa
+    assert np.allclose(solid.matter.energy_density(solid.at(u)), 0.5 * kappa * (0.01 * dim) ** 2, rtol=1e-12)
     P = solid.first_piola_stress(u)
     assert np.allclose(P, kappa * 0.01 * dim * np.eye(dim), atol=1e-12)
 
@@ -108,9 +108,9 @@ def test_dilation_of_cut_families_has_the_energy_of_whole_ones_with_surface_corr
         corrected, plain = (
             bond_body(dim, pd.BondBased(E=1.0, calibration=name), horizon=1.1) for name in ("family", "lattice")
         )
-        psi = corrected.energy_density(0.01 * corrected.cloud.x)
+        psi = corrected.matter.energy_density(corrected.at(0.01 * corrected.cloud.x))
         assert np.allclose(psi, psi[0], rtol=1e-12)
-        uncorrected = plain.energy_density(0.01 * plain.cloud.x)
+        uncorrected = plain.matter.energy_density(plain.at(0.01 * plain.cloud.x))
         assert uncorrected.max() == pytest.approx(psi[0], rel=1e-12)
         assert uncorrected.min() < 0.8 * psi[0]
 
@@ -119,7 +119,7 @@ def test_a_linear_solid_with_the_ratio_of_bonds_is_bond_based(rng):
     """With omega = 1 / |xi| there, nothing is left of the dilatation and the forces are those of bonds."""
     for dim, nu, plane in ((2, 0.25, "strain"), (2, 1.0 / 3.0, "stress"), (3, 0.25, "strain")):
         solid = bond_body(dim, pd.LinearSolid(E=10.0, nu=nu, plane=plane), rng=rng)
-        assert np.abs(solid.B).max() < 1e-12 * np.abs(solid.kappa * solid.cloud.volume).max()
+        assert np.abs(solid.matter.B).max() < 1e-12 * np.abs(solid.matter.kappa * solid.cloud.volume).max()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import DamagedCorrespondenceModel
 from tests.scenes import (
     BONDS,
     DIMS,
@@ -21,6 +20,7 @@ from tests.scenes import (
     dense_tangent,
     differences,
     displacement,
+    small_points,
 )
 
 CRITICAL = pd.ConstantCritical(0.02)
@@ -72,7 +72,7 @@ def softened(model, rng):
 
 
 def symmetric_part_of_failure(model, u):
-    e = model.elongation(model.with_ghosts(u))
+    e = model.elongation(u)
     return model.failure.at(e[0] if isinstance(e, tuple) else e)
 
 
@@ -116,7 +116,7 @@ def test_damage_does_not_heal_and_reverts_to_what_was_kept(rng):
     model.commit(u)
     lost = model.failure.integrity.copy()
     assert lost.min() < 0.9
-    T, slope = model.failure.at(model.elongation(model.with_ghosts(0.5 * u)))
+    T, slope = model.failure.at(model.elongation(0.5 * u))
     assert np.array_equal(T, lost)
     assert not slope.any()
     model.soften(1.2 * u)
@@ -139,7 +139,7 @@ def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(sch
     f = model.internal_force(u)
     assert np.abs(f).max() < 1e-12
     strained = u + np.where(x[:, 1:] > 2.5, 0.1 * x * [1.0, 0.0], 0.0)
-    F = model.deformation_gradient(strained)
+    F = model.matter.deformation_gradient(model.at(strained))
     upper = x[:, 1] > 2.5
     assert np.allclose(F[upper], np.diag([1.1, 1.0]), atol=1e-10)
     assert np.allclose(F[~upper], np.eye(2), atol=1e-10)
@@ -156,8 +156,8 @@ def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(sch
     model.failure.integrity[own] = 0.0
     kept = np.flatnonzero(((centres == corner) & (neighbours == 1)) | ((centres == 1) & (neighbours == corner)))
     model.failure.integrity[kept] = 1.0
-    model._changed(rebuild=True)
-    assert model.n_detached >= 1
+    model.problem.damage.changed(rebuild=True)
+    assert model.matter.n_detached >= 1
     assert np.isfinite(model.internal_force(strained)).all()
 
 
@@ -179,7 +179,9 @@ def test_bonds_across_a_pull_break_with_the_strain_of_their_gradient(scheme):
     horizon = 2.5
     model = damaged_body(2, pd.Brittle(CRITICAL), SCHEMES[scheme], pd.Silling(0.5), horizon=horizon)
     pulled = strained(model, 0.1, -0.05)
-    assert not model.failure.tear(model.tensile_strain(pulled)), "families that have lost nothing break by stretch"
+    assert not model.failure.tear(model.matter.tensile_strain(model.at(pulled))), (
+        "families that have lost nothing break by stretch"
+    )
     across_only(model)
     e = model.elongation(pulled)
     assert np.all(e[model.failure.intact] < 0.0)
@@ -190,7 +192,7 @@ def test_bonds_across_a_pull_break_with_the_strain_of_their_gradient(scheme):
     assert not model.break_bonds(model.cloud.x @ turn.T)
     assert not model.break_bonds(strained(model, -0.1, -0.05))
     assert not model.break_bonds(strained(model, 0.019, -0.01))
-    strain = model.tensile_strain(pulled)
+    strain = model.matter.tensile_strain(model.at(pulled))
     oblique = model.failure.intact & (np.abs(model.families.bonds(model.cloud.x)[:, 0]) > 0.5)
     carried = np.isin(model.families.centres, model.operator.owner[model.operator.volume > 0.0])
     # A bond at slope two feels the share of the strain along x that lies in its direction.
@@ -217,8 +219,8 @@ def test_a_fracture_energy_is_what_breaking_the_bonds_across_a_plane_takes(dim, 
     model = bond_body(dim, pd.BondBased(E=10.0, calibration="lattice"), cell=True, damage=law(pd.FractureEnergy(Gc)))
     cloud, families = model.cloud, model.families
     sides = np.ptp(cloud.x[: cloud.n_owned], axis=0) + 1.0
-    one = np.ones(len(model.k))
-    each = model.failure.law.dissipated(0.0 * one, model.failure.law.final * one, model.k, model.failure.limit)
+    one = np.ones(len(model.matter.k))
+    each = model.failure.law.dissipated(0.0 * one, model.failure.law.final * one, model.matter.k, model.failure.limit)
     found = []
     for axis in range(dim):
         # A plane between two layers and its images; bonds across it count from both of their ends.
@@ -315,7 +317,7 @@ def test_forces_of_the_present_stretch_are_the_published_ones(breaks, G, rng):
     lost = with_broken(model, rng) if breaks else np.zeros(len(model.failure.integrity), dtype=bool)
     pairs = set(zip(model.families.centres[lost].tolist(), model.families.neighbours[lost].tolist(), strict=True))
     u = softened(model, rng)
-    T = model.failure.at(model.elongation(model.with_ghosts(u)))[0]
+    T = model.failure.at(model.elongation(u))[0]
     assert np.count_nonzero((T > 0.0) & (T < 1.0)) > 10
     expected = state_of(u, model.cloud.x, 1.0, 2.015, 10.0, 0.3, lambda i, j: None if (i, j) in pairs else published, G)
     found = model.internal_force(u)
@@ -344,11 +346,11 @@ def test_the_tangent_of_the_present_stretch_is_exact(breaks, scheme, control, rn
     if breaks:
         with_broken(model, rng)
     u = displacement(model, rng, 0.001) + 0.015 * (model.cloud.x - model.cloud.x.mean(axis=0))
-    x = model.elongation(model.with_ghosts(u)) / model.failure.limit
+    x = model.elongation(u) / model.failure.limit
     # No bond is so close to an end of the law that a difference steps across its kink.
     assert np.abs(x - 0.5).min() > 1e-4
     assert np.abs(x - 1.0).min() > 1e-4
-    assert np.count_nonzero(model.failure.at(model.elongation(model.with_ghosts(u)))[1]) > 40
+    assert np.count_nonzero(model.failure.at(model.elongation(u))[1]) > 40
     K = dense_tangent(model, u)
     columns = rng.choice(u.size, 10, replace=False)
     assert np.abs(K[:, columns] - fine_differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()
@@ -363,9 +365,7 @@ def test_one_bond_of_the_present_stretch_follows_the_curve_and_heals(control, rn
     cloud = distribute(world(), x, np.full(2, V), {}, 1.0)
     families = find_families(cloud)
     of = np.zeros(2, dtype=np.int32)
-    model = DamagedCorrespondenceModel(
-        cloud, families, np.ones(2), pd.Correspondence(), [MATERIAL], of, control, None, PUBLISHED, None
-    )
+    model = small_points(cloud, families, np.ones(2), pd.Correspondence(), [MATERIAL], of, control, PUBLISHED)
     for s in (0.005, 0.0149, 0.0151, 0.016, 0.0175, 0.0199, 0.012, 0.017):
         u = np.array([[0.0], [s * length]])
         force = published(s) * 2.0 * V * 10.0 * np.log1p(s) / (1.0 + s) / length
@@ -389,7 +389,7 @@ def test_particles_of_the_present_stretch_keep_their_volume_and_are_not_torn():
     assert np.array_equal(model.operator.volume[kept], np.ones(np.count_nonzero(kept)))
     assert not model.break_bonds(strained(model, 0.1, -0.05))
     lost = np.bincount(model.families.centres, ~model.failure.intact) / np.bincount(model.families.centres)
-    assert np.allclose(model.lost_bonds(), lost, rtol=1e-14)
+    assert np.allclose(model.problem.damage.lost_bonds(), lost, rtol=1e-14)
 
 
 def test_bodies_of_bonds_do_not_heal():

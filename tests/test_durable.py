@@ -17,10 +17,9 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.build import make_cloud, make_model
+from pdpetsc.build import make_cloud, make_problem
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.loading import Loading
 from pdpetsc.output import checkpoint, folder
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
@@ -545,9 +544,8 @@ def saved(tmp_path_factory):
         shapes = {name: file[name].shape[1:] for name in ("u", "tangent", "bonds/keys", "bonds/states")}
     assert shapes == {"u": (2,), "tangent": (2,), "bonds/keys": (3,), "bonds/states": (2,)}
     cloud = make_cloud(world(), case)
-    model = make_model(case, cloud, find_families(cloud))
-    loading, order = Loading(model, case.conditions, case.particles), InCreationOrder(cloud)
-    return place / "checkpoint.h5", functools.partial(read_checkpoint, model, loading, order), declared_parts(case)
+    problem, order = make_problem(case, cloud, find_families(cloud)), InCreationOrder(cloud)
+    return place / "checkpoint.h5", functools.partial(read_checkpoint, problem, order), declared_parts(case)
 
 
 def changed(source, path, change):

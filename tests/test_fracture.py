@@ -213,17 +213,16 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
         """Norm of the internal forces where nothing is prescribed [force]."""
 
         def evaluate(self, solution):
-            f = solution.model.internal_force(solution.unknowns)[solution.select(free)]
+            f = solution.internal_force[solution.select(free)]
             return float(np.sqrt(solution.sum((f**2).sum())))
 
     class Overstretched(pd.Quantity):
         """Largest stretch of a bond that is not broken over the one at which it breaks [-]."""
 
         def evaluate(self, solution):
-            model = solution.model
-            e = model.elongation(model.with_ghosts(solution.unknowns))
-            over = e / model.failure.limit / model.failure.law.final
-            return solution.largest(float(over[model.failure.intact].max()))
+            damage = solution.problem.damage
+            over = damage.elongation(solution.state) / damage.bonds.limit / damage.bonds.law.final
+            return solution.largest(float(over[damage.bonds.intact].max()))
 
     case = strip(
         damage=pd.ExponentialSoftening(pd.ConstantCritical(0.02)),

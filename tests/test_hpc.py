@@ -110,11 +110,10 @@ import petsc4py
 petsc4py.init(["sizes", "-pd_jacobian", "matfree"])
 import numpy as np
 import pdpetsc as pd
-from pdpetsc.build import make_cloud, make_model, rehearse
+from pdpetsc.build import make_cloud, make_problem, rehearse
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.pieces import refuse_rigid_motion
-from pdpetsc.loading import Loading
 from pdpetsc.scene.solver import Newton
 from pdpetsc.solve.defaults import default_options
 from pdpetsc.solve.jacobian import assembler, choose
@@ -139,12 +138,11 @@ def look():
 tracemalloc.start()
 cloud = make_cloud(comm, scene); look()
 families = find_families(cloud); look()
-model = make_model(scene, cloud, families); look()
-loading = Loading(model, scene.conditions, scene.particles)
-refuse_rigid_motion(cloud, families, loading.fixed); look()
-choice = choose(model, {}, Newton())
-with options({}, default_options(model, Newton(), choice)):
-    solver = StaticSolver(model, loading, assembler(model, choice), lambda: False); look()
+problem = make_problem(scene, cloud, families); look()
+refuse_rigid_motion(cloud, families, problem.supports.fixed); look()
+choice = choose(problem, {}, Newton())
+with options({}, default_options(problem, Newton(), choice)):
+    solver = StaticSolver(problem, assembler(problem, choice), lambda: False); look()
     u, result = solver.solve(np.zeros((cloud.n_owned, 2)), 1.0); look()
     assert result.converged
     solver.destroy()

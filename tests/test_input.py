@@ -271,7 +271,7 @@ def test_nearest_is_nearest_on_any_rank_count(tmp_path):
 
 MARKED = """
 def marked(solution):
-    return np.full(len(solution.x), float(solution.sum(solution.loading.fixed[:, 0].sum())))
+    return np.full(len(solution.x), float(solution.sum(solution.problem.supports.fixed[:, 0].sum())))
 """
 
 

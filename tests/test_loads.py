@@ -229,7 +229,7 @@ def test_a_dead_load_stays_when_bonds_break_near_it(tmp_path):
 
     class Load(pd.Quantity):
         def evaluate(self, solution):
-            return float(solution.sum(solution.loading.forces(solution.t)[:, 0].sum()))
+            return float(solution.sum(solution.problem.external_force(solution.state)[:, 0].sum()))
 
     broken = {"load": Load(), "broken": pd.BrokenBonds()}
     with contextlib.suppress(pd.SolveError):

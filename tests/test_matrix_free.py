@@ -10,7 +10,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
-from pdpetsc.model import NearAssembler
+from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.solve.jacobian import choose
 from tests.commands import ROOT, results, run
 from tests.scenes import (
@@ -42,7 +42,7 @@ def test_nearest_neighbours_have_the_energy_of_the_body_in_every_uniform_deforma
         if any(name.replace("_", " ") in label.replace("_", " ") for name in NOT_AFFINE):
             continue
         u = displacement(model, rng)
-        K, near = dense_tangent(model, u), dense_tangent(model, u, NearAssembler(model))
+        K, near = dense_tangent(model, u), dense_tangent(model, u, NearAssembler(model.problem))
         assert np.abs(near - near.T).max() < 1e-12 * np.abs(near).max(), label
         du = affine(model, rng).ravel()
         assert du @ near @ du == pytest.approx(du @ K @ du, rel=1e-9), label
@@ -51,7 +51,9 @@ def test_nearest_neighbours_have_the_energy_of_the_body_in_every_uniform_deforma
 def test_nearest_neighbours_resist_everything_but_rigid_motion(rng):
     for dim in DIMS:
         for model in (body(dim, rng=rng), bond_body(dim, pd.BondBased(E=10.0), rng=rng)):
-            values = np.linalg.eigvalsh(dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model)))
+            values = np.linalg.eigvalsh(
+                dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model.problem))
+            )
             rigid = dim * (dim + 1) // 2
             assert np.abs(values[:rigid]).max() < 1e-10 * values[-1]
             assert values[rigid] > 1e-5 * values[-1]
@@ -61,7 +63,7 @@ def test_nearest_neighbours_resist_everything_but_rigid_motion(rng):
 @pytest.mark.parametrize("horizon", (1.015, 2.015, 3.015))
 def test_rows_of_nearest_neighbours_are_as_short_for_any_horizon(dim, horizon):
     model = body(dim, horizon=horizon)
-    assert np.diff(NearAssembler(model).pattern.owned.diag_ptr).max() <= BLOCKS[dim]
+    assert np.diff(NearAssembler(model.problem).pattern.owned.diag_ptr).max() <= BLOCKS[dim]
 
 
 def test_nearest_neighbours_are_those_of_bonds_that_hold(rng):
@@ -72,7 +74,7 @@ def test_nearest_neighbours_are_those_of_bonds_that_hold(rng):
         keys = model.failure.keys
         model.failure.integrity[(keys[:, 0] * 7 + keys[:, 1] * 13) % 10 < 3] = 0.0
         model.take_failure()
-        values = np.linalg.eigvalsh(dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model)))
+        values = np.linalg.eigvalsh(dense_tangent(model, np.zeros_like(model.cloud.x), NearAssembler(model.problem)))
         rigid = dim * (dim + 1) // 2
         assert np.abs(values[:rigid]).max() < 1e-10 * values[-1]
         assert values[rigid] > 1e-6 * values[-1]
@@ -107,15 +109,15 @@ def test_the_choice_follows_size_and_option():
     from pdpetsc.scene.solver import EventDriven, Newton
 
     model = body(2, horizon=3.015)
-    assert not choose(model, {}, Newton()).matrix_free
-    assert choose(model, {"pd_jacobian": "matfree"}, Newton()).matrix_free
-    assert choose(model, {"pc_type": "hypre"}, Newton()).matrix_free
+    assert not choose(model.problem, {}, Newton()).matrix_free
+    assert choose(model.problem, {"pd_jacobian": "matfree"}, Newton()).matrix_free
+    assert choose(model.problem, {"pc_type": "hypre"}, Newton()).matrix_free
     assert not choose(body(2, horizon=1.015), {"pc_type": "hypre"}, Newton()).matrix_free
-    assert not choose(model, {"pc_type": "hypre", "pd_jacobian": "assembled"}, Newton()).matrix_free
+    assert not choose(model.problem, {"pc_type": "hypre", "pd_jacobian": "assembled"}, Newton()).matrix_free
     with pytest.raises(pd.CaseError, match="assembled, matfree or auto"):
-        choose(model, {"pd_jacobian": "dense"}, Newton())
+        choose(model.problem, {"pd_jacobian": "dense"}, Newton())
     with pytest.raises(pd.CaseError, match="factors its matrix"):
-        choose(model, {"pd_jacobian": "matfree"}, EventDriven())
+        choose(model.problem, {"pd_jacobian": "matfree"}, EventDriven())
 
 
 def test_any_preconditioner_can_be_made_of_the_nearest_neighbours(tmp_path):
@@ -147,11 +149,10 @@ def test_forces_are_the_same_with_the_exchange_behind_the_work(tmp_path):
 BEHIND = """
 import numpy as np
 import pdpetsc as pd
-from tests.scenes import SCHEMES
+from tests.scenes import SCHEMES, small_points
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import is_root, largest, total, world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import CorrespondenceModel
 chunk = pd.Lattice((0.0, 0.0), (9.0, 7.0), 1.0).chunk(world().rank, world().size)
 cloud = distribute(world(), chunk.x, chunk.volume, chunk.sets, 2.015)
 families = find_families(cloud)
@@ -159,15 +160,15 @@ n = cloud.n_owned
 omega, material_of = np.ones(len(families.neighbours)), np.zeros(n, dtype=np.int32)
 material = [pd.Hencky(E=10.0, nu=0.3)]
 for name, scheme in SCHEMES.items():
-    model = CorrespondenceModel(cloud, families, omega, scheme, material, material_of, pd.Silling(0.5))
+    model = small_points(cloud, families, omega, scheme, material, material_of, pd.Silling(0.5))
     # The same numbers by global id on any rank count.
     du = np.sin(1.0 + 12.9898 * cloud.gid[:n, None] + 78.233 * np.arange(2))
     tangent = model.linearised(np.zeros_like(du))
     behind = np.array(tangent(du))
-    local = np.array(model.with_ghosts(du))
+    local = np.array(model.problem.body.with_ghosts(du))
     f = np.zeros_like(local)
     tangent.forces(local, f, model.families.everyone)
-    whole = np.array(model.gather(f))
+    whole = np.array(model.problem.body.gather(f))
     off = largest(world(), float(np.abs(behind - whole).max())) / largest(world(), float(np.abs(whole).max()))
     ghosts = int(total(world(), cloud.n_ghost))
     if is_root(world()):

@@ -326,9 +326,10 @@ def test_predicted_matrix_memory_is_what_is_measured(tmp_path):
 import petsc4py, numpy as np, resource, sys
 petsc4py.init()
 import pdpetsc as pd
-from pdpetsc.build import make_cloud, make_model
+from pdpetsc.build import make_cloud, make_problem
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
+from pdpetsc.problem.assembly import Assembler
 from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes
 
 def resident():
@@ -337,8 +338,7 @@ def resident():
 lattice = pd.Lattice((0.0, 0.0), (161.0, 161.0), 1.0)
 case = pd.Case(particles=lattice, horizon=3.015, material=pd.Hencky(E=1.0), scheme=pd.Correspondence(), conditions=[])
 cloud = make_cloud(world(), case)
-model = make_model(case, cloud, find_families(cloud))
-assembler = model.assembler()
+assembler = Assembler(make_problem(case, cloud, find_families(cloud)))
 before = resident()
 matrix = TangentMatrix(assembler, np.zeros((cloud.n_owned, 2), bool), 1.0)
 print(predicted_bytes(assembler.pattern, 2), resident() - before)

@@ -8,10 +8,12 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.loading import Loading
-from pdpetsc.model import CorrespondenceModel
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.region import View
 from pdpetsc.solution import Solution
+from pdpetsc.terms.conditions import apply
+from pdpetsc.terms.material_points import MaterialPoints
 
 region = pd.region
 
@@ -28,16 +30,16 @@ def whole(particles, parts=3):
 
 
 def loaded(conditions, n=6, spacing=0.5, thickness=2.0, horizon=2.015, material=None):
-    """Return the loading of a square of n x n particles and its model."""
+    """Return supports and loads of a square of n x n particles and its problem."""
     lattice = pd.Lattice((0.0, 0.0), (n * spacing, n * spacing), spacing, thickness=thickness)
     chunk = lattice.chunk(0, 1)
     cloud = distribute(world(), chunk.x, chunk.volume, chunk.sets, horizon * spacing)
     families = find_families(cloud)
-    model = CorrespondenceModel(
-        cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [material or pd.Hencky(10.0, 0.3)],
-        np.zeros(cloud.n_owned, dtype=np.int32), None,
-    )  # fmt: skip
-    return Loading(model, conditions, lattice), model
+    square = Body(cloud, families)
+    materials, material_of = [material or pd.Hencky(10.0, 0.3)], np.zeros(cloud.n_owned, dtype=np.int32)
+    matter = MaterialPoints(square, np.ones(len(families.neighbours)), pd.Correspondence(), materials, material_of)
+    supports, loads = apply(square, matter, conditions, lattice)
+    return supports, loads, Problem(square, matter, [loads], supports)
 
 
 # --- particles
@@ -220,33 +222,32 @@ def test_loads_add_up_to_what_was_declared():
         "pressure": (pd.Pressure(right, 5.0, normal=(2.0, 0.0)), [-30.0, 0.0]),
     }  # fmt: skip
     for name, (condition, total) in totals.items():
-        loading, _ = loaded([condition], horizon=1.015)
-        assert np.allclose(loading.forces(1.0).sum(axis=0), total, atol=1e-12), name
-        assert np.allclose(loading.forces(0.25).sum(axis=0), np.array(total) / 4.0, atol=1e-12), name
+        _, loads, _ = loaded([condition], horizon=1.015)
+        assert np.allclose(loads.forces(1.0).sum(axis=0), total, atol=1e-12), name
+        assert np.allclose(loads.forces(0.25).sum(axis=0), np.array(total) / 4.0, atol=1e-12), name
 
 
 def test_displacements_follow_numbers_schedules_and_functions():
     left, right = region.Slab("x", high=0.5), region.Slab("x", low=2.5)
-    loading, model = loaded(
+    supports, _, problem = loaded(
         [
             pd.Displacement(left, x=2.0, schedule=pd.Table([0.0, 1.0], [1.0, 3.0])),
             pd.Displacement(left, y=1.0),
             pd.Displacement(right, x=lambda x, t: t * x[:, 1]),
         ]
     )
-    u = loading.prescribed(0.5)
-    x = model.cloud.x
+    u = supports.prescribed(0.5)
+    x = problem.body.cloud.x
     assert np.allclose(u[x[:, 0] < 0.5], [4.0, 0.5])
     assert np.allclose(u[x[:, 0] > 2.5, 0], 0.5 * x[x[:, 0] > 2.5, 1])
-    assert loading.fixed.sum() == 6 * 3
+    assert supports.fixed.sum() == 6 * 3
 
 
 def test_quantities_of_interest():
-    loading, model = loaded(
-        [pd.Displacement(region.Slab("x", high=0.5), x=0.0, y=0.0)], material=pd.LinearElastic(E=10.0)
-    )
-    u = 0.01 * model.cloud.x * [1.0, 0.0]
-    solution = Solution(model, loading, u, 1.0, 1)
+    *_, problem = loaded([pd.Displacement(region.Slab("x", high=0.5), x=0.0, y=0.0)], material=pd.LinearElastic(E=10.0))
+    x = problem.body.cloud.x
+    u = 0.01 * x * [1.0, 0.0]
+    solution = Solution(problem, u, 1.0, 1)
     assert pd.Mean(pd.displacement, "x").evaluate(solution) == pytest.approx(0.015)
     assert pd.At((2.75, 0.25), pd.displacement, "x").evaluate(solution) == pytest.approx(0.0275)
     assert pd.Mean(pd.stress, "xx").evaluate(solution) == pytest.approx(0.1)
@@ -255,7 +256,7 @@ def test_quantities_of_interest():
         0.5
     )
     assert pd.LargestError(pd.displacement, lambda x, t: 0.0 * x).evaluate(solution) == pytest.approx(0.0275)
-    f = model.internal_force(u)
-    assert pd.Reaction("x").evaluate(solution) == pytest.approx(f[model.cloud.x[:, 0] < 0.5, 0].sum())
+    f = problem.internal_force(problem.state(u))
+    assert pd.Reaction("x").evaluate(solution) == pytest.approx(f[x[:, 0] < 0.5, 0].sum())
     with pytest.raises(pd.CaseError, match="no component 'z'"):
         pd.Mean(pd.displacement, "z").evaluate(solution)

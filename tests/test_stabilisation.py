@@ -9,9 +9,8 @@ import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.model import CorrespondenceModel
 from tests import reference
-from tests.scenes import DIMS, NOT_AFFINE, STABILISATIONS, body, dense_tangent, displacement
+from tests.scenes import DIMS, NOT_AFFINE, STABILISATIONS, body, dense_tangent, displacement, small_points
 
 CONTROLS = {name: control for name, control in STABILISATIONS.items() if control is not None}
 
@@ -76,7 +75,7 @@ def checkerboard_work(side, horizon, low, high, methods):
     inner = np.all((x > low) & (x < high), axis=1)
     work = []
     for scheme, control in methods:
-        model = CorrespondenceModel(cloud, families, omega, scheme, [pd.LinearElastic(1.0)], material_of, control)
+        model = small_points(cloud, families, omega, scheme, [pd.LinearElastic(1.0)], material_of, control)
         work.append(np.vdot(model.internal_force(u)[inner], u[inner]) / np.vdot(u[inner], u[inner]))
     return work
 
@@ -110,7 +109,7 @@ def test_controls_are_unit_free(control):
         x = length * np.array(list(itertools.product(range(5), repeat=2)), dtype=float)
         cloud = distribute(world(), x, np.full(len(x), length**2), {}, 2.015 * length)
         families = find_families(cloud)
-        model = CorrespondenceModel(
+        model = small_points(
             cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [pd.Hencky(E=10.0 * pressure)],
             np.zeros(len(x), dtype=np.int32), control,
         )  # fmt: skip
@@ -154,7 +153,7 @@ def test_micromodulus_control_is_the_same_in_all_units_and_has_no_meaning_in_1d(
         x = length * np.array(list(itertools.product(range(5), repeat=2)), dtype=float)
         cloud = distribute(world(), x, np.full(len(x), length**2), {}, 2.015 * length)
         families = find_families(cloud)
-        model = CorrespondenceModel(
+        model = small_points(
             cloud, families, np.ones(len(families.neighbours)), pd.Correspondence(), [pd.Hencky(E=10.0 * pressure)],
             np.zeros(len(x), dtype=np.int32), pd.SillingMicromodulus(0.5, 3.0 * length),
         )  # fmt: skip
@@ -182,9 +181,7 @@ def test_micromodulus_control_is_silling_inside_a_lattice(dim, influence):
     forces = []
     for control in (printed, pd.Silling(printed.unit_free(spacing, horizon, dim, influence))):
         material_of = np.zeros(len(x), dtype=np.int32)
-        model = CorrespondenceModel(
-            cloud, families, omega, pd.Correspondence(), [pd.Hencky(E=10.0)], material_of, control
-        )
+        model = small_points(cloud, families, omega, pd.Correspondence(), [pd.Hencky(E=10.0)], material_of, control)
         forces.append(control_force(model, u)[0])
     assert np.abs(forces[0]).max() > 1e-3
     assert np.allclose(forces[0], forces[1], rtol=1e-12, atol=1e-14)

@@ -121,10 +121,12 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
                         dataset = _dataset(file, "tangent", (cloud.n_global, cloud.dim), np.float64)
                         for rows, part in tangent:
                             dataset[rows] = part
+                    # What other ranks send arrives in this order, of bonds that there are none too.
                     for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
                         if problem.damage is not None:
                             dataset = _dataset(file, f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
-                            for rows, part in of_ranks:
+                        for rows, part in of_ranks:
+                            if problem.damage is not None:
                                 dataset[rows] = part
                     for name, of_particles in of_terms.items():
                         shape = cloud.n_global, tables[name].shape[1]

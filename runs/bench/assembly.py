@@ -14,9 +14,11 @@ import petsc4py
 petsc4py.init(["bench"])
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.build import make_cloud, make_model  # noqa: E402
+from pdpetsc.build import make_cloud, make_problem  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
+from pdpetsc.problem.assembly import Assembler  # noqa: E402
+from pdpetsc.problem.state import State  # noqa: E402
 from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes  # noqa: E402
 
 REPEATS = 5
@@ -40,14 +42,14 @@ def main(n=201, horizon=3.015, scheme="correspondence"):
     for repeat in range(REPEATS + 1):
         t_cloud, cloud = timed(comm, lambda: make_cloud(comm, case))
         t_families, families = timed(comm, lambda: find_families(cloud))
-        t_model, model = timed(comm, lambda: make_model(case, cloud, families))
-        t_pattern, assembler = timed(comm, lambda: model.assembler())
+        t_model, problem = timed(comm, lambda: make_problem(case, cloud, families))
+        t_pattern, assembler = timed(comm, lambda: Assembler(problem))
         u = 1e-3 * np.sin(cloud.x[: cloud.n_owned])
-        t_residual = timed(comm, lambda: model.internal_force(u))[0]
-        t_residual = timed(comm, lambda: model.internal_force(u))[0]
+        timed(comm, lambda: problem.internal_force(State(problem.body, u)))
+        t_residual = timed(comm, lambda: problem.internal_force(State(problem.body, u)))[0]
         matrix = TangentMatrix(assembler, np.zeros((cloud.n_owned, 2), dtype=bool), 1.0)
-        timed(comm, lambda: matrix.update(u))
-        t_tangent = timed(comm, lambda: matrix.update(u))[0]
+        timed(comm, lambda: matrix.update(State(problem.body, u)))
+        t_tangent = timed(comm, lambda: matrix.update(State(problem.body, u)))[0]
         matrix.destroy()
         if repeat:
             for name, value in zip(

@@ -21,10 +21,10 @@ words = study.start("localisation")
 import numpy as np  # noqa: E402
 from periodic_cell import case  # noqa: E402
 
-from pdpetsc.build import make_cloud, make_model  # noqa: E402
+from pdpetsc.build import make_cloud, make_problem  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
-from pdpetsc.loading import Loading  # noqa: E402
+from pdpetsc.problem.assembly import Assembler  # noqa: E402
 from pdpetsc.scene.solver import EventDriven  # noqa: E402
 from pdpetsc.solve.defaults import default_options  # noqa: E402
 from pdpetsc.solve.events import EventSolver  # noqa: E402
@@ -38,11 +38,10 @@ FACTORISATIONS = 30
 def measure(scene, updates):
     """Return seconds of each event and the number of factorisations."""
     cloud = make_cloud(world(), scene)
-    model = make_model(scene, cloud, find_families(cloud))
-    loading = Loading(model, scene.conditions, scene.particles)
-    choice = choose(model, {}, EventDriven())
-    with options({}, default_options(model, EventDriven(), choice)):
-        solver = EventSolver(model, loading, model.assembler(), EventDriven(updates), lambda: False)
+    problem = make_problem(scene, cloud, find_families(cloud))
+    choice = choose(problem, {}, EventDriven())
+    with options({}, default_options(problem, EventDriven(), choice)):
+        solver = EventSolver(problem, Assembler(problem), EventDriven(updates), lambda: False)
         spent, before = [], time.perf_counter()
         for _, _ in zip(range(EVENTS), solver.march(), strict=False):
             now = time.perf_counter()
@@ -51,7 +50,7 @@ def measure(scene, updates):
         described = solver.description()
         anew = []
         for _ in range(FACTORISATIONS):
-            model.version += 1
+            problem.damage.version += 1
             before = time.perf_counter()
             solver.solver.factor()
             anew.append(time.perf_counter() - before)

@@ -22,15 +22,14 @@ import numpy as np  # noqa: E402
 from box import case  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
-from pdpetsc.build import make_cloud, make_model, rehearse  # noqa: E402
+from pdpetsc.build import make_cloud, make_problem, rehearse  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
-from pdpetsc.loading import Loading  # noqa: E402
+from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
 from pdpetsc.scene.solver import Newton  # noqa: E402
 from pdpetsc.solve.defaults import default_options  # noqa: E402
 from pdpetsc.solve.jacobian import assembler, choose, make_tangent  # noqa: E402
 from pdpetsc.solve.petsc import linear_solver, options  # noqa: E402
-from pdpetsc.solve.scales import stiffness_scale  # noqa: E402
 
 RTOL = 1e-8
 APPLIED = 5
@@ -51,12 +50,12 @@ class Clock:
         self.spent[name] = largest(world(), time.perf_counter() - before)
 
 
-def failed_bonds(model, share):
+def failed_bonds(damage, share):
     """Break a share of the bonds, the same from both ends and on any ranks."""
-    keys = model.failure.keys
+    keys = damage.bonds.keys
     number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
-    model.failure.integrity[number % 1000 < 1000 * share] = 0.0
-    model.take_failure()
+    damage.bonds.integrity[number % 1000 < 1000 * share] = 0.0
+    damage.restored()
 
 
 def solve(scene, jacobian, broken=0.0, around=nullcontext):
@@ -67,26 +66,26 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     with clock("search"):
         families = find_families(cloud)
     with clock("model"):
-        model = make_model(scene, cloud, families)
+        problem = make_problem(scene, cloud, families)
         if broken:
-            failed_bonds(model, broken)
-    loading = Loading(model, scene.conditions, scene.particles)
+            failed_bonds(problem.damage, broken)
+    supports = problem.supports
     chosen = {"pd_jacobian": jacobian}
-    choice = choose(model, chosen, Newton())
-    with options(chosen, default_options(model, Newton(), choice)):
+    choice = choose(problem, chosen, Newton())
+    with options(chosen, default_options(problem, Newton(), choice)):
         with clock("pattern"):
-            filled = assembler(model, choice)
+            filled = assembler(problem, choice)
         with clock("allocation"):
-            tangent = make_tangent(filled, loading.fixed, stiffness_scale(model))
-        u = np.zeros((cloud.n_rows, cloud.dim))
+            tangent = make_tangent(filled, supports.fixed, stiffness_scale(problem.body, problem.matter))
+        state = problem.state(np.zeros((cloud.n_rows, cloud.dim)))
         with clock("assembly"):
-            tangent.update(u)
+            tangent.update(state)
         ksp = PETSc.KSP().create(comm=comm)
         ksp.setOperators(tangent.mat, tangent.preconditioner)
         ksp.setFromOptions()
         ksp.setTolerances(rtol=RTOL)
         b, x = tangent.preconditioner.createVecRight(), tangent.preconditioner.createVecLeft()
-        b.array = np.where(loading.fixed, 0.0, -model.tangent_times(u, loading.prescribed(1.0))).ravel()
+        b.array = np.where(supports.fixed, 0.0, -problem.linearised(state)(supports.prescribed(1.0))).ravel()
         with clock("preconditioner"):
             ksp.setUp()
         with clock("iterations"), around():

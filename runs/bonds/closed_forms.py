@@ -50,29 +50,33 @@ def patch(dim, plane, m, influence, calibration="continuum"):
 
 def errors(dim, plane, m, influence):
     """Return the relative errors of dilation energy, quadratic force and crack energy at the middle."""
-    model = patch(dim, plane, m, influence)
-    middle = int(np.argmin((model.cloud.x**2).sum(axis=1)))
-    lam, mu = model._elastic[0].lame(dim)
-    energy = model.energy_density(model.cloud.x)[middle] / (0.5 * model.kappa * dim**2) - 1.0
-    u = np.zeros_like(model.cloud.x)
-    u[:, 0] = 0.5 * model.cloud.x[:, 0] ** 2
-    force = -model.internal_force(u)[middle, 0] / model.cloud.volume[middle] / (lam + 2.0 * mu) - 1.0
+    problem = patch(dim, plane, m, influence)
+    matter, cloud = problem.matter, problem.body.cloud
+    middle = int(np.argmin((cloud.x**2).sum(axis=1)))
+    lam, mu = pd.BondBased(E=E, plane=plane).elastic(dim).lame(dim)
+    energy = matter.energy_density(problem.state(cloud.x))[middle] / (0.5 * matter.kappa * dim**2) - 1.0
+    u = np.zeros_like(cloud.x)
+    u[:, 0] = 0.5 * cloud.x[:, 0] ** 2
+    force = -problem.internal_force(problem.state(u))[middle, 0] / cloud.volume[middle] / (lam + 2.0 * mu) - 1.0
     calibrated = patch(dim, plane, m, influence, "lattice")
     exact = crack_energy(dim, plane, influence)
-    return energy, force, cut_energy(model, middle) / exact - 1.0, cut_energy(calibrated, middle) / exact - 1.0
+    return energy, force, cut_energy(problem, middle) / exact - 1.0, cut_energy(calibrated, middle) / exact - 1.0
 
 
-def cut_energy(model, middle):
+def cut_energy(problem, middle):
     """Return the energy per area, at unit stretch, of the bonds across a plane between two layers of particles.
 
     A bond that advances by a layers is cut by a planes: every particle's family gives its bonds times their layers.
     """
-    family = slice(model.families.indptr[middle], model.families.indptr[middle + 1])
-    xi = (model.cloud.x[model.families.neighbours] - model.cloud.x[model.families.centres])[family]
-    spacing = model.cloud.volume[middle] ** (1.0 / model.dim)
-    each = 2.0 * 0.5 * model.k[family] * (xi**2).sum(axis=1)  # both directions of a bond, elongated by its length
+    families, cloud, dim = problem.body.families, problem.body.cloud, problem.dim
+    family = slice(families.indptr[middle], families.indptr[middle + 1])
+    xi = families.bonds(cloud.x)[family]
+    spacing = cloud.volume[middle] ** (1.0 / dim)
+    each = (
+        2.0 * 0.5 * problem.matter.k[family] * (xi**2).sum(axis=1)
+    )  # both directions of a bond, elongated by its length
     ahead = xi[:, 0] > 0.25 * spacing
-    return float((each * xi[:, 0] / spacing)[ahead].sum() / spacing ** (model.dim - 1))
+    return float((each * xi[:, 0] / spacing)[ahead].sum() / spacing ** (dim - 1))
 
 
 def crack_energy(dim, plane, influence):

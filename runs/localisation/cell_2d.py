@@ -20,7 +20,7 @@ class BrokenShare(pd.Quantity):
     """Share of the bonds that are broken."""
 
     def evaluate(self, solution):
-        integrity = solution.model.failure.integrity
+        integrity = solution.problem.damage.bonds.integrity
         broken, every = solution.sum([float((integrity == 0.0).sum()), float(len(integrity))])
         return broken / every
 

@@ -49,7 +49,7 @@ class SectionDamage(pd.Quantity):
     n: int
 
     def evaluate(self, solution):
-        broken, crossing = section_counts(solution.model, self.n)
+        broken, crossing = section_counts(solution.problem, self.n)
         both = solution.sum(np.array([broken, crossing]))
         return float((both[0] / both[1]).max())
 
@@ -62,7 +62,7 @@ class Gaps(pd.Quantity):
     sign: float
 
     def evaluate(self, solution):
-        x, u = solution.model.cloud.x[: len(solution.u), 0], np.zeros(self.n)
+        x, u = solution.cloud.x[: len(solution.u), 0], np.zeros(self.n)
         u[np.rint(x * self.n / LENGTH - 0.5).astype(int)] = solution.u[:, 0]
         u = solution.sum(u)
         elongation = solution.cell_strain[0, 0] * LENGTH
@@ -76,12 +76,12 @@ class BrokenLinks(pd.Quantity):
 
     def evaluate(self, solution):
         # Each is in the family of both of its ends.
-        return float(solution.sum(np.count_nonzero(solution.model.failure.integrity == 0.0)) // 2)
+        return float(solution.sum(np.count_nonzero(solution.problem.damage.bonds.integrity == 0.0)) // 2)
 
 
-def section_counts(model, n):
+def section_counts(problem, n):
     """Return how many broken bonds and how many bonds of this rank cross each of the n sections, each bond once."""
-    failure, cloud, families = model.failure, model.cloud, model.families
+    failure, cloud, families = problem.damage.bonds, problem.body.cloud, problem.body.families
     # Of the two directions of a bond, the one from the end that is named first and at home.
     once = (cloud.gid[families.centres] == failure.keys[:, 0]) & (
         (cloud.gid[families.neighbours] != failure.keys[:, 0]) | (failure.keys[:, 2] > 0)

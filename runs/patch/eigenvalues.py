@@ -29,8 +29,8 @@ def spectrum(dim, horizon, scheme, control):
         stabilisation=control,
         conditions=[],
     )
-    model = study.build(case)
-    return np.linalg.eigvalsh(study.dense_tangent(model, np.zeros_like(model.cloud.x)))
+    problem = study.build(case)
+    return np.linalg.eigvalsh(study.dense_tangent(problem, np.zeros_like(problem.body.cloud.x)))
 
 
 def main():

@@ -26,7 +26,7 @@ class Roughness(pd.Quantity):
     def evaluate(self, solution):
         on_axis = np.abs(solution.x[:, 1]) < 0.1 * self.spacing
         stress = pd.stress(solution)[on_axis, 1, 1]
-        parts = solution.model.cloud.comm.allgather((solution.x[on_axis, 0], stress))
+        parts = solution.cloud.comm.allgather((solution.x[on_axis, 0], stress))
         x, stress = (np.concatenate(column) for column in zip(*parts, strict=True))
         stress = stress[np.argsort(x)]
         size = np.abs(stress).max()

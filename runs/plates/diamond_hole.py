@@ -36,9 +36,7 @@ def case(nx=160, horizon=1.1, scheme="correspondence", control="none"):
     region = pd.region
     half = np.array([LENGTH / 2, WIDTH / 2])
     line = plate.Line("diamond_hole", 0, {1: 0.0}, dx, low=0.0)
-    away = dataclasses.replace(
-        line, low=HALF_DIAGONAL + AWAY - 0.1 * dx, high=LENGTH / 2 - (plate.ENDS - 0.5) * dx
-    )
+    away = dataclasses.replace(line, low=HALF_DIAGONAL + AWAY - 0.1 * dx, high=LENGTH / 2 - (plate.ENDS - 0.5) * dx)
     return pd.Case(
         particles=pd.Lattice(-half - 0.5 * dx, half + 0.5 * dx, dx, cut=region.Where(in_hole)),
         horizon=horizon * np.sqrt(2.0) * dx,

@@ -261,9 +261,7 @@ def chowdhury_8(folder):
         whole = plate.Whole(plate.displacement_x)
         solve(folder, case, whole=whole)
         x, u = whole.x, whole.v / diamond_hole.PULL
-        corners = np.minimum(
-            *(np.abs(np.abs(x) - tip).max(axis=1) for tip in diamond_hole.HALF_DIAGONAL * np.eye(2))
-        )
+        corners = np.minimum(*(np.abs(np.abs(x) - tip).max(axis=1) for tip in diamond_hole.HALF_DIAGONAL * np.eye(2)))
         waves = plate.sawtooth(x, u, dx)[corners > (plate.ENDS + 0.5) * dx]
         numbers[f"chowdhury_8_sawtooth_{key}"] = spread(waves)[0]
         numbers[f"chowdhury_8_largest_u_{key}"] = float(np.abs(u).max())

@@ -55,7 +55,7 @@ class Line:
         on_line = (x[:, self.axis] > self.low) & (x[:, self.axis] < self.high)
         for axis, place in self.at.items():
             on_line &= np.abs(x[:, axis] - place) < 0.1 * self.spacing
-        parts = solution.model.cloud.comm.allgather((x[on_line, self.axis], field(solution)[on_line]))
+        parts = solution.cloud.comm.allgather((x[on_line, self.axis], field(solution)[on_line]))
         s, v = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.argsort(s)
         return s[order], v[order]
@@ -124,7 +124,7 @@ class Whole(pd.Quantity):
         self.x, self.v = np.zeros((0, 1)), np.zeros(0)
 
     def evaluate(self, solution):
-        parts = solution.model.cloud.comm.allgather((solution.x, self.field(solution)))
+        parts = solution.cloud.comm.allgather((solution.x, self.field(solution)))
         self.x, self.v = (np.concatenate(column) for column in zip(*parts, strict=True))
         return float(len(self.x))
 

@@ -59,9 +59,10 @@ def methods(n, horizon):
 
 def condition(case):
     """Return the condition number of the stiffness matrix without the ends."""
-    model = study.build(case)
-    K = study.dense_tangent(model, np.zeros_like(model.cloud.x))
-    x = model.cloud.x[:, 0]
+    problem = study.build(case)
+    x = problem.body.cloud.x
+    K = study.dense_tangent(problem, np.zeros_like(x))
+    x = x[:, 0]
     free = (x > x.min()) & (x < x.max())
     values = np.abs(np.linalg.eigvalsh(K[np.ix_(free, free)]))
     return values.max() / values.min()
@@ -158,9 +159,9 @@ def chowdhury_1(folder):
             scheme=scheme,
             conditions=[],
         )
-        model = study.build(case)
-        x = model.cloud.x
-        F = 1.0 + model.operator.gradient(amplitude * np.sin(2.0 * np.pi * x / length))[:, 0, 0]
+        problem = study.build(case)
+        x = problem.body.cloud.x
+        F = 1.0 + problem.matter.operator.gradient(amplitude * np.sin(2.0 * np.pi * x / length))[:, 0, 0]
         middle = (x[:, 0] > length) & (x[:, 0] < 2.0 * length)
         found[name] = (x[middle, 0] - length, F[middle])
     s = found["plain"][0]

@@ -62,8 +62,8 @@ class Sawtooth(pd.Quantity):
     high: float
 
     def evaluate(self, solution):
-        x = solution.model.cloud.x
-        error = (solution.model.with_ghosts(solution.u) - solution.t * self.bar.exact(x, 1.0))[:, 0]
+        x = solution.cloud.x
+        error = (solution.state.u_local - solution.t * self.bar.exact(x, 1.0))[:, 0]
         order = np.argsort(x[:, 0])
         second = np.diff(error[order], 2)
         middle = order[1:-1]

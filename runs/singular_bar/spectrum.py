@@ -44,13 +44,13 @@ def energies(n, parameters, k=None):
         conditions=[],
         **parameters,
     )
-    model = study.build(case)
+    problem = study.build(case)
     k = np.linspace(0.0, np.pi * n, WAVES + 1)[1:] if k is None else k
-    x = model.cloud.x[: model.cloud.n_owned]
+    x = problem.body.cloud.x[: problem.body.cloud.n_owned]
     found = []
     for wave in k:
         u = np.sin(wave * x)
-        found.append(float(np.vdot(u, model.internal_force(u))))
+        found.append(float(np.vdot(u, problem.internal_force(problem.state(u)))))
     return k, np.array(found)
 
 

@@ -356,7 +356,7 @@ def figure_27(folder):
             one.set_aspect("equal")
         if is_root(world()):
             save(figure, folder, "fig_27" if G else "fig_27_without_control")
-    for G in (0.03, 0.04, 0.05):
+    for G in (0.0, 0.01, 0.02, 0.03, 0.04, 0.05):
         case = deep(horizon=2.015, G_printed=G, pinned="particle")
         done = study.run(folder, dataclasses.replace(case, options=FULL_STEPS, steps=pd.Steps(10, smallest=0.1)))
         numbers[f"fig_27_G_{G:g}_full_steps_converge"] = float(done is not None)

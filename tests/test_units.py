@@ -17,6 +17,7 @@ from .units import in_units
 CASES = {
     "clamped": ("beams/clamped.py", "steps=3"),
     "supported": ("beams/simply_supported.py", "steps=3"),
+    "supported, coefficient as printed": ("beams/simply_supported.py", "steps=3", "horizon=2.015", "G_printed=0.02"),
     "cantilever": ("beams/cantilever.py", "ny=3", "steps=4"),
     "cantilever, no matrix": ("beams/cantilever.py", "ny=3", "steps=4", "-pd_jacobian=matfree", "-pc_type=gamg"),
     "cantilever, own Cholesky": ("beams/cantilever.py", "ny=3", "steps=4", "-pc_factor_mat_solver_type=petsc"),

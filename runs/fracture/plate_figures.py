@@ -3,8 +3,8 @@
     python runs/fracture/plate_figures.py [folder] [7 28 29 30 31 32 33 34 deviations ...]
 
 leaves ``fig_7.png``, ... and ``numbers.json`` in the folder (default ``out/plate``). Unless told otherwise all figures
-are drawn, by one process, in about three minutes; ``deviations`` runs the plate with each difference between the published scheme and
-the default of pdpetsc alone, and takes two more.
+are drawn, by one process, in about three minutes; ``deviations`` runs the plate with each difference between the
+published scheme and the default of pdpetsc alone, and takes another.
 
 The end displacement in the text, 1 x 10^4 mm, is a misprint: here each end moves by 0.1 mm (1 x 10^-4 m), with which
 damage starts at the hole and crosses both ligaments. G is that of Eq. (38) with the metre as unit of length, which the
@@ -47,7 +47,7 @@ DAMAGED = 0.1
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Positions (n, 2), last displacement (n, 2), local damage of every step and broken share; force of every step."""
+    """Positions and last displacement (n, 2), local damage of every step, broken share at the end, force per step."""
 
     x: np.ndarray
     u: np.ndarray
@@ -55,6 +55,7 @@ class Found:
     lost: np.ndarray
     force: list
     broken: int
+    iterations: int
     note: str = ""
 
     @property
@@ -94,7 +95,7 @@ def by_newton(nx, G, steps=STEPS, **changes):
             model.failure.commit()
         solver.destroy()
     found = Found(
-        model.cloud.x[: model.cloud.n_owned], u, damage, model.lost_bonds(), force, model.broken_bonds(), note
+        model.cloud.x[: model.cloud.n_owned], u, damage, model.lost_bonds(), force, model.broken_bonds(), most, note
     )
     print(f"{nx} x {nx // 3}, G = {G:g}: Newton alone, {note or f'at most {most} iterations a step'}", flush=True)
     return found
@@ -116,6 +117,8 @@ def ran(case):
         history={"force": case.history["force"], "broken": pd.BrokenBonds()},
     )
     pd.run(case, output=scratch, quiet=True)
+    summary = json.loads((scratch / "summary.json").read_text())
+    iterations = [step["newton_iterations"] for step in summary["steps"]]
     table = np.atleast_1d(np.genfromtxt(scratch / "history.csv", delimiter=",", names=True))
     table = table[table["t"] > 0.0]
     with h5py.File(scratch / "fields.h5") as file:
@@ -123,7 +126,7 @@ def ran(case):
         steps = steps[-len(table) :]
         x, u = file["particles/position"][:, :2], steps[-1]["displacement"][:, :2]
         damage, lost = [step["local_damage"][:] for step in steps], steps[-1]["lost_bonds"][:]
-    return Found(x, u, damage, lost, table["force"].tolist(), int(table["broken"][-1]))
+    return Found(x, u, damage, lost, table["force"].tolist(), int(table["broken"][-1]), max(iterations))
 
 
 def elastic(nx, G):
@@ -160,7 +163,7 @@ def crack(found):
     ligaments = rows[np.abs(rows - 0.5 * WIDTH) > RADIUS]
     across = [all(damage[np.abs(x[:, 1] - y) < 0.1 * dx].max() > DAMAGED for y in ligaments) for damage in found.damage]
     last = found.damage[-1]
-    band = x[(last > DAMAGED) & inside, 0]
+    band, broken = (x[which & inside, 0] for which in (last > DAMAGED, found.lost > 0.0))
     place = {tuple(key): n for n, key in enumerate(np.rint(x / (0.5 * dx)).astype(int).tolist())}
     whole = [round(2.0 * LENGTH / dx), round(2.0 * WIDTH / dx)]
     mirrored = [[place[whole[0] - a, b], place[a, whole[1] - b]] for a, b in place]
@@ -170,10 +173,12 @@ def crack(found):
         "start_from_axis": float(np.abs(x[worst, 0] - 0.5 * LENGTH).max()),
         "crossed": (across.index(True) + 1) / len(found.damage) if any(across) else math.nan,
         "band": float(np.ptp(band) + dx) if len(band) else 0.0,
+        "broken_band": float(np.ptp(broken) + dx) if len(broken) else 0.0,
         "largest_damage": float(last.max()),
         "largest_lost": float(found.lost.max()),
         "asymmetry": float(np.abs(last[:, None] - last[np.array(mirrored)]).max()),
         "broken": float(found.broken),
+        "iterations": float(found.iterations),
         "peak": max(found.force),
         "left": abs(found.force[-1]) / max(found.force),
     }
@@ -270,7 +275,8 @@ def figure_31():
         "silling": "default scheme, pd.Silling(0.5)",
     }
     drawn = {titles[name]: (found[name].x, found[name].damage[-1]) for name in titles}
-    panels("fig_31", f"Damage, 30 x 10, ends moved by {PULL} mm", drawn, "lost share of the bonds' force")
+    drawn |= {"published scheme, broken bonds alone: Eq. (46)": (found["published"].x, found["published"].lost)}
+    panels("fig_31", f"Damage, 30 x 10, ends moved by {PULL} mm", drawn, "lost share of the bonds")
     numbers = {f"{name}_{key}": value for name, one in found.items() for key, value in crack(one).items()}
     both = found["published"], found["load_steps"]
     numbers["force_of_load_steps_over_newton"] = both[1].force[-1] / both[0].force[-1]
@@ -304,7 +310,7 @@ def figure_33():
     panels("fig_33", f"Failure allowed, 150 x 50, G = 0.001, ends moved by {PULL} mm", drawn, "u_x", " [mm]")
     numbers = {}
     for name, one in found.items():
-        # The largest jump between neighbours in a row of the ligament: what the crack has opened by.
+        # The largest jump between neighbours in the outermost row over that of the ends: how far it is open there.
         dx = LENGTH / 150
         row = np.flatnonzero((np.abs(one.x[:, 1] - (WIDTH - 0.5 * dx)) < 0.1 * dx) & one.inside)
         row = row[np.argsort(one.x[row, 0])]
@@ -316,7 +322,8 @@ def figure_34():
     """Damage, 150 x 50, G = 0.001: both schemes."""
     found = {"published": by_newton(150, 0.001), "default": by_load_steps(150, 0.001)}
     drawn = {f"{name} scheme": (one.x, one.damage[-1]) for name, one in found.items()}
-    panels("fig_34", f"Damage, 150 x 50, G = 0.001, ends moved by {PULL} mm", drawn, "lost share of the bonds' force")
+    drawn |= {f"{name} scheme, broken bonds alone: Eq. (46)": (one.x, one.lost) for name, one in found.items()}
+    panels("fig_34", f"Damage, 150 x 50, G = 0.001, ends moved by {PULL} mm", drawn, "lost share of the bonds")
     return {f"{name}_{key}": value for name, one in found.items() for key, value in crack(one).items()}
 
 

@@ -257,7 +257,9 @@ def figure_29():
 
 
 def figure_30():
-    return elastic_figure("fig_30", 30, 0.01)
+    # Of the powers of the root of ten 3e-5 comes closest to finite elements, 3e-6 with 150 x 50 particles.
+    best = {f"best_{key}": value for key, value in elastic(30, 3e-5)[2].items()}
+    return elastic_figure("fig_30", 30, 0.01) | best
 
 
 def figure_31():
@@ -291,7 +293,7 @@ def figure_31():
 def figure_32():
     """u_x next to both axes, 150 x 50, no failure."""
     along, across, numbers = {}, {}, {}
-    for G in (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
+    for G in (0.0, 1e-7, 1e-6, 3e-6, 1e-5, 1e-4, 1e-3):
         _, lines, these = elastic(150, G)
         along[f"G = {G:g}"], across[f"G = {G:g}"] = lines["along"], lines["across"]
         numbers |= {f"{key}_{G:g}": value for key, value in these.items()}

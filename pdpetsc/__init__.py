@@ -13,12 +13,23 @@ from pdpetsc.damage import (
     CriticalFunction,
     ExponentialSoftening,
     FractureEnergy,
+    LargestStretch,
     LinearCritical,
     LinearSoftening,
+    PresentStretch,
     SmoothDegradation,
 )
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
-from pdpetsc.gradient import SCHEMES, BondAssociated, Corrected, Correspondence, HigherOrder, StressPoints, SubHorizons
+from pdpetsc.gradient import (
+    SCHEMES,
+    BondAssociated,
+    Corrected,
+    Correspondence,
+    HigherOrder,
+    SmoothedDisplacement,
+    StressPoints,
+    SubHorizons,
+)
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
 from pdpetsc.quantities import (
@@ -55,11 +66,23 @@ from pdpetsc.solution import (
     energy_density,
     first_piola_stress,
     local_damage,
+    lost_bonds,
     plastic_strain,
     reaction,
     stress,
 )
-from pdpetsc.stabilisation import CONTROLS, AveragedDisplacement, Littlewood, Silling, Springs, Wan
+from pdpetsc.stabilisation import (
+    CONTROLS,
+    AveragedDisplacement,
+    Littlewood,
+    Penalty,
+    RelativeAverage,
+    RelativeSprings,
+    Silling,
+    SillingMicromodulus,
+    Springs,
+    Wan,
+)
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -110,6 +133,7 @@ __all__ = [
     "Interrupted",
     "Largest",
     "LargestError",
+    "LargestStretch",
     "Lattice",
     "LinearCritical",
     "LinearElastic",
@@ -125,20 +149,26 @@ __all__ = [
     "Opening",
     "OutputError",
     "PathFollowing",
+    "Penalty",
     "Picture",
     "PlaneCrack",
     "PolygonCrack",
     "Polyline",
+    "PresentStretch",
     "Pressure",
     "Quantity",
     "Ramp",
     "Reaction",
+    "RelativeAverage",
     "RelativeError",
+    "RelativeSprings",
     "RunError",
     "SaintVenantKirchhoff",
     "Segment",
     "Silling",
+    "SillingMicromodulus",
     "SmoothDegradation",
+    "SmoothedDisplacement",
     "Solution",
     "SolveError",
     "Springs",
@@ -157,6 +187,7 @@ __all__ = [
     "first_piola_stress",
     "influence",
     "local_damage",
+    "lost_bonds",
     "plastic_strain",
     "reaction",
     "region",

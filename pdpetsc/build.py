@@ -81,7 +81,7 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
             x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
             materials = [law_of(material) for _, material in case.materials]
             with cache_lock():
-                cloud = distribute(alone(), x, np.ones(len(x)), {}, 1.5)
+                cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
                 # The case's critical stretches are those of another body.
                 damage = None if case.damage is None else LinearSoftening(ConstantCritical(1.0))

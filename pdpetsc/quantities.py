@@ -22,6 +22,7 @@ from pdpetsc.solution import (
     energy_density,
     first_piola_stress,
     local_damage,
+    lost_bonds,
     plastic_strain,
     reaction,
     stress,
@@ -30,7 +31,7 @@ from pdpetsc.solution import (
 EVERYWHERE = All()
 # How many letters a component of the fields of pdpetsc has; those of a user's field are known when it is evaluated.
 _LETTERS: dict[Field, int] = {
-    **dict.fromkeys((energy_density, local_damage, plastic_strain), 0),
+    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain), 0),
     **dict.fromkeys((displacement, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }

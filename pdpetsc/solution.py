@@ -212,5 +212,17 @@ def local_damage(solution: Solution) -> Float:
     return solution.model.local_damage()
 
 
+def lost_bonds(solution: Solution) -> Float:
+    """Return the share of the volume around each particle whose bonds are broken (n_owned,) [-].
+
+    Bonds that have lost part of their force count as whole; 0 where bonds do not fail.
+
+    References
+    ----------
+    Hashim et al., Eq. (46).
+    """
+    return solution.model.lost_bonds()
+
+
 # Which of the numbers across a line or plane body completes a tensor.
 _ACROSS: dict[Field, int] = {deformation_gradient: 0, first_piola_stress: 1, stress: 2}

@@ -63,6 +63,16 @@ def write_table(folder, name, header, rows):
             table.writerows([_text(value) for value in row] for row in rows)
 
 
+def write_numbers(folder, numbers):
+    """Write ``numbers.json``, one flat {name: number}, for the table of what the papers print (rank 0)."""
+    import json
+
+    from pdpetsc.discrete.communicator import is_root, world
+
+    if is_root(world()):
+        (folder / "numbers.json").write_text(json.dumps({name: float(v) for name, v in numbers.items()}, indent=1))
+
+
 def write_curves(folder, name, title, columns, curves, reference=(), **axes):
     """Write curves ``{label: (x, y)}`` as one table and one picture (rank 0); labels in ``reference`` are dashed."""
     from matplotlib.figure import Figure

@@ -49,6 +49,35 @@ def results(case, *arguments, ranks=1, output):
     return json.loads((output / "summary.json").read_text())
 
 
+SEVERAL = """
+import json
+import sys
+from pathlib import Path
+
+import petsc4py
+
+petsc4py.init(sys.argv[:1])
+import pdpetsc as pd
+from pdpetsc.cli import arguments_of, load_case
+
+for case, words, output in json.loads(sys.argv[1]):
+    function = load_case(Path(case))
+    parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
+    pd.run(function(**parameters), output=output, quiet=True, parameters=parameters)
+"""
+
+
+def run_several(runs, ranks, timeout=TIMEOUT):
+    """Run cases ``[(case, arguments, output)]``, which must all succeed, one after the other in one start of MPI."""
+    listed = [(str(ROOT / case), [str(word) for word in words], str(output)) for case, words, output in runs]
+    words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, "-c", SEVERAL, json.dumps(listed)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=timeout, cwd=ROOT, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
 class Stop(pd.Quantity):
     """Ends the run once the step time is beyond a number."""
 
@@ -69,7 +98,7 @@ def field(output, name, step=-1):
         return np.asarray(file[steps[step]][name])
 
 
-def jacobian_ratios(finished):
+def jacobian_ratios(text):
     """Return what -snes_test_jacobian printed: relative differences between the tangent and differences."""
     key = "||J - Jfd||_F/||J||_F = "
-    return [float(line.split(key)[1].split(",")[0]) for line in finished.stdout.splitlines() if key in line]
+    return [float(line.split(key)[1].split(",")[0]) for line in text.splitlines() if key in line]

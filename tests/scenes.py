@@ -41,9 +41,12 @@ STABILISATIONS = {
     "wan": pd.Wan(),
     "springs": pd.Springs(0.3),
     "averaged_displacement": pd.AveragedDisplacement(0.02),
+    "relative_springs": pd.RelativeSprings(0.3),
+    "relative_average": pd.RelativeAverage(3.0),
+    "penalty": pd.Penalty(0.2),
 }
 # Controls that resist affine displacements too, by what they are.
-NOT_AFFINE = ("springs", "averaged_displacement")
+NOT_AFFINE = ("springs", "averaged_displacement", "relative_springs", "relative_average")
 BONDS = {
     "bond_based": pd.BondBased(E=10.0),
     "bond_based_lattice": pd.BondBased(E=10.0, calibration="lattice"),

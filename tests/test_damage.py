@@ -7,6 +7,10 @@ import pytest
 from scipy.integrate import quad
 
 import pdpetsc as pd
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.model import DamagedCorrespondenceModel
 from tests.scenes import (
     BONDS,
     DIMS,
@@ -251,3 +255,146 @@ def test_a_fracture_energy_serves_gradients_too(tmp_path):
 def test_wrong_laws_are_refused(wrong):
     with pytest.raises(pd.CaseError):
         wrong()
+
+
+def state_of(u, x, V, horizon, E, nu, law, G):
+    """Return forces of the published force states, Eq. (49) with its misprints put right, pair by pair in plain numpy.
+
+    ``T = T_s (P B^-1 xi + G C / omega_0 z)`` with the unit of length as the unit of G, plane strain, small deformation
+    gradients from bonds that are not broken; those with a critical stretch of zero in ``law`` are.
+    """
+    n = len(x)
+    d = np.linalg.norm(x[None] - x[:, None], axis=2)
+    near = (d > 0.0) & (d <= horizon)
+    lam, mu = E * nu / (1.0 + nu) / (1.0 - 2.0 * nu), E / 2.0 / (1.0 + nu)
+    C = 12.0 / (np.pi * horizon**4) * E / 2.0 / (1.0 - nu - 2.0 * nu**2)
+    T = np.zeros((n, n, 2))
+    for i in range(n):
+        omega_0 = V * np.count_nonzero(near[i])
+        intact = [j for j in range(n) if near[i, j] and law(i, j) is not None]
+        B, M = np.zeros((2, 2)), np.zeros((2, 2))
+        for j in intact:
+            xi, Y = x[j] - x[i], x[j] + u[j] - x[i] - u[i]
+            B += np.outer(xi, xi) * V
+            M += np.outer(Y, xi) * V
+        F = M @ np.linalg.inv(B)
+        w, n_ = np.linalg.eigh(F @ F.T)
+        eps = n_ @ np.diag(0.5 * np.log(w)) @ n_.T
+        P = (lam * np.trace(eps) * np.eye(2) + 2.0 * mu * eps) @ np.linalg.inv(F).T
+        for j in intact:
+            xi, Y = x[j] - x[i], x[j] + u[j] - x[i] - u[i]
+            s = np.linalg.norm(Y) / np.linalg.norm(xi) - 1.0
+            T[i, j] = law(i, j)(s) * (P @ np.linalg.inv(B) @ xi + G * C / omega_0 * (Y - F @ xi))
+    return (T.transpose(1, 0, 2) - T).sum(axis=1) * V * V
+
+
+def published(s, s_min=0.015, s_cr=0.02, beta=3.0):
+    """Return ``T_s`` of Eq. (48), and past the critical stretch what is left there: no bond breaks inside Newton."""
+    s = min(s, s_cr)
+    return 1.0 if s < s_min else 0.5 * (1.0 - np.tanh(beta * (s_min + s_cr - 2.0 * s) / (s_min - s_cr)))
+
+
+PUBLISHED = pd.SmoothDegradation(CRITICAL, 0.75, continuous=False, effect=pd.PresentStretch())
+MATERIAL = pd.Hencky(E=10.0, nu=0.3)
+
+
+def with_broken(model, rng, share=0.12):
+    """Break a share of the bonds, both ends of each."""
+    keys = model.failure.keys
+    picked = rng.permutation(np.unique(keys, axis=0))[: int(share * len(keys) / 2)]
+    lost = (keys[:, None] == picked[None]).all(axis=2).any(axis=1)
+    model.failure.integrity[lost] = 0.0
+    model.take_failure()
+    return lost
+
+
+@pytest.mark.parametrize("G", [0.0, 0.7])
+@pytest.mark.parametrize("breaks", [False, True])
+def test_forces_of_the_present_stretch_are_the_published_ones(breaks, G, rng):
+    model = damaged_body(2, PUBLISHED, control=pd.SillingMicromodulus(G, 1.0) if G else None, rng=rng)
+    lost = with_broken(model, rng) if breaks else np.zeros(len(model.failure.integrity), dtype=bool)
+    pairs = set(zip(model.families.centres[lost].tolist(), model.families.neighbours[lost].tolist(), strict=True))
+    u = softened(model, rng)
+    T = model.failure.at(model.elongation(model.with_ghosts(u)))[0]
+    assert np.count_nonzero((T > 0.0) & (T < 1.0)) > 10
+    expected = state_of(u, model.cloud.x, 1.0, 2.015, 10.0, 0.3, lambda i, j: None if (i, j) in pairs else published, G)
+    found = model.internal_force(u)
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+    assert np.abs(found.sum(axis=0)).max() < 1e-13 * np.abs(found).sum()
+
+
+def fine_differences(model, u, columns, step=2e-6):
+    """Return columns of the tangent by differences of fourth order: degradation is too steep for those of second."""
+    found = []
+    for column in columns:
+        d = np.zeros(u.size)
+        d[column] = step
+        d = d.reshape(u.shape)
+        one, two = (model.internal_force(u + n * d) - model.internal_force(u - n * d) for n in (1, 2))
+        found.append((8.0 * one - two).ravel() / (12.0 * step))
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("control", [None, pd.Silling(0.5), pd.SillingMicromodulus(3.0, 1.0)])
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+@pytest.mark.parametrize("breaks", [False, True])
+def test_the_tangent_of_the_present_stretch_is_exact(breaks, scheme, control, rng):
+    law = pd.SmoothDegradation(CRITICAL, 0.5, effect=pd.PresentStretch())
+    model = damaged_body(2, law, SCHEMES[scheme], control, rng=rng)
+    if breaks:
+        with_broken(model, rng)
+    u = displacement(model, rng, 0.001) + 0.015 * (model.cloud.x - model.cloud.x.mean(axis=0))
+    x = model.elongation(model.with_ghosts(u)) / model.failure.limit
+    # No bond is so close to an end of the law that a difference steps across its kink.
+    assert np.abs(x - 0.5).min() > 1e-4
+    assert np.abs(x - 1.0).min() > 1e-4
+    assert np.count_nonzero(model.failure.at(model.elongation(model.with_ghosts(u)))[1]) > 40
+    K = dense_tangent(model, u)
+    columns = rng.choice(u.size, 10, replace=False)
+    assert np.abs(K[:, columns] - fine_differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()
+    du = rng.standard_normal(u.shape)
+    assert np.allclose(K @ du.ravel(), model.tangent_times(u, du).ravel(), atol=1e-11 * np.abs(K).max())
+
+
+@pytest.mark.parametrize("control", [None, pd.Silling(0.5)])
+def test_one_bond_of_the_present_stretch_follows_the_curve_and_heals(control, rng):
+    """Two particles: F is the stretch of their bond, so that its force is T_s 2 V P(1 + s) / length at both ends."""
+    x, V, length = np.array([[0.0], [0.7]]), 1.3, 0.7
+    cloud = distribute(world(), x, np.full(2, V), {}, 1.0)
+    families = find_families(cloud)
+    of = np.zeros(2, dtype=np.int32)
+    model = DamagedCorrespondenceModel(
+        cloud, families, np.ones(2), pd.Correspondence(), [MATERIAL], of, control, None, PUBLISHED, None
+    )
+    for s in (0.005, 0.0149, 0.0151, 0.016, 0.0175, 0.0199, 0.012, 0.017):
+        u = np.array([[0.0], [s * length]])
+        force = published(s) * 2.0 * V * 10.0 * np.log1p(s) / (1.0 + s) / length
+        assert model.internal_force(u)[1, 0] == pytest.approx(force, rel=1e-12)
+        model.commit(u)
+        assert not model.break_bonds(u)
+    # Past the critical stretch it keeps what is left there until equilibrium breaks it, and then nothing.
+    u = np.array([[0.0], [0.021 * length]])
+    assert model.internal_force(u)[1, 0] == pytest.approx(
+        0.5 * (1.0 - np.tanh(3.0)) * 2.0 * V * 10.0 * np.log1p(0.021) / 1.021 / length, rel=1e-12
+    )
+    assert model.break_bonds(u) == 1
+    assert not model.internal_force(0.5 * u).any()
+
+
+def test_particles_of_the_present_stretch_keep_their_volume_and_are_not_torn():
+    model = damaged_body(2, pd.Brittle(CRITICAL, effect=pd.PresentStretch()), control=pd.Silling(0.5), horizon=2.5)
+    across_only(model)
+    kept = np.isin(np.arange(model.cloud.n_owned), model.operator.owner[model.operator.volume > 0.0])
+    assert kept.any()
+    assert np.array_equal(model.operator.volume[kept], np.ones(np.count_nonzero(kept)))
+    assert not model.break_bonds(strained(model, 0.1, -0.05))
+    lost = np.bincount(model.families.centres, ~model.failure.intact) / np.bincount(model.families.centres)
+    assert np.allclose(model.lost_bonds(), lost, rtol=1e-14)
+
+
+def test_bodies_of_bonds_do_not_heal():
+    with pytest.raises(pd.CaseError, match="PresentStretch is for deformation gradients"):
+        pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0), horizon=2.015, material=pd.BondBased(E=1.0),
+            conditions=[], damage=PUBLISHED,
+        )  # fmt: skip

@@ -190,3 +190,36 @@ def test_the_family_of_a_bond_is_what_lies_near_both_particles():
         i, j = operator.owner[bond], families.neighbours[bond]
         members = operator.members[operator.point_ptr[bond] + 1 : operator.point_ptr[bond + 1]]
         assert set(members) == (set(near[i]) & set(near[j])) | {j}
+
+
+def averages(x, volume, u, radius):
+    """Return the mean of u over the particles within the radius, the particle itself among them."""
+    near = np.linalg.norm(x[:, None] - x[None], axis=2) <= radius * (1.0 + 1e-9)
+    return (near * volume) @ u / (near @ volume)[:, None]
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_the_smoothed_gradient_is_that_of_the_averages_and_exact_for_affine_displacements(dim, rng):
+    horizon, radius = 3.3, 0.45
+    model = body(dim, pd.SmoothedDisplacement(radius), horizon=horizon, rng=rng)
+    x, volume = model.cloud.x, model.cloud.volume
+    H = rng.standard_normal((dim, dim))
+    assert np.abs(model.operator.gradient(x @ H.T) - H).max() < 1e-12
+    u = displacement(model, rng)
+    mean_u, mean_x = (averages(x, volume, v, radius * horizon) for v in (u, x))
+    for i, found in enumerate(model.operator.gradient(u)):
+        xi = x - x[i]
+        length = np.linalg.norm(xi, axis=1)
+        weight = volume * ((length > 0.0) & (length <= (1.0 - radius) * horizon * (1.0 + 1e-9)))
+        left, right = (np.einsum("j,jm,jn->mn", weight, v - v[i], xi) for v in (mean_u, mean_x))
+        assert np.allclose(found, left @ np.linalg.inv(right), atol=1e-12)
+
+
+def test_the_smoothed_gradient_does_not_see_what_averages_do_not_show_and_needs_a_wide_horizon():
+    model = body(1, pd.SmoothedDisplacement())
+    wave = np.array([1.0, -1.0, 0.0] * 4)[:, None]
+    assert np.abs(model.operator.gradient(wave)[3:-3]).max() < 1e-14
+    with pytest.raises(pd.CaseError, match="averaged displacement"):
+        body(1, pd.SmoothedDisplacement(), horizon=1.015)
+    with pytest.raises(pd.CaseError, match="between 0 and 1"):
+        pd.SmoothedDisplacement(1.0)

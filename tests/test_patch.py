@@ -69,7 +69,7 @@ def test_petsc_finds_the_jacobian_correct(dim, scheme, ranks, tmp_path):
         "runs/patch/tension.py", f"dim={dim}", "n=4", "horizon=1.015", f"scheme={scheme}", "-snes_test_jacobian",
         output=tmp_path, ranks=ranks,
     )  # fmt: skip
-    ratios = jacobian_ratios(finished)
+    ratios = jacobian_ratios(finished.stdout)
     assert finished.returncode == 0
     assert len(ratios) >= 2
     assert max(ratios) < 1e-7

@@ -10,6 +10,7 @@ from pdpetsc.damage.bond import (
     SmoothDegradation,
 )
 from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
+from pdpetsc.damage.effect import DamageEffect, LargestStretch, PresentStretch
 
 __all__ = [
     "BilinearSoftening",
@@ -18,10 +19,13 @@ __all__ = [
     "ConstantCritical",
     "CriticalFunction",
     "CriticalStretch",
+    "DamageEffect",
     "ExponentialSoftening",
     "FractureEnergy",
+    "LargestStretch",
     "LinearCritical",
     "LinearSoftening",
     "PiecewiseLinear",
+    "PresentStretch",
     "SmoothDegradation",
 ]

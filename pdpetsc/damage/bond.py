@@ -11,6 +11,7 @@ from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.critical import CriticalStretch
+from pdpetsc.damage.effect import DamageEffect, LargestStretch
 from pdpetsc.declared import Declared, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.scene.region import Region
@@ -24,8 +25,8 @@ class BondDamage(Declared, ABC):
     """A bond keeps its force up to its critical stretch and loses it beyond; what it has lost it does not regain.
 
     Its state is the integrity ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the largest
-    stretch over the critical one that the bond has had, ``x = s / s_c``. Compression does no damage. Derive from it for
-    another law.
+    stretch over the critical one that the bond has had, ``x = s / s_c``, unless ``effect`` says otherwise. Compression
+    does no damage. Derive from it for another law.
 
     Parameters
     ----------
@@ -33,10 +34,14 @@ class BondDamage(Declared, ABC):
         What stretches are measured by.
     protected : Region, optional
         Bonds with an end in it do not fail.
+    effect : DamageEffect
+        How the integrity enters the force states of deformation gradients; ``PresentStretch()`` as published by Hashim
+        et al. Bodies of bonds take the default alone.
     """
 
     critical: CriticalStretch
     protected: Region | None = field(default=None, kw_only=True)
+    effect: DamageEffect = field(default_factory=LargestStretch, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.critical, CriticalStretch):

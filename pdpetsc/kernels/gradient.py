@@ -190,3 +190,62 @@ def bond_families_kernel(dim: int) -> Callable[..., Any]:
                         at += 1
 
     return members
+
+
+@lru_cache
+def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``moments(indptr, neighbours, x, volume, weight, radius, rest, M)``: the gradient of averages by members.
+
+    ``M_ik = sum_j weight_ij (S_jk - S_ik) xi_ij`` over the neighbours ``j`` of ``i`` nearer than ``rest``, where
+    ``S_jk`` is the share of member ``k`` in the mean over the members of ``i``, itself among them, nearer to ``j`` than
+    ``radius``. Bonds without weight count neither here nor there.
+    """
+
+    @compiled
+    def moments(indptr, neighbours, x, volume, weight, radius, rest, M):  # type: ignore[no-untyped-def]
+        xi = np.empty(dim)
+        for i in range(indptr.size - 1):
+            first, last = indptr[i], indptr[i + 1]
+            for t in range(first, last):
+                for m in range(dim):
+                    M[t, m] = 0.0
+            for b in range(first - 1, last):
+                # first - 1 stands for the centre, whose average is subtracted once for every neighbour.
+                j = i if b < first else neighbours[b]
+                for m in range(dim):
+                    xi[m] = 0.0
+                if b < first:
+                    for t in range(first, last):
+                        k = neighbours[t]
+                        square = 0.0
+                        for m in range(dim):
+                            square += (x[k, m] - x[i, m]) ** 2
+                        if square <= rest * rest:
+                            for m in range(dim):
+                                xi[m] -= weight[t] * (x[k, m] - x[i, m])
+                else:
+                    square = 0.0
+                    for m in range(dim):
+                        square += (x[j, m] - x[i, m]) ** 2
+                    if weight[b] == 0.0 or square > rest * rest:
+                        continue
+                    for m in range(dim):
+                        xi[m] = weight[b] * (x[j, m] - x[i, m])
+                total = 0.0
+                for t in range(first - 1, last):
+                    k = i if t < first else neighbours[t]
+                    square = 0.0
+                    for m in range(dim):
+                        square += (x[k, m] - x[j, m]) ** 2
+                    if square <= radius * radius and (t < first or weight[t] != 0.0):
+                        total += volume[k]
+                for t in range(first, last):
+                    k = neighbours[t]
+                    square = 0.0
+                    for m in range(dim):
+                        square += (x[k, m] - x[j, m]) ** 2
+                    if square <= radius * radius and weight[t] != 0.0:
+                        for m in range(dim):
+                            M[t, m] += volume[k] / total * xi[m]
+
+    return moments

@@ -13,15 +13,15 @@ from pdpetsc.kernels.compile import compiled
 
 @lru_cache
 def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(particles, indptr, neighbours, stiffness, K_inverse, x, u, f)`` -> energy of these families.
+    """Return ``force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f)`` -> energy there.
 
-    Adds the forces of ``psi = 1/2 sum_i sum_j s_ij |z_ij|^2``, ``z_ij = eta_ij - H_i xi_ij``,
-    ``H_i = (sum_j s_ij eta_ij (x) xi_ij) K_i^-1``. Because ``sum_j s_ij z_ij (x) xi_ij = 0``, the force on ``j`` is
-    ``s_ij z_ij`` alone.
+    Adds ``s_ij z_ij`` to ``j``, and its opposite to ``i``, with ``z_ij = eta_ij - H_i xi_ij``,
+    ``H_i = (sum_j w_ij eta_ij (x) xi_ij) K_i^-1``; returns ``psi = 1/2 sum_i sum_j s_ij |z_ij|^2`` of these families.
+    Where ``w`` is ``s`` these are the forces of ``psi``, because ``sum_j s_ij z_ij (x) xi_ij = 0`` then.
     """
 
     @compiled
-    def force(particles, indptr, neighbours, stiffness, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
         moment = np.empty((dim, dim))
         H = np.empty((dim, dim))
         eta = np.empty(dim)
@@ -33,7 +33,7 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
             for t in range(indptr[i], indptr[i + 1]):
                 j = neighbours[t]
                 for m in range(dim):
-                    eta[m] = stiffness[t] * (u[j, m] - u[i, m])
+                    eta[m] = weight[t] * (u[j, m] - u[i, m])
                 for n in range(dim):
                     xi = x[j, n] - x[i, n]
                     for m in range(dim):
@@ -70,14 +70,14 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
 def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
     """Return the kernel that fills the scalar matrix of the control, one number per block.
 
-    ``M_jk = s_j delta_jk - s_j s_k xi_j . K^-1 xi_k`` for neighbours of ``i``; rows and columns of ``i`` follow from
+    ``M_jk = s_j delta_jk - s_j w_k xi_j . K^-1 xi_k`` for neighbours of ``i``; rows and columns of ``i`` follow from
     the sum of each row and column being zero. ``point_ptr`` and ``members`` are the families with the centre first.
     """
 
     @compiled
     def matrix(  # type: ignore[no-untyped-def]
         first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
-        point_ptr, members, stiffness, K_inverse, x, diag, off,
+        point_ptr, members, stiffness, weight, K_inverse, x, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int64)
         left = np.empty(dim)
@@ -98,7 +98,7 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
                 t = entries[e]
                 i = entry_point[e]
                 first = point_ptr[i]
-                # Row a of M is left . K^-1 s_k xi_k on the neighbours k, plus s on the diagonal and its centre.
+                # Row a of M is left . K^-1 w_k xi_k on the neighbours k, plus s on the diagonal and its centre.
                 for m in range(dim):
                     left[m] = 0.0
                 if t == first:
@@ -118,7 +118,7 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
                         for n in range(dim):
                             projected += K_inverse[i, m, n] * (x[k, n] - x[i, n])
                         value += left[m] * projected
-                    value *= stiffness[s]
+                    value *= weight[s]
                     if t == first:
                         value -= stiffness[s]
                     elif s == t:

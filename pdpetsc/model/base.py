@@ -149,6 +149,11 @@ class Model(ABC):
         """Return whether bonds lose their force gradually (not collective)."""
         return self.failure is not None and self.failure.law.final > self.failure.law.onset
 
+    @property
+    def heals(self) -> bool:
+        """Return whether bonds that have not broken may regain force (not collective)."""
+        return self.failure is not None and self.failure.law.effect.heals
+
     def freeze(self, frozen: bool) -> None:
         """Let damage stay, or follow the displacement (not collective)."""
         if self.failure is not None and self.failure.frozen != frozen:
@@ -214,6 +219,15 @@ class Model(ABC):
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
         return np.zeros(self.cloud.n_owned)
+
+    def lost_bonds(self) -> Float:
+        """Return ``1 - sum_j mu V_j / sum_j V_j`` (n_owned,) [-], mu 0 for broken bonds, else 1 (not collective)."""
+        if self.failure is None:
+            return np.zeros(self.cloud.n_owned)
+        centres, volume = self.families.centres, self.cloud.volume[self.families.neighbours]
+        whole = np.bincount(centres, volume, self.cloud.n_owned)
+        lost = np.bincount(centres, np.where(self.failure.intact, 0.0, volume), self.cloud.n_owned)
+        return np.asarray(lost / np.where(whole > 0.0, whole, 1.0))
 
     def take_failure(self) -> None:
         """Follow the state of the bonds, set from outside, and keep it."""

@@ -129,13 +129,13 @@ class CorrespondenceModel(Model):
             return None
         f = np.zeros_like(u_local)
         self.put_forces(self.stress(F), u_local, f)
-        if self.control is not None:
-            self.control.force(u_local, f, self.families.everyone)
         return self.gather(f)
 
     def put_forces(self, P: Float, u_local: Float, f: Float) -> None:
-        """Add the forces of stresses ``P`` (n_points, dim, dim) at displacements ``u`` to ``f`` (not collective)."""
+        """Add the forces of stresses ``P`` (n_points, dim, dim) and of the control to ``f`` (not collective)."""
         self.operator.divergence(P, f)
+        if self.control is not None:
+            self.control.force(u_local, f, self.families.everyone)
 
     def all_admissible(self, u: Float) -> bool:
         """Return whether ``det F > 0`` on every rank."""

@@ -22,7 +22,7 @@ from pdpetsc.model.correspondence import CorrespondenceModel
 from pdpetsc.model.damaged_assembly import DamagedAssembler
 from pdpetsc.model.failure import BondFailure
 from pdpetsc.model.linearised import DamagedTangent, Linearised
-from pdpetsc.stabilisation.base import Stabilisation
+from pdpetsc.stabilisation.base import Control, Stabilisation
 
 
 class DamagedCorrespondenceModel(CorrespondenceModel):
@@ -31,9 +31,9 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
     ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
     with the stretch of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken
     bond leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
-    more; its neighbours' gradients and the control hold it. Bonds that lie across the pull break with the strain of its
-    gradient (``break_bonds``). The control has the stiffness of its bonds times their integrity at the last
-    equilibrium.
+    more; its neighbours' gradients and the control hold it. The effect of the damage law (``DamageEffect``) says
+    whether bonds heal, what the control and the volumes do, and whether bonds that lie across the pull break with the
+    strain of its gradient (``break_bonds``).
 
     Parameters
     ----------
@@ -67,6 +67,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         self._scheme = scheme
         self._material_of = material_of
         self._factor = factor
+        self._effect = damage.effect
         self.failure = BondFailure(cloud, families, damage, protected)
         self._whole_control = self.control
         self._take_operator(self.operator)
@@ -100,10 +101,26 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         return np.asarray(h)
 
     def put_forces(self, P: Float, u_local: Float, f: Float) -> None:
-        """Add the forces of stresses ``P`` with the integrity of the bonds at ``u`` to ``f`` (not collective)."""
+        """Add the forces of stresses ``P`` and of the control with the integrity of the bonds at ``u`` to ``f``.
+
+        Not collective.
+        """
         T, _ = self.failure.at(self.elongation(u_local))
         operator, h = self.operator, self.scaled_weights(T)
         divergence_kernel(self.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
+        control = self.control_at(T)
+        if control is not None:
+            control.force(u_local, f, self.families.everyone)
+
+    def control_at(self, T: Float) -> Control | None:
+        """Return the control where bonds have the integrity T (n_bonds,) (not collective)."""
+        fading = self._effect.fading(T)
+        return self.control if self.control is None or fading is None else self.control.faded(fading)
+
+    def control_energy(self, u_local: Float) -> float:
+        """Return the energy of the control with the integrity of the bonds at ``u`` on this rank [energy]."""
+        control = self.control_at(self.failure.at(self.elongation(u_local))[0])
+        return 0.0 if control is None else control.force(u_local, np.zeros_like(u_local), self.families.everyone)
 
     def linearised(self, u: Float) -> Linearised:
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
@@ -113,7 +130,8 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         """Return numbers, forces and directions of the bonds whose integrity falls: ``v (x) m`` of each.
 
         Displacements with ghosts, the deformation there and ``dT/de`` (n_bonds,) are given (not collective).
-        ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end, ``m = dT/de n``.
+        ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end, with that of the control where it
+        fades too, ``m = dT/de n``.
         """
         bonds = np.flatnonzero(slope)
         falling = np.zeros(len(slope), dtype=bool)
@@ -124,6 +142,8 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         P = self.stress(F)
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         v = sum_by(self.bond_of_entry[entries], force, len(slope))[bonds]
+        if self.control is not None and self._effect.fading(slope) is not None:
+            v = v + self.control.bond_forces(u_local)[bonds]
         centres, neighbours = self.families.centres[bonds], self.families.neighbours[bonds]
         y = self.cloud.x[neighbours] + u_local[neighbours] - self.cloud.x[centres] - u_local[centres]
         m = slope[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]
@@ -134,10 +154,10 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
 
         Bonds that lie across the pull shorten with the material: a gradient that has no others left stretches without
         end and carries its stress through bonds that never reach their critical stretch. So a bond of a particle that
-        has lost some also breaks when the tensile strain on it is past its final stretch.
+        has lost some also breaks when the tensile strain on it is past its final stretch, where the effect says so.
         """
         broken = super().break_bonds(u, most)
-        if broken:
+        if broken or not self._effect.tears:
             return broken
         assert self.failure is not None
         torn = self.failure.tear(self.tensile_strain(self.with_ghosts(u)), most)
@@ -229,7 +249,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
 
     def _take_integrity(self) -> None:
         if self._whole_control is not None:
-            self.control = self._whole_control.damaged(self.failure.integrity)
+            self.control = self._whole_control.damaged(self._effect.of_control(self.failure.integrity))
 
     def _rebuilt(self) -> GradientOperator:
         """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""
@@ -250,7 +270,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         return replace(operator, volume=volume)
 
     def _by_bonds_left(self, operator: GradientOperator) -> Float:
-        """Return the volumes of the points: bonds that are gone take their share of it with them.
+        """Return the volumes of the points: where the effect says so, bonds that are gone take their share with them.
 
         ``V_i sum_left omega V / sum_all omega V`` of a particle, divided among its points as the volumes of their
         neighbours: the force states of the bonds that are left stay as they were when a bond breaks, though the
@@ -259,6 +279,7 @@ class DamagedCorrespondenceModel(CorrespondenceModel):
         n, centres = self.cloud.n_owned, self.families.centres
         weight = self._omega * self.cloud.volume[self.families.neighbours]
         left = np.bincount(centres, weight * self.failure.intact, n) / np.bincount(centres, weight, n)
+        left = self._effect.volume_left(left)
         whole = np.add.reduceat(self.cloud.volume[operator.members], operator.point_ptr[:-1])
         of_point = whole - self.cloud.volume[operator.owner]
         share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]

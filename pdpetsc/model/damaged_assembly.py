@@ -44,9 +44,10 @@ class DamagedAssembler(CorrespondenceAssembler):
         if model.failure.softens:
             self._add_softening(model.softening(u_local, F, slope), diag, off)
         pattern.complete(self._ghost, diag, off, dim)
-        if model.control is not None:
-            if self._control is None or self._controlled is not model.control:
-                self._control, self._controlled = model.control.matrix(pattern), model.control
+        control = model.control_at(T)
+        if control is not None:
+            if self._control is None or self._controlled is not control:
+                self._control, self._controlled = control.matrix(pattern), control
             self._control.add(dim, diag, off)
 
     @property

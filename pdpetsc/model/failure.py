@@ -34,7 +34,7 @@ class BondFailure:
     integrity : (n_bonds,) float64
         What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
     worst : (n_bonds,) float64
-        Largest stretch over the critical one so far [-].
+        Largest stretch over the critical one so far [-], or that of the last equilibrium where bonds heal.
     limit : (n_bonds,) float64
         Critical elongation [length], infinite for protected bonds.
     frozen : bool
@@ -110,16 +110,14 @@ class BondFailure:
         """Return both as they are where damage is not held."""
         law = self.law
         x = e / self.limit
-        T, slope = self.integrity.copy(), np.zeros_like(e)
+        present, slope = np.ones_like(e), np.zeros_like(e)
         # No bond breaks while equilibrium is sought: past its final stretch it keeps what is left of it there.
-        open_ = np.flatnonzero((x > law.onset) & self.intact)
-        inside = np.minimum(x[open_], law.final)
-        new = law.integrity(inside)
-        lower = new < T[open_]
-        T[open_[lower]] = np.maximum(new[lower], 0.0)
-        moving = open_[lower & (x[open_] < law.final)]
+        fading = np.flatnonzero((x > law.onset) & self.intact)
+        present[fading] = np.maximum(law.integrity(np.minimum(x[fading], law.final)), 0.0)
+        follows = law.effect.follows(present, self.integrity) & self.intact
+        moving = fading[follows[fading] & (x[fading] < law.final)]
         slope[moving] = law.slope(x[moving]) / self.limit[moving]
-        return T, slope
+        return np.where(follows, present, self.integrity), slope
 
     def most_stretched(self, e: Float, band: float) -> tuple[Float, float]:
         """Return weights ``1 / limit / count`` of the bonds within ``band`` of the largest stretch, and that stretch.
@@ -133,16 +131,16 @@ class BondFailure:
         return np.where(near, 1.0 / (self.limit * max(count, 1.0)), 0.0), found
 
     def fading(self, e: Float) -> float:
-        """Return the largest integrity that a bond would lose at elongations e [-] (collective)."""
-        return largest(self._comm, float((self.integrity - self._following(e)[0]).max(initial=0.0)))
+        """Return by how much the integrity of a bond would change at most at elongations e [-] (collective)."""
+        return largest(self._comm, float(np.abs(self.integrity - self._following(e)[0]).max(initial=0.0)))
 
     def soften(self, e: Float) -> float:
         """Take the integrity at elongations e for good; return the largest change of any bond (collective)."""
         T, _ = self._following(e)
-        change = float((self.integrity - T).max(initial=0.0))
+        change = float(np.abs(self.integrity - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
-        self.worst[:] = np.maximum(self.worst, e / self.limit)
+        self.worst[:] = self.law.effect.reached(e / self.limit, self.worst)
         return largest(self._comm, change)
 
     def break_bonds(self, e: Float, most: int | None = None) -> int:
@@ -160,8 +158,8 @@ class BondFailure:
             most = 1
         over = e / self.limit
         if self.law.final > self.law.onset:
-            # A bond that has been past its final stretch has lost its force, even if it is shorter now.
-            over = np.maximum(over, self.worst)
+            # A bond that has been past its final stretch may have lost its force, even if it is shorter now.
+            over = self.law.effect.reached(over, self.worst)
         over = np.where(self.intact, over, 0.0)
         return self._break_worst(over, most)
 

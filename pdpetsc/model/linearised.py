@@ -62,11 +62,12 @@ class GradientTangent(Linearised):
     ) -> None:
         # Moduli and force weights; ``shared`` is a control that takes the same pass.
         self.model = model
+        self._control = model.control
         self._A, self._h, self._shared = A, h, shared
 
     def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add those of moduli and control, in one pass where they share the gradient."""
-        operator, control = self.model.operator, self.model.control
+        operator, control = self.model.operator, self._control
         gradient_times_kernel(self.model.dim, int(self._shared is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
             self._A, *(self._shared or NOTHING), du, f,
@@ -95,6 +96,7 @@ class DamagedTangent(GradientTangent):
         F = model.deformation(u_local)
         self._T, slope = model.failure.at(model.elongation(u_local))
         super().__init__(model, model.moduli(F), model.scaled_weights(self._T))
+        self._control = model.control_at(self._T)
         self._ptr = None
         if model.failure.softens:
             bonds, self._v, self._w = model.softening(u_local, F, slope)

@@ -208,7 +208,8 @@ def settle(
         if not result.converged:
             return u, result, broken, sweep
         change = solver.model.soften(u)
-        more = fail(u)
+        # Bonds that heal break at equilibrium with their present damage only, which this is once damage has settled.
+        more = 0 if solver.model.heals and change >= SETTLED else fail(u)
         if change < SETTLED and not more:
             solver.model.freeze(False)
             load = solver.load

@@ -1,13 +1,27 @@
 """Zero-energy controls: forces linear in the displacement, one file per published control."""
 
-from pdpetsc.stabilisation.averaged_displacement import AveragedDisplacement
+from pdpetsc.stabilisation.averaged_displacement import AveragedDisplacement, RelativeAverage
 from pdpetsc.stabilisation.base import Control, Stabilisation
 from pdpetsc.stabilisation.littlewood import Littlewood
-from pdpetsc.stabilisation.silling import Silling
-from pdpetsc.stabilisation.springs import Springs
+from pdpetsc.stabilisation.penalty import Penalty
+from pdpetsc.stabilisation.silling import Silling, SillingMicromodulus
+from pdpetsc.stabilisation.springs import RelativeSprings, Springs
 from pdpetsc.stabilisation.wan import Wan
 
-__all__ = ["CONTROLS", "AveragedDisplacement", "Control", "Littlewood", "Silling", "Springs", "Stabilisation", "Wan"]
+__all__ = [
+    "CONTROLS",
+    "AveragedDisplacement",
+    "Control",
+    "Littlewood",
+    "Penalty",
+    "RelativeAverage",
+    "RelativeSprings",
+    "Silling",
+    "SillingMicromodulus",
+    "Springs",
+    "Stabilisation",
+    "Wan",
+]
 
 # Every control whose strength does not depend on units or spacing, by the word that cases and the command line use.
 CONTROLS: dict[str, Stabilisation | None] = {
@@ -15,4 +29,6 @@ CONTROLS: dict[str, Stabilisation | None] = {
     "silling": Silling(),
     "littlewood": Littlewood(),
     "wan": Wan(),
+    "springs": RelativeSprings(),
+    "averaged_displacement": RelativeAverage(),
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,21 +10,64 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
-from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.stabilisation import average_force_kernel
-from pdpetsc.stabilisation.base import Control, ControlMatrix, IsotropicMatrix, Stabilisation, Stencil, Stiffness, fill
+from pdpetsc.stabilisation.base import (
+    Control,
+    ControlMatrix,
+    IsotropicMatrix,
+    Stabilisation,
+    Stencil,
+    Stiffness,
+    fill,
+    refuse_negative,
+    relative_factor,
+)
+
+
+@dataclass(frozen=True)
+class RelativeAverage(Stabilisation):
+    """Averaged displacement states of a share of the stiffness of the material.
+
+    ``T_a = C kappa / (sum_j omega |xi|^2 V_j sum_j omega V_j) omega a_i`` with ``a_i = sum_j omega eta_ij V_j``.
+    ``C`` is a pure number, the same in all units and at all spacings. On whole families of a lattice ``a`` vanishes for
+    affine displacements; where families are cut it does not, and the patch test fails at free surfaces.
+
+    Parameters
+    ----------
+    C : float
+        Strength [-], not negative.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8). The factor is ours.
+    """
+
+    C: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_negative("Relative averages need C", self.C)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective)."""
+        weight = omega * cloud.volume[families.neighbours]
+        total = np.bincount(families.centres, weight, minlength=cloud.n_owned)
+        c = self.C * relative_factor(cloud, families, omega, stiffness)
+        np.divide(c, total, out=c, where=total > 0.0)
+        return _Averaged(cloud, families, omega, c * cloud.volume[: cloud.n_owned])
 
 
 @dataclass(frozen=True)
 class AveragedDisplacement(Stabilisation):
-    """Averaged displacement states, ``T_a = C2 omega a_i`` with ``a_i = sum_j omega eta_ij V_j``.
+    """Averaged displacement states with the constant of the papers, ``T_a = C2 omega a_i``.
 
-    The factor omega, which the paper leaves out, makes the force derive from the energy ``1/2 C2 sum_i V_i |a_i|^2``;
-    with constant influence it makes no difference. Where families are cut, ``a`` does not vanish for affine
-    displacements and the patch test fails. ``C2`` carries a unit and its best value depends on the spacing: it is here
-    for comparison.
+    ``a_i = sum_j omega eta_ij V_j``. The factor omega, which the paper leaves out, makes the force derive from the
+    energy ``1/2 C2 sum_i V_i |a_i|^2``; with constant influence it makes no difference. ``C2`` carries a unit and its
+    best value depends on the spacing: it is here to compare with papers, ``RelativeAverage`` is the same in all units.
+    The constants of Luo's Table 1 belong to an average without volumes: in a bar of unit cross-section they are
+    ``C2 / dx`` here.
 
     Parameters
     ----------
@@ -41,8 +83,7 @@ class AveragedDisplacement(Stabilisation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.C2) and self.C2 >= 0.0):
-            raise CaseError(f"Averaged displacement needs C2 >= 0, not {self.C2}.")
+        refuse_negative("Averaged displacement needs C2", self.C2)
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Return the control (collective)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from pdpetsc.kernels.assembly import add_isotropic_kernel
 from pdpetsc.kernels.pattern import transpose
 
 Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
+_NO_DAMAGE = "This zero-energy control cannot take bond damage; take Silling, Springs or none."
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,24 @@ class Stiffness:
     moduli: Float
     material_of: LocalIndex
     factor: Float
+
+
+def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Float:
+    """Return ``kappa_i / sum_j omega |xi|^2 V_j`` (n_owned,) [force / length^7], 0 for a particle without family.
+
+    A bond force ``C`` times it times ``omega eta`` is a share ``C`` of the stiffness of the material whatever the
+    units, the spacing and the horizon (not collective).
+    """
+    xi = families.bonds(cloud.x)
+    moment = omega * np.einsum("bm,bm->b", xi, xi) * cloud.volume[families.neighbours]
+    trace = np.bincount(families.centres, moment, minlength=cloud.n_owned)
+    return np.divide(stiffness.kappa, trace, out=np.zeros(cloud.n_owned), where=trace > 0.0)
+
+
+def refuse_negative(what: str, value: float) -> None:
+    """Raise CaseError where the coefficient of a control is negative or not finite."""
+    if not (math.isfinite(value) and value >= 0.0):
+        raise CaseError(f"{what} >= 0, not {value}.")
 
 
 class ControlMatrix(ABC):
@@ -147,7 +167,31 @@ class Control(ABC):
         CaseError
             It has no such form.
         """
-        raise CaseError("This zero-energy control cannot take bond damage; take Silling, Springs or none.")
+        raise CaseError(_NO_DAMAGE)
+
+    def faded(self, integrity: Float) -> Control:
+        """Return the control with the force of every bond times its integrity (n_bonds,); its gradient stays.
+
+        Its matrix is that of a constant integrity.
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
+
+    def bond_forces(self, u: Float) -> Float:
+        """Return the force of every bond on its second end (n_bonds, dim) [force] for displacements with ghosts.
+
+        Without what ``faded`` multiplies it with (not collective).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.pattern import Pattern
 from pdpetsc.gradient.base import FLAT, GradientOperator, whole_families
+from pdpetsc.kernels.pattern import sum_by
 from pdpetsc.kernels.stabilisation import (
     directed_force_kernel,
     directed_matrix_kernel,
@@ -23,7 +24,7 @@ SAME = 1e-12
 
 
 class NonUniform(Control):
-    """Energy ``1/2 sum_i sum_j s_ij |z_ij|^2`` with scalar bond stiffness.
+    """Energy ``1/2 sum_i sum_j s_ij |z_ij|^2`` with scalar bond stiffness, forces ``T_ij s_ij z_ij``.
 
     Parameters
     ----------
@@ -33,13 +34,18 @@ class NonUniform(Control):
         ``s_ij`` [force / length].
     K_inverse : (n_owned, dim, dim) float64
         Inverse of ``sum_j s_ij xi (x) xi``, which makes H the gradient that fits the family best; zero for H = 0.
+    integrity : (n_bonds,) float64, optional
+        ``T_ij`` [-], which H does not know of; 1 where absent. The forces have no potential then.
     """
 
-    def __init__(self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float) -> None:
+    def __init__(
+        self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float, integrity: Float | None = None
+    ) -> None:
         self._cloud = cloud
         self._families = families
         self._stiffness = stiffness
         self._K_inverse = K_inverse
+        self._forces = stiffness if integrity is None else stiffness * integrity
 
     @property
     def stencils(self) -> Stencil:
@@ -48,16 +54,17 @@ class NonUniform(Control):
         return with_centre.point_ptr, with_centre.members
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
-        """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum s |z|^2``."""
+        """Add ``T_ij s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum T s |z|^2``."""
         kernel, family = non_uniform_force_kernel(self._cloud.dim), self._families
-        data = family.indptr, family.neighbours, self._stiffness, self._K_inverse, self._cloud.x
+        data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
         return float(kernel(particles, *data, u, f))
 
     def matrix(self, pattern: Pattern) -> ControlMatrix:
         """Return the scalar matrix of the control (collective)."""
         kernel = non_uniform_matrix_kernel(self._cloud.dim)
         with_centre = whole_families(self._cloud, self._families, self._stiffness)
-        data = with_centre.weight, self._K_inverse, self._cloud.x
+        forces = np.insert(self._forces, self._families.indptr[:-1], 0.0)
+        data = forces, with_centre.weight, self._K_inverse, self._cloud.x
         return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (with_centre.point_ptr, with_centre.members), *data))
 
     def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
@@ -79,6 +86,18 @@ class NonUniform(Control):
         held = self._K_inverse.any(axis=(1, 2))
         K_inverse = np.where(held[:, None, None], np.linalg.pinv(K, rcond=FLAT, hermitian=True), 0.0)
         return NonUniform(self._cloud, self._families, stiffness, K_inverse)
+
+    def faded(self, integrity: Float) -> Control:
+        """Return the control with ``T_ij``."""
+        return NonUniform(self._cloud, self._families, self._stiffness, self._K_inverse, integrity)
+
+    def bond_forces(self, u: Float) -> Float:
+        """Return ``s_ij z_ij``."""
+        family = self._families
+        xi, eta = family.bonds(self._cloud.x), family.bonds(u)
+        weighted = np.einsum("b,bi,bj->bij", self._stiffness, eta, xi)
+        H = sum_by(family.centres, weighted, self._cloud.n_owned) @ self._K_inverse
+        return np.asarray(self._stiffness[:, None] * (eta - np.einsum("bij,bj->bi", H[family.centres], xi)))
 
 
 class Directed(Control):

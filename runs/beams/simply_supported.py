@@ -11,8 +11,9 @@ import beam
 import pdpetsc as pd
 
 
-def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control=""):
+def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control="", G_printed=0.0, unit=beam.UNIT):
     def supports(dx):
         return [pd.Displacement(pd.region.Nearest((-0.5 * dx, 0.0)), x=0.0, y=0.0)]
 
-    return beam.half_beam("hinged", ny, horizon, G, scheme, steps, supports, control)
+    stabilisation = beam.control_of(G, control, G_printed, unit)
+    return beam.half_beam("hinged", ny, horizon, scheme, steps, supports, stabilisation)

@@ -29,7 +29,7 @@ class Asymmetry(pd.Quantity):
 
 def case(
     nx=30, horizon=3.015, s_cr=0.002, s_min=0.0015, pull=0.3, G=0.5, scheme="correspondence", law="smooth", steps=30,
-    published=False,
+    unit=0.0, effect="largest", continuous=True, grips=True,
 ):  # fmt: skip
     dx = LENGTH / nx
     layer = horizon * dx
@@ -37,15 +37,20 @@ def case(
     # Two horizons from the ends no bond fails: the grips raise the stress at their corners.
     held = pd.region.Slab("x", high=2.0 * layer) | pd.region.Slab("x", low=LENGTH - 2.0 * layer)
     hole = pd.region.Sphere((0.5 * LENGTH, 0.5 * WIDTH), RADIUS)
+    how = {
+        "protected": held if grips else None,
+        "effect": pd.choose("effect", effect, {"largest": pd.LargestStretch(), "present": pd.PresentStretch()}),
+    }
     laws = {
         "none": None,
-        "smooth": pd.SmoothDegradation(critical, s_min / s_cr, continuous=not published, protected=held),
-        "early": pd.SmoothDegradation(critical, 0.4, protected=held),
-        "brittle": pd.Brittle(critical, protected=held),
-        "linear": pd.LinearSoftening(critical, 1.5, protected=held),
-        "exponential": pd.ExponentialSoftening(critical, 5.0, protected=held),
-        "bilinear": pd.BilinearSoftening(critical, protected=held),
+        "smooth": pd.SmoothDegradation(critical, s_min / s_cr, continuous=continuous, **how),
+        "early": pd.SmoothDegradation(critical, 0.4, **how),
+        "brittle": pd.Brittle(critical, **how),
+        "linear": pd.LinearSoftening(critical, 1.5, **how),
+        "exponential": pd.ExponentialSoftening(critical, 5.0, **how),
+        "bilinear": pd.BilinearSoftening(critical, **how),
     }
+    control = (pd.SillingMicromodulus(G, unit) if unit else pd.Silling(G)) if G else None
     left, right = pd.region.Named("fictitious -x"), pd.region.Named("fictitious +x")
     damage = pd.choose("law", law, laws)
 
@@ -65,7 +70,7 @@ def case(
         horizon=layer,
         material=pd.Hencky(E=210e3, nu=0.33),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        stabilisation=control,
         damage=damage,
         conditions=[pd.Displacement(left, x=-pull, y=0.0), pd.Displacement(right, x=pull, y=0.0)],
         steps=pd.Steps(steps),

@@ -1,7 +1,9 @@
 """Finite elements with nodes at the particles: python runs/plates/finite_elements.py writes finite_elements.json.
 
-Bilinear quadrilaterals and trilinear hexahedra (scikit-fem) between the particles of each case, the same supports,
-small strain; stresses are averaged at the nodes. Values are stored along the line of each case.
+Bilinear quadrilaterals and trilinear hexahedra (scikit-fem) between the particles of each case, quadratic triangles
+around the diamond hole, whose edges run along the diagonals of the lattice; the same supports, small strain; stresses are
+averaged at the nodes. Values are stored along the line of each case. Of the plate with the
+square opening a quarter is meshed: elements know no difference between symmetry lines and the whole plate.
 """
 
 import json
@@ -14,10 +16,13 @@ from skfem import (
     Basis,
     ElementHex1,
     ElementQuad1,
+    ElementTriP1,
+    ElementTriP2,
     ElementVector,
     LinearForm,
     MeshHex,
     MeshQuad,
+    MeshTri,
     asm,
     condense,
     solve,
@@ -34,6 +39,12 @@ import diamond_hole  # noqa: E402
 import square_opening  # noqa: E402
 
 STORE = Path(__file__).with_suffix(".json")
+# Of displacements and of the stress that is averaged.
+ELEMENTS = {
+    MeshQuad: (ElementQuad1, ElementQuad1),
+    MeshHex: (ElementHex1, ElementHex1),
+    MeshTri: (ElementTriP2, ElementTriP1),
+}
 
 
 def jacobi_cg(A, b):
@@ -47,20 +58,23 @@ def jacobi_cg(A, b):
 def analyse(mesh, lam, mu, fixed):
     """Return node coordinates, displacement (dim, n) and sigma_xx (n,); ``fixed`` lists (axis, nodes, value)."""
     dim = mesh.p.shape[0]
-    element = ElementVector(ElementQuad1() if dim == 2 else ElementHex1())
-    basis = Basis(mesh, element)
+    kind, averaged = next(pair for known, pair in ELEMENTS.items() if isinstance(mesh, known))
+    basis = Basis(mesh, ElementVector(kind()))
     K = asm(linear_elasticity(lam, mu), basis)
     u = np.zeros(basis.N)
     held = np.zeros(basis.N, dtype=bool)
     for axis, nodes, value in fixed:
         dofs = basis.nodal_dofs[axis, nodes]
+        if len(basis.facet_dofs):
+            # The middle of a side moves with its two ends.
+            dofs = np.append(dofs, basis.facet_dofs[axis, np.isin(mesh.facets, nodes).all(axis=0)])
         u[dofs], held[dofs] = value, True
     inner = condense(K, np.zeros(basis.N), x=u, D=np.flatnonzero(held))
     u = solve(*inner) if dim == 2 else solve(*inner, solver=jacobi_cg)
     grad = np.asarray(basis.interpolate(u).grad)
     strain = 0.5 * (grad + np.swapaxes(grad, 0, 1))
     sigma = lam * np.einsum("kk...->...", strain) + 2.0 * mu * strain[0, 0]
-    scalar = basis.with_element(ElementQuad1() if dim == 2 else ElementHex1())
+    scalar = basis.with_element(averaged())
     weight = asm(LinearForm(lambda v, w: v), scalar)
     stress = asm(LinearForm(lambda v, w: w.sigma * v), scalar, sigma=sigma) / weight
     return mesh.p, u[basis.nodal_dofs], stress
@@ -101,29 +115,38 @@ def diamond(nx=160):
     dx = c.LENGTH / nx
     x = np.linspace(-c.LENGTH / 2, c.LENGTH / 2, nx + 1)
     y = np.linspace(-c.WIDTH / 2, c.WIDTH / 2, nx // 2 + 1)
-    mesh = MeshQuad.init_tensor(x, y)
-    # An element is there where all its nodes, which are the particles, are.
-    gone = c.in_hole(mesh.p.T)
-    mesh = mesh.remove_elements(np.flatnonzero(gone[mesh.t].any(axis=0)))
+    corners = MeshQuad.init_tensor(x, y)
+    a, b, c_, d = corners.t
+    # The diagonal of each cell that runs along the edge of the hole in its quadrant.
+    falling = np.prod(corners.p[:, corners.t].mean(axis=1), axis=0) > 0.0
+    third, fourth = np.where(falling, d, c_), np.where(falling, b, a)
+    triangles = np.hstack([[a, b, third], [c_, d, fourth]])
+    triangles = triangles[:, ~c.in_hole(corners.p[:, triangles].mean(axis=1).T)]
+    used, triangles = np.unique(triangles, return_inverse=True)
+    mesh = MeshTri(corners.p[:, used], triangles.reshape(3, -1))
     ends = [(0, nodes_where(mesh.p, 0, sign * c.LENGTH / 2, dx), sign * c.PULL) for sign in (-1.0, 1.0)]
-    middle = np.flatnonzero((np.abs(mesh.p[1]) < 0.1 * dx) & (np.abs(np.abs(mesh.p[0]) - c.LENGTH / 2) < 0.1 * dx))
+    middle = np.flatnonzero((np.abs(mesh.p[1]) < 0.1 * dx) & (np.abs(mesh.p[0] - c.LENGTH / 2) < 0.1 * dx))
     p, u, stress = analyse(mesh, *lame_parameters(c.E, c.NU), [*ends, (1, middle, 0.0)])
     line = on_line(p, 0, {1: 0.0}, dx, u=u[0], stress=stress)
     right = [i for i, s in enumerate(line["s"]) if s > 0.0]
     return {name: [values[i] for i in right] for name, values in line.items()}
 
 
-def block(dx=2.5):
+def block(sides, dx=2.5):
     c = brick
-    side = np.linspace(-c.SIDE, c.SIDE, round(2.0 * c.SIDE / dx) + 1)
-    mesh = MeshHex.init_tensor(side, side, np.linspace(-c.HEIGHT, c.HEIGHT, round(2.0 * c.HEIGHT / dx) + 1))
-    fixed = [(a, nodes_where(mesh.p, a, sign * c.SIDE, dx), sign * c.PULL) for a in (0, 1) for sign in (-1.0, 1.0)]
-    around = np.flatnonzero(np.abs(mesh.p[:2]).max(axis=0) > c.SIDE - 0.1 * dx)
-    p, u, stress = analyse(mesh, *lame_parameters(c.E, c.NU), [*fixed, (2, around, 0.0)])
-    return on_line(p, 1, {0: 0.0, 2: c.HEIGHT}, dx, u=u[2], stress=stress)
+    side = np.linspace(0.0, c.SIDE, round(c.SIDE / dx) + 1)
+    mesh = MeshHex.init_tensor(side, side, np.linspace(0.0, c.HEIGHT, round(c.HEIGHT / dx) + 1))
+    fixed = [(a, nodes_where(mesh.p, a, at, dx), u) for a in (0, 1) for at, u in ((0.0, -c.PULL), (c.SIDE, c.PULL))]
+    if sides == "held":
+        upright = np.flatnonzero(np.abs(mesh.p[:2] - 0.5 * c.SIDE).max(axis=0) > 0.5 * c.SIDE - 0.1 * dx)
+    else:
+        middle = 0.5 * np.array([c.SIDE, c.SIDE, c.HEIGHT])
+        upright = np.flatnonzero(np.abs(mesh.p - middle[:, None]).max(axis=0) < 0.1 * dx)
+    p, u, stress = analyse(mesh, *lame_parameters(c.E, c.NU), [*fixed, (2, upright, 0.0)])
+    return on_line(p, 1, {0: 0.5 * c.SIDE, 2: 0.0}, dx, u=u[2], stress=stress)
 
 
 if __name__ == "__main__":
-    found = {"square_opening": square(), "diamond_hole": diamond(), "brick": block()}
-    found["square_opening_fine"] = square(dx=0.5)
+    found = {"square_opening": square(), "square_opening_fine": square(dx=0.5), "diamond_hole": diamond()}
+    found |= {f"brick_{sides}": block(sides) for sides in ("held", "free")}
     STORE.write_text(json.dumps(found) + "\n")

@@ -4,6 +4,8 @@ Left the singular bar at horizon 3.015 dx (oscillation of the displacement on it
 along the plate with a diamond hole at 1.1 diagonals, both beside plain correspondence.
 """
 
+import dataclasses
+import shutil
 import sys
 from pathlib import Path
 
@@ -17,6 +19,8 @@ import diamond_hole  # noqa: E402
 import plate  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
+import pdpetsc as pd  # noqa: E402
+
 PAGES = {
     "correspondence": ({}, {}),
     "stress_points": ({"scheme": "stress_points"},) * 2,
@@ -27,9 +31,12 @@ PAGES = {
     "silling": ({"control": "silling"},) * 2,
     "littlewood": ({"control": "littlewood"},) * 2,
     "wan": ({"control": "wan"},) * 2,
-    "springs": ({"spring": 2.0}, None),
-    "averaged_displacement": ({"average": 500.0}, None),
+    "springs": ({"control": "springs"},) * 2,
+    "averaged_displacement": ({"control": "averaged_displacement"},) * 2,
+    "smoothed_displacement": ({}, None),
 }
+# What no word of the cases stands for.
+CHANGES = {"smoothed_displacement": {"scheme": pd.SmoothedDisplacement()}}
 
 
 def values(folder, case, line):
@@ -51,13 +58,12 @@ def main():
     for name, (on_bar, on_plate) in PAGES.items():
         figure = Figure(figsize=(10.0, 3.4), layout="constrained")
         left, right = figure.subplots(1, 2)
-        narrow = {"n": n} if on_plate is None else wide
-        s, plain = plain_bar if on_plate is not None else values(folder, bar.case(n=n), whole)
+        s, plain = plain_bar
         linear = (s > 0.1) & (s < 0.4)
-        left.plot(s[linear], (plain - bar.ALPHA * s)[linear] / bar.END, color="0.7", label="correspondence")
+        left.plot(s[linear], (plain - bar.BAR.alpha * s)[linear] / bar.BAR.end, color="0.7", label="correspondence")
         if name != "correspondence":
-            s, u = values(folder, bar.case(**narrow, **on_bar), whole)
-            left.plot(s[linear], (u - bar.ALPHA * s)[linear] / bar.END, label=name)
+            s, u = values(folder, dataclasses.replace(bar.case(**wide, **on_bar), **CHANGES.get(name, {})), whole)
+            left.plot(s[linear], (u - bar.BAR.alpha * s)[linear] / bar.BAR.end, label=name)
         left.set(xlabel="x / L", ylabel="(u - u_exact) / u_end", title="singular bar, linear half")
         if on_plate is None:
             right.axis("off")
@@ -76,9 +82,7 @@ def main():
             right.legend(fontsize=8)
         left.legend(fontsize=8)
         figure.savefig(folder / f"{name}.png", dpi=80)
-    for leftover in (folder / "last_run").glob("*"):
-        leftover.unlink()
-    (folder / "last_run").rmdir()
+    shutil.rmtree(folder / "last_run")
 
 
 if __name__ == "__main__":

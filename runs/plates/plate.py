@@ -1,6 +1,7 @@
 """What the plates share: values along a line against finite elements with nodes at the particles."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,8 +38,8 @@ class Line:
         Where it is in the other directions [length].
     spacing : float
         Of the particles [length].
-    low : float
-        Where it starts [length].
+    low, high : float
+        Between which coordinates it counts [length]; particles at these are left out.
     """
 
     name: str
@@ -46,11 +47,12 @@ class Line:
     at: dict
     spacing: float
     low: float = -np.inf
+    high: float = np.inf
 
     def values(self, solution, field):
-        """Return coordinates and values of ``field(solution)`` in order along the line, on every rank."""
+        """Return coordinates and values of ``field(solution)`` in order along the line, on every rank (collective)."""
         x = solution.x
-        on_line = x[:, self.axis] > self.low
+        on_line = (x[:, self.axis] > self.low) & (x[:, self.axis] < self.high)
         for axis, place in self.at.items():
             on_line &= np.abs(x[:, axis] - place) < 0.1 * self.spacing
         parts = solution.model.cloud.comm.allgather((x[on_line, self.axis], field(solution)[on_line]))
@@ -80,21 +82,26 @@ class AlongLine(pd.Quantity):
 
 
 class Amplitude(AlongLine):
-    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 21-22)."""
+    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 21-22); 0 where the line has no particle."""
 
     def evaluate(self, solution):
         error, size = self.error(solution)
-        counts = size > SMALL * size.max() if size.max() > 0.0 else size < 0.0
+        counts = size > SMALL * size.max(initial=0.0)
         return float((np.abs(error)[counts] / size[counts]).mean()) if counts.any() else 0.0
 
 
 class Oscillation(AlongLine):
-    """Largest second difference of ``a - b`` along a line, away from its ends, over the largest ``|b|`` [-]."""
+    """Largest second difference of ``a - b`` along a line, away from its ends, over the largest ``|b|`` [-].
+
+    NaN where the line has too few particles.
+    """
 
     def evaluate(self, solution):
         error, size = self.error(solution)
-        second = np.diff(error, 2)[ENDS:-ENDS]
-        return float(np.abs(second).max() / size.max()) if size.max() > 0.0 else 0.0
+        second = np.abs(np.diff(error, 2)[ENDS:-ENDS])
+        if not len(second):
+            return math.nan
+        return float(second.max() / size.max()) if size.max() > 0.0 else 0.0
 
 
 class Profile(pd.Quantity):
@@ -109,6 +116,38 @@ class Profile(pd.Quantity):
         return float(len(self.s))
 
 
+class Whole(pd.Quantity):
+    """Keeps positions and a field of all particles; its own value is their number."""
+
+    def __init__(self, field):
+        self.field = field
+        self.x, self.v = np.zeros((0, 1)), np.zeros(0)
+
+    def evaluate(self, solution):
+        parts = solution.model.cloud.comm.allgather((solution.x, self.field(solution)))
+        self.x, self.v = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return float(len(self.x))
+
+
+def sawtooth(x, v, spacing):
+    """Return the amplitude of what alternates from particle to particle along each direction of a lattice, (n, dim).
+
+    A sixteenth of the fourth difference: of ``(-1)^k a`` it is a, of a smooth field it falls with the fourth power of
+    the spacing. NaN where a neighbour is missing.
+    """
+    dim = x.shape[1]
+    cell = np.rint((x - x.min(axis=0)) / spacing).astype(int) + 2
+    grid = np.full(cell.max(axis=0) + 3, np.nan)
+    grid[tuple(cell.T)] = v
+    weights = {-2: 1.0, -1: -4.0, 0: 6.0, 1: -4.0, 2: 1.0}
+    return np.column_stack(
+        [
+            sum(weight / 16.0 * grid[tuple((cell + k * step).T)] for k, weight in weights.items())
+            for step in np.eye(dim, dtype=int)
+        ]
+    )
+
+
 def displacement_x(solution):
     return solution.u[:, 0]
 
@@ -121,12 +160,16 @@ def stress_xx(solution):
     return pd.stress(solution)[:, 0, 0]
 
 
-def quantities(line, **fields):
-    """Return the history of a case: amplitude and oscillation of each field ``name=function`` along the line."""
+def quantities(line, away, **fields):
+    """Return the history of a case: amplitude and oscillation of each field ``name=function`` along the line.
+
+    ``away`` is the part of the line away from corners and supports; its numbers have names that end in ``_away``.
+    """
     found = {}
     for name, field in fields.items():
-        found[f"{name}_amplitude"] = Amplitude(line, name, field)
-        found[f"{name}_oscillation"] = Oscillation(line, name, field)
+        for part, suffix in ((line, ""), (away, "_away")):
+            found[f"{name}_amplitude{suffix}"] = Amplitude(part, name, field)
+            found[f"{name}_oscillation{suffix}"] = Oscillation(part, name, field)
     return found
 
 

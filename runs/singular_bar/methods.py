@@ -1,8 +1,9 @@
-"""Every method on the singular bar: python runs/singular_bar/methods.py [folder].
+"""Every method on the singular bar: python runs/singular_bar/methods.py [folder] [figure ...].
 
-Leaves ``methods.csv`` (error, sawtooth on both halves, condition number of the stiffness matrix up to n = 500) for all
-methods, numbers of particles and horizons, and the curves of figure 7 of Luo and Sundararaghavan (displacement, strain
-and their relative errors at n = 500) and of figures 1 to 6 of Chowdhury et al. (n = 4000).
+Figures are ``luo_7`` (displacement, strain and their relative errors at n = 500, and Table 1), ``chowdhury_1`` to
+``chowdhury_6``, and ``table``: ``methods.csv`` with error, sawtooth on both halves and the condition number of the
+stiffness matrix up to n = 500, for all methods, numbers of particles and horizons. Without words all are made.
+``numbers.json`` has what the papers say about the figures as numbers.
 """
 
 import sys
@@ -16,6 +17,7 @@ words = study.start("singular_bar")
 import bar  # noqa: E402
 import h5py  # noqa: E402
 import numpy as np  # noqa: E402
+import pulled  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
 
@@ -23,6 +25,9 @@ SPRINGS = {100: 0.8, 200: 1.28, 500: 2.0, 1000: 3.0}
 AVERAGES = {100: 60.0, 200: 150.0, 500: 500.0, 1000: 1750.0}
 SIZES = (100, 200, 500, 1000, 4000)
 HORIZONS = (1.015, 2.015, 3.015, 5.1, 10.1)
+REFINED = (500, 1000, 2000, 4000)
+# What the papers show of the long bars.
+MIDDLE = (0.45, 0.55)
 METHODS = {
     "plain": {},
     "stress points": {"scheme": "stress_points"},
@@ -37,6 +42,8 @@ METHODS = {
     "Silling": {"control": "silling"},
     "Littlewood": {"control": "littlewood"},
     "Wan": {"control": "wan"},
+    "relative springs": {"control": "springs"},
+    "relative average": {"control": "averaged_displacement"},
 }
 
 
@@ -46,6 +53,7 @@ def methods(n, horizon):
     if n in SPRINGS and horizon < 2.0:
         found["springs"] = {"spring": SPRINGS[n]}
         found["averaged displacement"] = {"average": AVERAGES[n]}
+        found["penalty"] = {"penalty": SPRINGS[n]}
     return found
 
 
@@ -54,7 +62,7 @@ def condition(case):
     model = study.build(case)
     K = study.dense_tangent(model, np.zeros_like(model.cloud.x))
     x = model.cloud.x[:, 0]
-    free = (x > case.horizon) & (x < 1.0 - case.horizon)
+    free = (x > x.min()) & (x < x.max())
     values = np.abs(np.linalg.eigvalsh(K[np.ix_(free, free)]))
     return values.max() / values.min()
 
@@ -76,30 +84,67 @@ def table(folder):
 
 
 def profile(folder, case, strain):
-    """Return positions and displacements, or strains F - 1, of the solved bar."""
-    pd.run(case, output=folder / "profile", quiet=True)
+    """Return positions and displacements, or strains F - 1, of the solved bar, and its results."""
+    done = pd.run(case, output=folder / "profile", quiet=True)
     with h5py.File(folder / "profile" / "fields.h5") as file:
         x, step = file["particles/position"][:, 0], file["step_00001"]
-        return x, step["deformation_gradient"][:, 0] - 1.0 if strain else step["displacement"][:, 0]
+        return x, step["deformation_gradient"][:, 0] - 1.0 if strain else step["displacement"][:, 0], done
 
 
-def curves(folder, name, title, n, chosen, window=(0.0, 1.0), error=False, strain=False):
-    """Write displacement or strain, or its relative error, of ``chosen`` {label: parameters} in a window of x."""
-    found = {}
+def curves(folder, module, name, title, n, chosen, window=(0.0, 1.0), error=False, strain=False):
+    """Write displacement or strain, or its relative error, of ``chosen`` {label: parameters} in a window of x.
+
+    Returns {label: (x, values, results of the case)} of the window.
+    """
+    found, results = {}, {}
     for label, parameters in chosen.items():
-        x, u = profile(folder, bar.case(n=n, **parameters), strain)
+        x, u, results[label] = profile(folder, module.case(**({"n": n} | parameters)), strain)
         inside = (x >= window[0]) & (x <= window[1])
-        exact = bar.exact_gradient(x[:, None], 1.0)[:, 0, 0] - 1.0 if strain else bar.exact(x[:, None], 1.0)[:, 0]
+        exact = (module.BAR.exact_gradient if strain else module.BAR.exact)(x[:, None], 1.0).reshape(len(x))
+        exact = exact - 1.0 if strain else exact
         values = np.abs(u / np.where(exact > 0.0, exact, 1.0) - 1.0) * (exact > 0.0) if error else u
         found[label] = (x[inside], values[inside])
+    drawn = dict(found)
     if not error:
-        found["local solution"] = (x[inside], exact[inside])
+        drawn["local solution"] = (x[inside], exact[inside])
     axes = {"yscale": "log", "ylim": (1e-6, 1.0)} if error else {"ylim": (0.0, 0.02)} if strain else {}
     columns = ("x", "relative error" if error else "strain" if strain else "u")
-    study.write_curves(folder, name, title, columns, found, ["local solution"], **axes)
+    study.write_curves(folder, name, title, columns, drawn, ["local solution"], **axes)
+    return {label: (*found[label], results[label]) for label in found}
 
 
-def gradients(folder):
+def luo_7(folder):
+    """Figure 7 and Table 1 of Luo and Sundararaghavan."""
+    luo = {
+        "no control": {},
+        "springs": {"spring": SPRINGS[500]},
+        "averaged displacement": {"average": AVERAGES[500]},
+        "stress points": {"scheme": "stress_points"},
+    }
+    found = curves(folder, bar, "luo_fig_7a", "Luo Fig. 7a: displacement, n = 500", 500, luo)
+    curves(folder, bar, "luo_fig_7b", "Luo Fig. 7b: amplitude, n = 500", 500, luo, error=True)
+    strains = curves(folder, bar, "luo_fig_7c", "Luo Fig. 7c: strain, n = 500", 500, luo, strain=True)
+    title = "Luo Fig. 7d: amplitude of the strain, n = 500"
+    curves(folder, bar, "luo_fig_7d", title, 500, luo, error=True, strain=True)
+    numbers = {}
+    for label, (x, strain, results) in strains.items():
+        name = label.replace(" ", "_")
+        numbers[f"{name}_left"], numbers[f"{name}_right"] = results["sawtooth"], results["sawtooth_right"]
+        second = np.abs(np.diff(strain, 2))[(x[1:-1] > 0.1) & (x[1:-1] < 0.4)].max()
+        numbers[f"{name}_strain_left"] = second / bar.BAR.alpha
+        x, u, _ = found[label]
+        numbers[f"{name}_error"] = float(np.abs(u[1:] / bar.BAR.exact(x[1:, None], 1.0)[:, 0] - 1.0).max())
+    for n in SPRINGS:
+        constants = {"plain": {}, "springs": {"spring": SPRINGS[n]}, "average": {"average": AVERAGES[n]}}
+        for name, parameters in constants.items():
+            results = study.run(folder, bar.case(n=n, **parameters))[1]["results"]
+            numbers[f"{name}_{n}_left"] = results["sawtooth"]
+            numbers[f"{name}_{n}_right"] = results["sawtooth_right"]
+    strong = study.run(folder, bar.case(n=500, average=500.0 * AVERAGES[500]))[1]["results"]
+    return numbers | {"strong_average_left": strong["sawtooth"], "strong_average_error": strong["error"]}
+
+
+def chowdhury_1(folder):
     """Chowdhury Fig. 1: the gradient of y = x + a sin(2 pi x / L) by plain and corrected operators, 400 particles."""
     length, n = 0.2, 400
     amplitude = 0.9 * length / (2.0 * np.pi)
@@ -122,32 +167,58 @@ def gradients(folder):
     found["local F"] = (s, 1.0 + 0.9 * np.cos(2.0 * np.pi * s / length))
     title = "Chowdhury Fig. 1: deformation gradients, horizon L/2"
     study.write_curves(folder, "chowdhury_fig_1", title, ("x", "F"), found, ["local F"])
+    exact = found["local F"][1]
+    return {f"{name.replace(' ', '_')}_off": float(np.abs(found[name][1] - exact).max()) for name in schemes}
 
 
-def main():
-    folder = study.folder_for(words, "out/singular_bar")
-    gradients(folder)
-    luo = {
-        "no control": {},
-        "springs": {"spring": SPRINGS[500]},
-        "averaged displacement": {"average": AVERAGES[500]},
-        "stress points": {"scheme": "stress_points"},
-    }
-    curves(folder, "luo_fig_7a", "Luo Fig. 7a: displacement, n = 500", 500, luo)
-    curves(folder, "luo_fig_7b", "Luo Fig. 7b: amplitude, n = 500", 500, luo, error=True)
-    curves(folder, "luo_fig_7c", "Luo Fig. 7c: strain, n = 500", 500, luo, strain=True)
-    curves(folder, "luo_fig_7d", "Luo Fig. 7d: amplitude of the strain, n = 500", 500, luo, error=True, strain=True)
-    plain = {f"plain, horizon {h} dx": {"horizon": h} for h in (1.1, 2.1, 4.1, 5.1)}
-    curves(folder, "chowdhury_fig_2", "Chowdhury Fig. 2: plain, n = 4000", 4000, plain, (0.45, 0.55))
-    orders = {f"order {N}": {"horizon": 5.1, "scheme": "corrected", "order": N} for N in (6, 7, 8)}
-    curves(folder, "chowdhury_fig_3", "Chowdhury Fig. 3: corrected, horizon 5.1 dx", 4000, orders, (0.45, 0.55))
-    halves = {f"{N} sub-horizons": {"horizon": 10.1, "scheme": "sub_horizons", "sectors": N} for N in (2, 4)}
-    curves(folder, "chowdhury_fig_5", "Chowdhury Fig. 4, 5: sub-horizons, horizon 10.1 dx", 4000, halves, (0.45, 0.55))
-    convergence = {
-        "horizon 0.01": {"horizon": 40.0, "scheme": "sub_horizons"},
-        "horizon 1.1 dx": {"horizon": 1.1, "scheme": "sub_horizons"},
-    }
-    curves(folder, "chowdhury_fig_6", "Chowdhury Fig. 6: nonlocal and local, n = 4000", 4000, convergence, (0.45, 0.55))
+def chowdhury_2(folder):
+    """Chowdhury Fig. 2: plain correspondence at four horizons."""
+    chosen = {f"horizon {h} dx": {"horizon": h} for h in (1.1, 2.1, 4.1, 5.1)}
+    found = curves(folder, pulled, "chowdhury_fig_2", "Chowdhury Fig. 2: plain, n = 4000", 4000, chosen, MIDDLE)
+    return {f"plain_{label.split()[1]}": results["sawtooth"] for label, (*_, results) in found.items()}
+
+
+def chowdhury_3(folder):
+    """Chowdhury Fig. 3: corrected gradients of three orders."""
+    chosen = {f"order {N}": {"scheme": "corrected", "order": N} for N in (6, 7, 8)}
+    title = "Chowdhury Fig. 3: corrected, horizon 5.1 dx, n = 4000"
+    found = curves(folder, pulled, "chowdhury_fig_3", title, 4000, chosen, MIDDLE)
+    return {label.replace(" ", "_"): results["sawtooth"] for label, (*_, results) in found.items()}
+
+
+def chowdhury_4(folder):
+    """Chowdhury Fig. 4: two sub-horizons at four horizons."""
+    chosen = {f"horizon {h} dx": {"horizon": h, "scheme": "sub_horizons"} for h in (1.1, 2.1, 5.1, 10.1)}
+    found = curves(folder, pulled, "chowdhury_fig_4", "Chowdhury Fig. 4: two sub-horizons, n = 4000", 4000, chosen)
+    numbers = {f"end_{label.split()[1]}": results["end"] for label, (*_, results) in found.items()}
+    return numbers | {"sawtooth": max(results["sawtooth"] for *_, results in found.values())}
+
+
+def chowdhury_5(folder):
+    """Chowdhury Fig. 5: two and four sub-horizons."""
+    chosen = {f"{N} sub-horizons": {"horizon": 10.1, "scheme": "sub_horizons", "sectors": N} for N in (2, 4)}
+    title = "Chowdhury Fig. 5: horizon 10.1 dx, n = 4000"
+    (_, two, _), (_, four, _) = curves(folder, pulled, "chowdhury_fig_5", title, 4000, chosen).values()
+    return {"two_against_four": float(np.abs(two - four).max() / pulled.BAR.end)}
+
+
+def chowdhury_6(folder):
+    """Chowdhury Fig. 6: refined under a fixed horizon and with the horizon."""
+    fixed = {f"dx = L/{n}": {"n": n, "horizon": 0.01 * n, "scheme": "sub_horizons"} for n in REFINED}
+    title = "Chowdhury Fig. 6: nonlocal, horizon 0.01 L"
+    nonlocal_ = curves(folder, pulled, "chowdhury_fig_6_nonlocal", title, 4000, fixed)
+    local = {f"dx = L/{n}": {"n": n, "horizon": 1.1, "scheme": "sub_horizons"} for n in REFINED}
+    found = curves(folder, pulled, "chowdhury_fig_6_local", "Chowdhury Fig. 6: local, 1.1 dx", 4000, local)
+    numbers = {f"local_error_{n}": found[f"dx = L/{n}"][2]["error"] for n in REFINED}
+    x, finest, _ = nonlocal_[f"dx = L/{REFINED[-1]}"]
+    for n in REFINED[:-1]:
+        coarse_x, u, _ = nonlocal_[f"dx = L/{n}"]
+        numbers[f"nonlocal_{n}"] = float(np.abs(u - np.interp(coarse_x, x, finest)).max() / pulled.BAR.end)
+    return numbers
+
+
+def draw_table(folder):
+    """Write the table of all methods and its picture."""
     rows = table(folder)
     names = dict.fromkeys(row[0] for row in rows)
     by_horizon = {
@@ -158,6 +229,30 @@ def main():
         folder, "sawtooth", "Sawtooth on the linear half, n = 500", ("horizon / dx", "second difference / u_end"),
         {name: tuple(points) for name, points in by_horizon.items()}, yscale="log",
     )  # fmt: skip
+    return {}
+
+
+FIGURES = {
+    "luo_7": luo_7,
+    "chowdhury_1": chowdhury_1,
+    "chowdhury_2": chowdhury_2,
+    "chowdhury_3": chowdhury_3,
+    "chowdhury_4": chowdhury_4,
+    "chowdhury_5": chowdhury_5,
+    "chowdhury_6": chowdhury_6,
+    "table": draw_table,
+}
+
+
+def main():
+    unknown = [word for word in words[1:] if word not in FIGURES]
+    if unknown:
+        sys.exit(f"There is no figure {unknown[0]}; choose from {', '.join(FIGURES)}.")
+    folder = study.folder_for(words, "out/singular_bar")
+    numbers = {}
+    for name in words[1:] or FIGURES:
+        numbers |= {f"{name}.{key}": value for key, value in FIGURES[name](folder).items()}
+    study.write_numbers(folder, numbers)
 
 
 if __name__ == "__main__":

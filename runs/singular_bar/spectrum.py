@@ -28,12 +28,15 @@ METHODS = {
     "Silling": {"scheme": pd.Correspondence(), "stabilisation": pd.Silling()},
     "Littlewood": {"scheme": pd.Correspondence(), "stabilisation": pd.Littlewood()},
     "Wan": {"scheme": pd.Correspondence(), "stabilisation": pd.Wan()},
+    "relative springs": {"scheme": pd.Correspondence(), "stabilisation": pd.RelativeSprings()},
+    "relative average": {"scheme": pd.Correspondence(), "stabilisation": pd.RelativeAverage()},
+    "smoothed displacement": {"scheme": pd.SmoothedDisplacement()},
 }
 WAVES = 120
 
 
-def energies(n, parameters):
-    """Return wave numbers and e(k) on n particles."""
+def energies(n, parameters, k=None):
+    """Return wave numbers, up to the shortest wave of the lattice if not given, and e(k) on n particles."""
     case = pd.Case(
         particles=pd.Lattice((0.0,), (1.0,), 1.0 / n),
         horizon=0.01 * (1.0 + 1e-9),
@@ -42,7 +45,7 @@ def energies(n, parameters):
         **parameters,
     )
     model = study.build(case)
-    k = np.linspace(0.0, np.pi * n, WAVES + 1)[1:]
+    k = np.linspace(0.0, np.pi * n, WAVES + 1)[1:] if k is None else k
     x = model.cloud.x[: model.cloud.n_owned]
     found = []
     for wave in k:
@@ -51,19 +54,28 @@ def energies(n, parameters):
     return k, np.array(found)
 
 
+FIGURES = {"plain": "10", "2 sub-horizons": "11a", "4 sub-horizons": "11b"}
+REFINED = (1000, 2000, 4000)
+
+
 def main():
     folder = study.folder_for(words, "out/spectrum")
-    for name, parameters in METHODS.items():
-        if name in ("plain", "2 sub-horizons", "4 sub-horizons"):
-            curves = {f"L/dx = {n}": energies(n, parameters) for n in (1000, 2000, 4000)}
-            number = {"plain": "10", "2 sub-horizons": "11a", "4 sub-horizons": "11b"}[name]
-            study.write_curves(folder, f"fig_{number}", f"Fig. {number}: {name}", ("k L", "e"), curves)
+    numbers = {}
+    for name, figure in FIGURES.items():
+        curves = {f"L/dx = {n}": energies(n, METHODS[name]) for n in REFINED}
+        study.write_curves(folder, f"fig_{figure}", f"Fig. {figure}: {name}", ("k L", "e"), curves)
+        # The least energy of the shorter waves of the coarsest lattice, and what the finest gives for the same waves.
+        k, coarse = curves[f"L/dx = {REFINED[0]}"]
+        short = slice(len(k) // 2, None)
+        numbers[f"fig_{figure}.least"] = coarse[short].min() / coarse.max()
+        numbers[f"fig_{figure}.finer"] = energies(REFINED[-1], METHODS[name], k)[1][short].mean() / coarse[short].mean()
     curves = {name: energies(1000, parameters) for name, parameters in METHODS.items()}
     study.write_curves(folder, "all_methods", "L/dx = 1000, horizon 10 dx", ("k L", "e"), curves, yscale="log")
     least = [(name, float(np.abs(e[len(e) // 2 :]).min() / e[0])) for name, (_, e) in curves.items()]
     study.write_table(
         folder, "least_energy", ("method", "least e(k) of the shorter waves over e of the longest"), least
     )
+    study.write_numbers(folder, numbers | {f"least.{name}": value for name, value in least})
 
 
 if __name__ == "__main__":

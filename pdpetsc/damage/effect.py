@@ -1,0 +1,136 @@
+"""What the integrity of bonds does to the force states of deformation gradients."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import Declared
+
+
+class DamageEffect(Declared, ABC):
+    """How force states ``T_s omega P K^-1 xi`` and the zero-energy control fade with their bonds, and when these break.
+
+    A bond has the integrity ``T_s`` of the law at its present stretch or the one that was kept at the last
+    equilibrium. Whatever the effect, no bond breaks while equilibrium is sought, and a broken bond leaves shape tensor
+    and gradient.
+    """
+
+    @property
+    @abstractmethod
+    def heals(self) -> bool:
+        """Return whether a bond that has not broken regains force as it shortens."""
+
+    @property
+    @abstractmethod
+    def tears(self) -> bool:
+        """Return whether bonds also break with the strain of a gradient that has lost some, not by stretch alone."""
+
+    @abstractmethod
+    def follows(self, present: Float, kept: Float) -> Mask:
+        """Return which bonds have the integrity of the present stretch (n_bonds,), not the kept one."""
+
+    @abstractmethod
+    def reached(self, x: Float, worst: Float) -> Float:
+        """Return the stretch that decides (n_bonds,), both over the critical one [-]: now, and the largest kept."""
+
+    @abstractmethod
+    def volume_left(self, share: Float) -> Float:
+        """Return the share of the volume of a particle that has ``share`` (n,) of its family left [-]."""
+
+    @abstractmethod
+    def of_control(self, kept: Float) -> Float:
+        """Return what multiplies stiffness and gradient of the control until the next equilibrium (n_bonds,) [-]."""
+
+    @abstractmethod
+    def fading(self, integrity: Float) -> Float | None:
+        """Return what multiplies the control's forces besides, now (n_bonds,) [-]; None for nothing."""
+
+
+@dataclass(frozen=True)
+class LargestStretch(DamageEffect):
+    """The integrity is that of the largest stretch so far: what a bond has lost it does not regain.
+
+    The control has the integrity of the last equilibrium in its stiffness and in the gradient that it measures from. A
+    bond that breaks takes its share of the particle's volume with it, so that the force states of the others stay as
+    they were, and bonds that lie across the pull break with the strain of the gradient.
+    """
+
+    @property
+    def heals(self) -> bool:
+        """Return False."""
+        return False
+
+    @property
+    def tears(self) -> bool:
+        """Return True."""
+        return True
+
+    def follows(self, present: Float, kept: Float) -> Mask:
+        """Return where the present integrity is below the kept one."""
+        return np.asarray(present < kept)
+
+    def reached(self, x: Float, worst: Float) -> Float:
+        """Return the larger of the two."""
+        return np.maximum(x, worst)
+
+    def volume_left(self, share: Float) -> Float:
+        """Return the share of the family."""
+        return share
+
+    def of_control(self, kept: Float) -> Float:
+        """Return the integrity."""
+        return kept
+
+    def fading(self, integrity: Float) -> Float | None:
+        """Return None."""
+        return None
+
+
+@dataclass(frozen=True)
+class PresentStretch(DamageEffect):
+    """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the integrity of the present stretch everywhere.
+
+    The control fades with its bonds at once, with the derivative of that in the tangent, and measures from the gradient
+    of the bonds that have not broken. Bonds break at their critical stretch and for no other reason. Particles keep
+    their whole volume, so the stress of those that have lost bonds is carried by the bonds that are left. Until it
+    breaks a bond regains what it had lost when it shortens.
+
+    References
+    ----------
+    Hashim et al., Eq. (45)-(54), with ``T_s omega P K^-1 xi`` for ``T_s omega P^T K xi`` and the derivative of
+    ``1 - tanh n`` as ``tanh(n)^2 - 1``.
+    """
+
+    @property
+    def heals(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def tears(self) -> bool:
+        """Return False."""
+        return False
+
+    def follows(self, present: Float, kept: Float) -> Mask:
+        """Return True for all."""
+        return np.ones(len(present), dtype=bool)
+
+    def reached(self, x: Float, worst: Float) -> Float:
+        """Return the present stretch."""
+        return x
+
+    def volume_left(self, share: Float) -> Float:
+        """Return 1: all of it."""
+        return np.ones_like(share)
+
+    def of_control(self, kept: Float) -> Float:
+        """Return 1 where bonds are not broken."""
+        return np.asarray(kept > 0.0, dtype=np.float64)
+
+    def fading(self, integrity: Float) -> Float | None:
+        """Return the integrity."""
+        return integrity

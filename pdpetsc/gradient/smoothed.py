@@ -1,0 +1,61 @@
+"""Gradients of the averaged displacement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import FLAT, GradientOperator, Scheme, from_bond_weights, refuse_flat
+from pdpetsc.kernels.gradient import smoothed_moments_kernel
+
+
+@dataclass(frozen=True)
+class SmoothedDisplacement(Scheme):
+    """Correspondence with the averaged displacement, ``F_i = I + sum_j omega V_j (ubar_j - ubar_i) (x) xi_ij B_i^-1``.
+
+    ``ubar_j`` is the mean of u over the particles within ``radius`` horizons of j, j among them, and the sum goes over
+    the neighbours within the rest of the horizon, so that no family reaches further than its horizon. With
+    ``B_i = sum_j omega V_j (xbar_j - xbar_i) (x) xi_ij`` affine displacements are exact up to the surface. There is no
+    coefficient to choose, but the average hides the shortest waves from F instead of resisting them: u keeps them, the
+    averaged displacement does not. For comparison only.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of the average, in horizons; horizon and rest must both hold neighbours, so horizons below two spacings
+        are refused.
+
+    References
+    ----------
+    Wu, Ren (2015), as Yaghoobi, Chorzepa (2017), section 1, describe it.
+    """
+
+    radius: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.radius) and 0.0 < self.radius < 1.0):
+            raise CaseError(f"The radius of the average lies between 0 and 1 horizons, not {self.radius}.")
+
+    def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
+        """Return the operator (collective); raises CaseError where a family is too small or flat."""
+        weight = omega * cloud.volume[families.neighbours]
+        reach = cloud.horizon * (1.0 + HORIZON_TOLERANCE)
+        moments = np.empty((len(weight), cloud.dim))
+        kernel = smoothed_moments_kernel(cloud.dim)
+        radii = self.radius * reach, (1.0 - self.radius) * reach
+        kernel(families.indptr, families.neighbours, cloud.x, cloud.volume, weight, *radii, moments)
+        xi = families.bonds(cloud.x)
+        B = np.zeros((cloud.n_owned, cloud.dim, cloud.dim))
+        np.add.at(B, families.centres, xi[:, :, None] * moments[:, None, :])
+        singular = np.linalg.svd(B, compute_uv=False)
+        bad = singular[:, -1] <= FLAT * singular.mean(axis=1)
+        refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][bad], "gradients of the averaged displacement")
+        g = np.einsum("bn,bnm->bm", moments, np.linalg.inv(B)[families.centres])
+        return from_bond_weights(cloud, families, g)

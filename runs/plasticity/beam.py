@@ -1,9 +1,9 @@
 """Elastic-plastic beam bent to five times its yield curvature and back to half of that, plane strain. Units mm, N.
 
 30 x 10 mm; sections at the ends, two horizons deep, turn as those of a circle and are free to change their height. No
-part of the beam is homogeneous and every step iterates. Results: ``moment`` at the largest curvature and ``moment_back``
-at the end, their errors against the moments of fibres (``moment.py``) over the largest, and the plastic strain of the
-outer particles at mid-span.
+part of the beam is homogeneous and every step iterates. Results: ``moment`` at the largest curvature and
+``moment_back`` at the end, their errors against the moments of fibres (``moment.py``) over the largest, and the
+plastic strain of the outer particles at mid-span.
 """
 
 from dataclasses import dataclass

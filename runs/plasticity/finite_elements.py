@@ -1,9 +1,9 @@
 """Elastic-plastic plate by finite elements, for comparison: python runs/plasticity/finite_elements.py.
 
-Writes ``finite_elements.json``. Biquadratic quadrilaterals (scikit-fem) with 3 x 3 Gauss points, full Newton, a quarter of
-the plate: elements know no difference between symmetry lines and the whole. The law is written anew here, in terms of
-b_e = F C_p^-1 F^T with a return in principal logarithmic strains (Simo 1992), its tangent by central differences.
-Units mm, N.
+Writes ``finite_elements.json``. Biquadratic quadrilaterals (scikit-fem) with 3 x 3 Gauss points, full Newton, a
+quarter of the plate: elements know no difference between symmetry lines and the whole. The law is written anew here,
+in terms of b_e = F C_p^-1 F^T with a return in principal logarithmic strains (Simo 1992), its tangent by central
+differences. Units mm, N.
 """
 
 import json

@@ -1,15 +1,15 @@
 """Moment of a wide elastic-plastic beam bent to a curvature and back, from the law of a fibre.
 
 In pure bending at small strain every fibre has the strain ``-kappa y`` along the beam, none across the plane, and no
-stress through the height, so the moment is the integral of ``-sigma_xx y`` over the height. What J2 plasticity with linear
-hardening gives for such a fibre is integrated here in small steps, apart from anything in ``pdpetsc``.
+stress through the height, so the moment is the integral of ``-sigma_xx y`` over the height. What J2 plasticity with
+linear hardening gives for such a fibre is integrated here in small steps, apart from anything in ``pdpetsc``.
 """
 
 import numpy as np
 
 # Steps of the curvature from zero to its largest size, and fibres in half the height.
-STEPS = 400
-FIBRES = 200
+STEPS = 200
+FIBRES = 60
 # An elastic-plastic fibre is solved to this share of its yield stress.
 TOLERANCE = 1e-10
 
@@ -21,7 +21,7 @@ class Fibres:
         self.mu, self.bulk = E / (2.0 * (1.0 + nu)), E / (3.0 * (1.0 - 2.0 * nu))
         self.yield_stress, self.hardening = yield_stress, hardening
         self.plastic, self.alpha = np.zeros((3, count)), np.zeros(count)
-        self.height = np.zeros(count)
+        self.along, self.height = np.zeros(count), np.zeros(count)
 
     def _respond(self, along, height):
         """Return stress (3, n), plastic strain (3, n) and alpha (n,) at strains along the beam and over its height."""
@@ -31,16 +31,22 @@ class Fibres:
         q = np.sqrt(1.5 * (deviator**2).sum(axis=0))
         flow = np.maximum(q - self.yield_stress - self.hardening * self.alpha, 0.0) / (3.0 * self.mu + self.hardening)
         direction = 1.5 * deviator / np.maximum(q, np.finfo(float).tiny)
-        return pressure + deviator - 2.0 * self.mu * flow * direction, self.plastic + flow * direction, self.alpha + flow
+        return (
+            pressure + deviator - 2.0 * self.mu * flow * direction,
+            self.plastic + flow * direction,
+            self.alpha + flow,
+        )
 
     def stress(self, along):
         """Move to strains along the beam and return the stress there: the strain of the height leaves no stress."""
-        low, high = self.height - np.abs(along) - 1.0, self.height + np.abs(along) + 1.0
+        # The height changes by less than the length where stress across it is nothing and volume is kept at most.
+        reach = 2.0 * np.abs(along - self.along) + self.yield_stress / self.mu
+        low, high = self.height - reach, self.height + reach
         while np.any(high - low > TOLERANCE * self.yield_stress / self.mu):
             middle = 0.5 * (low + high)
             pressed = self._respond(along, middle)[0][1] < 0.0
             low, high = np.where(pressed, middle, low), np.where(pressed, high, middle)
-        self.height = 0.5 * (low + high)
+        self.along, self.height = along, 0.5 * (low + high)
         found, self.plastic, self.alpha = self._respond(along, self.height)
         return found[0]
 

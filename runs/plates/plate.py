@@ -82,7 +82,7 @@ class AlongLine(pd.Quantity):
 
 
 class Amplitude(AlongLine):
-    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 21-22); 0 where the line has no particle."""
+    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 22); 0 where the line has no particle."""
 
     def evaluate(self, solution):
         error, size = self.error(solution)

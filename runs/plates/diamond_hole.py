@@ -1,9 +1,10 @@
 """Plate with a diamond-shaped hole pulled at both ends, plane strain. Units m, N.
 
-Results along the middle line right of the hole (AB in the paper), against finite elements with nodes at the particles:
-mean relative error (amplitude) and largest second difference of the error (oscillation) of u_x and sigma_xx, on the whole
-line and on the part that is 10 mm away from the hole, whose corner is singular, and three particles from the end.
-``horizon`` is in diagonals of the lattice, as in the paper; the hole has diagonals of 0.0375 m.
+Results along the middle line right of the hole (AB in the paper), against finite elements with nodes at the
+particles: mean relative error (amplitude) and largest second difference of the error (oscillation) of u_x and
+sigma_xx, on the whole line and on the part that is 10 mm away from the hole, whose corner is singular, and three
+particles from the end. ``horizon`` is in diagonals of the lattice, as in the paper; the hole has diagonals of 0.0375
+m.
 Reference: Chowdhury, Roy, Roy, Reddy, section 5.2, Fig. 7-9.
 """
 
@@ -36,9 +37,7 @@ def case(nx=160, horizon=1.1, scheme="correspondence", control="none"):
     region = pd.region
     half = np.array([LENGTH / 2, WIDTH / 2])
     line = plate.Line("diamond_hole", 0, {1: 0.0}, dx, low=0.0)
-    away = dataclasses.replace(
-        line, low=HALF_DIAGONAL + AWAY - 0.1 * dx, high=LENGTH / 2 - (plate.ENDS - 0.5) * dx
-    )
+    away = dataclasses.replace(line, low=HALF_DIAGONAL + AWAY - 0.1 * dx, high=LENGTH / 2 - (plate.ENDS - 0.5) * dx)
     return pd.Case(
         particles=pd.Lattice(-half - 0.5 * dx, half + 0.5 * dx, dx, cut=region.Where(in_hole)),
         horizon=horizon * np.sqrt(2.0) * dx,

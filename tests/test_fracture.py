@@ -96,11 +96,14 @@ def test_a_crack_of_bonds_that_snap_runs_through(scheme, nx, horizon, steps, tmp
 
 
 SNAPPING = ("law=brittle", "scheme=sub_horizons", "G=0", "nx=18", "horizon=2.015", "steps=4")
+PUBLISHED = ("effect=present", "continuous=false", "G=0.01", "unit=1000", "steps=5", "pull=0.12")
 
 
-@pytest.mark.parametrize(("arguments", "several", "least"), [(("steps=15",), (2, 3, 4), 60), (SNAPPING, (3,), 20)])
+@pytest.mark.parametrize(
+    ("arguments", "several", "least"), [(("steps=15",), (2, 3, 4), 60), (SNAPPING, (3,), 20), (PUBLISHED, (2,), 30)]
+)
 def test_any_number_of_ranks_breaks_the_same_bonds(arguments, several, least, tmp_path):
-    """Bonds past their stretch and, in the second, some that gradients on another rank tear."""
+    """Bonds past their stretch; in the second some that gradients on another rank tear, in the third some that heal."""
     rows = {}
     for ranks in (1, *several):
         results(PLATE, *arguments, output=tmp_path / str(ranks), ranks=ranks)
@@ -238,6 +241,37 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
     assert h["unbalanced"].max() < 1e-9 * h["force"].max()
     assert h["broken"][-1] > 0.0
     assert 0.5 < h["over"].max() < 1.0
+
+
+def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_failed(tmp_path):
+    free = ~(pd.region.Slab("x", high=0.0) | pd.region.Slab("x", low=plate_with_hole.LENGTH))
+
+    class Unbalanced(pd.Quantity):
+        """Largest internal force on a particle where nothing is prescribed [force]."""
+
+        def evaluate(self, solution):
+            f = solution.internal_force[solution.select(free)]
+            return solution.largest(float(np.abs(f).max()))
+
+    class Present(pd.Quantity):
+        """Largest difference of an integrity from that of the present stretch, and whether a bond is past its end."""
+
+        def evaluate(self, solution):
+            damage = solution.problem.damage
+            bonds = damage.bonds
+            x = damage.elongation(solution.state) / bonds.limit
+            T = bonds.law.integrity(np.clip(x, 0.75, 1.0))
+            off = np.abs(np.where(x < 0.75, 1.0, T) - bonds.integrity)[bonds.intact].max()
+            return solution.largest(float(off)) + solution.largest(float(x[bonds.intact].max() > 1.0))
+
+    case = plate_with_hole.case(pull=0.1, steps=8, effect="present")
+    history_of = {"force": case.history["force"], "unbalanced": Unbalanced(), "present": Present()}
+    pd.run(dataclasses.replace(case, history=history_of, results=None, picture=None), output=tmp_path, quiet=True)
+    summary, h = json.loads((tmp_path / "summary.json").read_text()), history(tmp_path)
+    assert any(step.get("sweeps") for step in summary["steps"])
+    assert summary["pieces"]["forces_left"] < 1e-9
+    assert h["unbalanced"].max() < 1e-9 * h["force"].max()
+    assert h["present"].max() < 1e-10
 
 
 def test_two_cracks_meet(tmp_path):

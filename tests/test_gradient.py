@@ -134,6 +134,22 @@ def test_a_corrected_gradient_is_exact_for_polynomials_of_its_order(dim, rng):
             assert np.abs(H - exact).max() < 1e-9
 
 
+@pytest.mark.parametrize("influence", [pd.influence.Constant(), pd.influence.Cubic(), pd.influence.Gaussian()])
+@pytest.mark.parametrize(
+    "differences", [(8 / 12, -1 / 12), (45 / 60, -9 / 60, 1 / 60), (672 / 840, -168 / 840, 32 / 840, -3 / 840)]
+)
+def test_higher_order_weights_of_the_highest_order_are_central_differences(differences, influence):
+    """On m neighbours on a side order 2 m - 1 leaves no choice: the difference formula, whatever the influence."""
+    m = len(differences)
+    x = np.arange(-8.0, 9.0)[:, None]
+    cloud = distribute(world(), x, np.ones(len(x)), {}, m + 0.015)
+    families = find_families(cloud)
+    omega = influence(np.abs(families.bonds(cloud.x)[:, 0]) / cloud.horizon)
+    operator = pd.HigherOrder(2 * m - 1).build(cloud, families, omega)
+    step = np.array([operator.gradient((np.abs(cloud.x - k) < 0.1) * 1.0)[8, 0, 0] for k in range(1, m + 1)])
+    assert step == pytest.approx(differences, rel=1e-7)
+
+
 def test_orders_that_a_family_cannot_carry_are_lowered_and_said():
     x = np.arange(12.0)[:, None]
     cloud = distribute(world(), x, np.ones(12), {}, 1.015)

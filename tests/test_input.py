@@ -56,7 +56,8 @@ VALID = [
     pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.5), pd.Arrays([[0.0], [1.0]], [1.0, 1.0], {"a": [0]}),
     pd.Displacement(region.All(), x=0.0), pd.Force(region.All(), x=0.0), pd.BodyForce(region.All(), x=ones),
     pd.Traction(region.All(), x=0.0, normal=(1.0, 0.0)), pd.MeanStrain(xx=0.1), pd.MeanStress(xx=1.0),
-    pd.Silling(), pd.Littlewood(), pd.Wan(), pd.Springs(0.1), pd.AveragedDisplacement(0.1),
+    pd.Silling(), pd.SillingMicromodulus(0.1, 1.0), pd.Littlewood(), pd.Wan(), pd.Springs(0.1),
+    pd.AveragedDisplacement(0.1),
 ]  # fmt: skip
 WRONG = [
     None, "", "x", "xy", b"x", math.nan, math.inf, -math.inf, -1, 0, 1, 0.5, 1e300, 10**400, True, 1j, [], {}, (),

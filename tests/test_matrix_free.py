@@ -84,7 +84,7 @@ CASES = {
     "beam": ("runs/beams/clamped.py", "ny=3", "horizon=2.015", "scheme=sub_horizons", "steps=2"),
     "silling": ("runs/beams/clamped.py", "ny=3", "horizon=2.015", "G=0.5", "steps=2"),
     "damage": ("runs/fracture/plate_with_hole.py", "steps=6"),
-    "plasticity": ("runs/plasticity/bar.py",),
+    "plasticity": ("runs/plasticity/beam.py", "ny=6"),
     "cell": ("runs/patch/cell.py",),
 }
 

@@ -17,6 +17,7 @@ from .units import in_units
 CASES = {
     "clamped": ("beams/clamped.py", "steps=3"),
     "supported": ("beams/simply_supported.py", "steps=3"),
+    "supported, coefficient as printed": ("beams/simply_supported.py", "steps=3", "horizon=2.015", "G_printed=0.02"),
     "cantilever": ("beams/cantilever.py", "ny=3", "steps=4"),
     "cantilever, no matrix": ("beams/cantilever.py", "ny=3", "steps=4", "-pd_jacobian=matfree", "-pc_type=gamg"),
     "cantilever, own Cholesky": ("beams/cantilever.py", "ny=3", "steps=4", "-pc_factor_mat_solver_type=petsc"),
@@ -28,7 +29,7 @@ CASES = {
     "block": ("hard/block.py", "nx=12", "ny=6", "shake=0.2", "steps=2"),
     "graded block, neo-Hookean": ("hard/block.py", "nx=12", "ny=6", "grading=4", "law=neo_hookean", "steps=2"),
     "plastic plate": ("plasticity/plate.py", "dx=10", "steps=4"),
-    "plastic bar": ("plasticity/bar.py", "dim=1", "n=10", "steps=4"),
+    "plastic beam": ("plasticity/beam.py", "ny=4", "steps=4"),
     "plate with hole": ("fracture/plate_with_hole.py", "nx=18", "horizon=2.015", "pull=0.16", "steps=4"),
     "plate with hole, present stretch": (
         "fracture/plate_with_hole.py",

@@ -26,6 +26,7 @@ def in_units(case, force, length):
         material=materials,
         conditions=[units.condition(condition) for condition in case.conditions],
         cracks=[_Crack(crack, length) for crack in case.cracks],
+        stabilisation=units.control(case.stabilisation),
         damage=case.damage and units.damage(case.damage),
         cell=cell,
         solver=units.solver(case.solver),
@@ -82,6 +83,11 @@ class _Units:
             return pd.Graded(self.material(material.material), lambda x: factor(x / self.length))
         names = {"E", "yield_stress", "hardening"} & {f.name for f in dataclasses.fields(material)}
         return dataclasses.replace(material, **{name: getattr(material, name) * self.stress for name in names})
+
+    def control(self, control):
+        if not isinstance(control, pd.SillingMicromodulus):
+            return control
+        return dataclasses.replace(control, unit_length=control.unit_length * self.length)
 
     def condition(self, condition):
         if isinstance(condition, pd.MeanStrain | pd.MeanStress):

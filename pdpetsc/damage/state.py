@@ -137,6 +137,9 @@ class FailingBonds:
     def soften(self, e: Float) -> float:
         """Take the integrity at elongations e for good; return the largest change of any bond (collective)."""
         T, _ = self._following(e)
+        if self.frozen:
+            # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
+            T = np.minimum(T, self.integrity)
         change = float(np.abs(self.integrity - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)

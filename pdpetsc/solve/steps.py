@@ -71,7 +71,8 @@ def load_steps(
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
-    that equilibrium alternate until neither changes: damage only grows, so this ends.
+    that equilibrium alternate until neither changes: damage only grows, so this ends. Where bonds heal Newton's answer
+    counts however far it jumped, and bonds break there; damage is held only where Newton fails.
     A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
     up to the largest, if it was easy.
 
@@ -143,9 +144,19 @@ def equilibrium(
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
-    if not stop() and result.converged:
-        attempt, result, change = followed(solver, attempt, result, target)
-    if stop() or (result.converged and change <= LAST and not problem.break_bonds(solver.state(attempt), 1)):
+    heals = problem.damage is not None and problem.damage.heals
+    while not stop() and result.converged:
+        attempt, result, change = followed(solver, attempt, result, target, 1.0 if heals else GENTLE)
+        if not result.converged or change > LAST:
+            break
+        more = problem.break_bonds(solver.state(attempt), breaks if heals else 1)
+        if not more:
+            return attempt, result, broken, 0
+        if not heals:
+            break
+        broken += more
+        attempt, result = solver.solve(attempt, target)
+    if stop():
         return attempt, result, broken, 0
     problem.revert()
     return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), breaks))
@@ -195,7 +206,8 @@ def settle(
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
 
     The last sweep leaves equilibrium with the damage before it, so Newton with damage that follows the displacement
-    ends the search: what is returned is equilibrium with the damage that is kept.
+    ends the search: what is returned is equilibrium with the damage that is kept. Bonds that heal do not in sweeps,
+    which would not end then, and break only where damage has settled; that Newton lets them, and must converge.
 
     Parameters
     ----------
@@ -209,6 +221,7 @@ def settle(
     As ``equilibrium``.
     """
     damage = damage_of(solver)
+    heals = damage.heals
     damage.freeze(True)
     broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
@@ -217,19 +230,21 @@ def settle(
         if not result.converged:
             return u, result, broken, sweep
         change = damage.soften(solver.state(u))
-        # Bonds that heal break at equilibrium with their present damage only, which this is once damage has settled.
-        more = 0 if damage.heals and change >= SETTLED else fail(u)
+        more = 0 if heals and change >= SETTLED else fail(u)
         if change < SETTLED and not more:
             damage.freeze(False)
             load = solver.load
             attempt, closed = solver.solve(u, target)
             if closed.converged:
-                attempt, closed, change = followed(solver, attempt, closed, target, CLOSE)
+                attempt, closed, change = followed(solver, attempt, closed, target, 1.0 if heals else CLOSE)
             damage.freeze(True)
             iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
             if closed.converged and change <= LAST:
                 u, result = attempt, closed
                 more = fail(u)
+            elif heals:
+                reason = "no equilibrium was found in which bonds heal after the damage had settled without"
+                return u, replace(closed, converged=False, reason=reason), broken, sweep
             else:
                 solver.load = load
         broken += more

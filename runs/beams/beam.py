@@ -12,7 +12,7 @@ PRESSURE = 276e3
 
 
 # One unit of length of the paper's G [m]. The text does not state it: with this one, the only number that is fitted,
-# all 15 residual norms of its Table 2 that lie above round-off are met within 0.8 % (tables.py).
+# all 15 residual norms of its Table 2 that lie above round-off are met within 0.5 % (tables.py).
 UNIT = 15.933e-3
 
 

@@ -11,7 +11,6 @@ pictures, and ``numbers.json`` has the numbers that belong to the figures of one
 """
 
 import csv
-import json
 import sys
 from pathlib import Path
 
@@ -240,8 +239,7 @@ def main():
     numbers = {}
     for name in words[1:] or FIGURES:
         numbers |= FIGURES[name](folder)
-    if is_root(world()):
-        (folder / "numbers.json").write_text(json.dumps({key: float(numbers[key]) for key in numbers}, indent=1))
+    study.write_numbers(folder, numbers)
 
 
 if __name__ == "__main__":

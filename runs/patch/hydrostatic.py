@@ -3,7 +3,7 @@
 The exact solution is homogeneous: P = 2 (lambda + mu) ln(L) / L for the stretch L. ``loading`` is ``displacement`` (the
 layer of two horizons follows the exact solution: every scheme then has F exact), ``layer`` or ``consistent`` (that P on
 all four sides). The load of 5000 kN/m^2 in the paper lies above the largest P of the material, 613 kN/m^2; the stretch
-that it states needs 494.1 kN/m^2.
+that it states needs 494.1 kN/m^2. ``G_printed`` is the paper's G, for which one ``unit`` of length is a metre here.
 Reference: Hashim, Coombs, Augarde, Hattori, section 4.1.
 """
 
@@ -18,7 +18,9 @@ E = 1.2e6
 NU = 0.2
 
 
-def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="correspondence"):
+def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="correspondence", G_printed=0.0, unit=1.0):
+    if G and G_printed:
+        raise pd.CaseError("Give one of G and G_printed; each is a control of zero-energy modes.")
     if n < 5 or n % 2 == 0:
         raise pd.CaseError(f"n must be odd and at least 5, so that particles lie on the symmetry lines, not {n}.")
     dx = 1.0 / n
@@ -45,13 +47,14 @@ def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="co
     else:
         raise pd.CaseError(f"loading is displacement, layer or consistent, not {loading!r}.")
     exact_F = np.eye(2) * STRETCH
+    control = pd.SillingMicromodulus(G_printed, unit) if G_printed else pd.Silling(G) if G else None
 
     return pd.Case(
         particles=pd.Lattice((-0.5, -0.5), (0.5, 0.5), dx),
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        stabilisation=control,
         conditions=conditions,
         steps=pd.Steps(steps),
         history={

@@ -1,11 +1,12 @@
 """Brick of 80 x 80 x 40 mm pulled on its four sides, top and bottom free. Units mm, N.
 
 The four sides move outward by 0.4 mm. The paper does not say what they do along themselves. Free to slide
-(``sides=free``) the elastic body is in a homogeneous state, u_z of the bottom is one number, and everything else that is
-seen is of the supports. With ``sides=held`` they have no displacement in the direction of the height, and the bottom
-bulges. Results along the line x = 40, z = 0, through the middle of the bottom, against finite elements with nodes at the
-particles: mean relative error (amplitude) and largest second difference of the error (oscillation) of u_z, on the whole
-line and three particles from its ends. The origin is at a corner, as in the paper; u_z is zero at half the height.
+(``sides=free``) the elastic body is in a homogeneous state, u_z of the bottom is one number, and everything else that
+is seen is of the supports. With ``sides=held`` they have no displacement in the direction of the height, and the
+bottom bulges. Results along the line x = 40, z = 0, through the middle of the bottom, against finite elements with
+nodes at the particles: mean relative error (amplitude) and largest second difference of the error (oscillation) of
+u_z, on the whole line and three particles from its ends. The origin is at a corner, as in the paper; u_z is zero at
+half the height.
 Reference: Luo, Sundararaghavan, section 5.3, Fig. 11-13.
 """
 

@@ -1,9 +1,10 @@
 """Plate with a diamond-shaped hole pulled at both ends, plane strain. Units m, N.
 
-Results along the middle line right of the hole (AB in the paper), against finite elements with nodes at the particles:
-mean relative error (amplitude) and largest second difference of the error (oscillation) of u_x and sigma_xx, on the whole
-line and on the part that is 10 mm away from the hole, whose corner is singular, and three particles from the end.
-``horizon`` is in diagonals of the lattice, as in the paper; the hole has diagonals of 0.0375 m.
+Results along the middle line right of the hole (AB in the paper), against finite elements with nodes at the
+particles: mean relative error (amplitude) and largest second difference of the error (oscillation) of u_x and
+sigma_xx, on the whole line and on the part that is 10 mm away from the hole, whose corner is singular, and three
+particles from the end. ``horizon`` is in diagonals of the lattice, as in the paper; the hole has diagonals of 0.0375
+m.
 Reference: Chowdhury, Roy, Roy, Reddy, section 5.2, Fig. 7-9.
 """
 

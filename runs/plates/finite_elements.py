@@ -1,9 +1,9 @@
 """Finite elements with nodes at the particles: python runs/plates/finite_elements.py writes finite_elements.json.
 
 Bilinear quadrilaterals and trilinear hexahedra (scikit-fem) between the particles of each case, quadratic triangles
-around the diamond hole, whose edges run along the diagonals of the lattice; the same supports, small strain; stresses are
-averaged at the nodes. Values are stored along the line of each case. Of the plate with the
-square opening a quarter is meshed: elements know no difference between symmetry lines and the whole plate.
+around the diamond hole, whose edges run along the diagonals of the lattice; the same supports, small strain; stresses
+are averaged at the nodes. Values are stored along the line of each case. Of the plate with the square opening a
+quarter is meshed: elements know no difference between symmetry lines and the whole plate.
 """
 
 import json

@@ -1,10 +1,14 @@
-"""Every method on the three plates: python runs/plates/methods.py [folder] [square_opening|diamond_hole|brick ...].
+"""Every method on the plates.
 
-Leaves ``methods.csv`` (amplitude and oscillation of displacement and stress along the papers' lines, seconds of set-up
-and solve) and the curves along the lines beside finite elements: figures 10 and 13 of Luo and Sundararaghavan, figure 9
-of Chowdhury et al.
+    python runs/plates/methods.py [folder] [square_opening | quarter | diamond_hole | brick ...]
+
+``square_opening`` is the whole plate, ``quarter`` its quarter on symmetry lines, which are supports that cut
+families. Leaves ``methods.csv``: amplitude and oscillation of displacement and stress along the papers' lines, on all
+of them and away from corners and supports, against finite elements, and seconds of set-up and solve; and
+``numbers.json`` with those of the narrowest horizon. Curves along the lines are in ``figures.py``.
 """
 
+import functools
 import sys
 from pathlib import Path
 
@@ -16,19 +20,22 @@ words = study.start("plates")
 import brick  # noqa: E402
 import diamond_hole  # noqa: E402
 import numpy as np  # noqa: E402
-import plate  # noqa: E402
 import square_opening  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
 from pdpetsc.compare import working_seconds  # noqa: E402
 
-PLATES = {"square_opening": square_opening, "diamond_hole": diamond_hole, "brick": brick}
-HORIZONS = {"square_opening": (1.015, 2.015), "diamond_hole": (1.1, 2.1, 3.1), "brick": (1.015,)}
+PLATES = {
+    "square_opening": (square_opening.case, (1.015, 2.015)),
+    "quarter": (functools.partial(square_opening.case, part="quarter"), (1.015, 2.015)),
+    "diamond_hole": (diamond_hole.case, (1.1, 2.1, 3.1)),
+    "brick": (brick.case, (1.015,)),
+}
 METHODS = [(scheme, "none") for scheme in pd.SCHEMES]
 METHODS += [("correspondence", control) for control in pd.CONTROLS if control != "none"]
-DRAWN = [("correspondence", "none"), ("correspondence", "silling"), ("stress_points", "none"), ("sub_horizons", "none")]
 # A family per bond of the widest horizon would take gigabytes.
 LEFT_OUT = {("diamond_hole", 3.1, "bond_associated")}
+PARTS = ("", "_away")
 
 
 def main():
@@ -36,37 +43,31 @@ def main():
     if unknown:
         sys.exit(f"There is no plate {unknown[0]}; choose from {', '.join(PLATES)}.")
     folder = study.folder_for(words, "out/plates")
-    header = ("plate", "horizon", "scheme", "control", "quantity", "amplitude", "oscillation", "seconds")
-    rows = []
+    columns = [f"{number}{part}" for part in PARTS for number in ("amplitude", "oscillation")]
+    header = ("plate", "horizon", "scheme", "control", "quantity", *columns, "seconds")
+    rows, numbers = [], {}
     for name in words[1:] or PLATES:
-        for horizon in HORIZONS[name]:
-            curves = {}
+        make, horizons = PLATES[name]
+        for horizon in horizons:
             for scheme, control in METHODS:
                 if (name, horizon, scheme) in LEFT_OUT:
                     continue
-                case = PLATES[name].case(horizon=horizon, scheme=scheme, control=control)
-                amplitudes = {k: q for k, q in case.history.items() if k.endswith("_amplitude")}
-                profiles = {k.removesuffix("_amplitude"): plate.Profile(q.line, q.field) for k, q in amplitudes.items()}
-                for k, profile in profiles.items():
-                    case.history[f"{k}_profile"] = profile
-                done = study.run(folder, case)
-                for k, profile in profiles.items():
+                done = study.run(folder, make(horizon=horizon, scheme=scheme, control=control))
+                label = scheme if control == "none" else control
+                for quantity in ("u", "stress"):
                     if done is None:
-                        rows.append((name, horizon, scheme, control, k, np.nan, np.nan, np.nan))
+                        rows.append((name, horizon, scheme, control, quantity, *[np.nan] * len(columns), np.nan))
                         continue
                     history, summary = done
+                    if f"{quantity}_amplitude" not in history:
+                        continue
+                    found = {column: history[f"{quantity}_{column}"][-1] for column in columns}
                     seconds = working_seconds(summary)
-                    found = history[f"{k}_amplitude"][-1], history[f"{k}_oscillation"][-1]
-                    rows.append((name, horizon, scheme, control, k, *found, seconds))
-                    if (scheme, control) in DRAWN:
-                        label = scheme if control == "none" else control
-                        curves.setdefault(k, {})[label] = (profile.s, profile.v)
-                        exact = amplitudes[f"{k}_amplitude"].line.reference(k, profile.s)
-                        curves[k]["finite elements"] = (profile.s, exact)
-            for k, drawn in curves.items():
-                title = f"{name.replace('_', ' ')}, horizon {horizon}, along the line"
-                study.write_curves(folder, f"{name}_{horizon}_{k}", title, ("s", k), drawn, ["finite elements"])
-        study.write_table(folder, "methods", header, rows)
+                    rows.append((name, horizon, scheme, control, quantity, *found.values(), seconds))
+                    if horizon == horizons[0]:
+                        numbers |= {f"{name}_{quantity}_{key}_{label}": value for key, value in found.items()}
+            study.write_table(folder, "methods", header, rows)
+    study.write_numbers(folder, numbers)
 
 
 if __name__ == "__main__":

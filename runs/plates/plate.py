@@ -82,7 +82,7 @@ class AlongLine(pd.Quantity):
 
 
 class Amplitude(AlongLine):
-    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 21-22); 0 where the line has no particle."""
+    """Mean of ``|a - b| / |b|`` along a line [-] (Luo, Sundararaghavan, Eq. 22); 0 where the line has no particle."""
 
     def evaluate(self, solution):
         error, size = self.error(solution)
@@ -174,7 +174,9 @@ def quantities(line, away, **fields):
 
 
 def last(history):
-    return {name: values[-1] for name, values in history.items() if name not in ("step", "t")}
+    """Return the last values, without those that a line with too few particles does not have."""
+    ends = {name: values[-1] for name, values in history.items() if name not in ("step", "t")}
+    return {name: value for name, value in ends.items() if math.isfinite(value)}
 
 
 def method(scheme, control):

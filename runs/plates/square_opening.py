@@ -1,11 +1,11 @@
 """Plate with a square opening under uniform stretch in both directions, plane stress. Units mm, N.
 
 Particles lie on the edges. Results along the x axis right of the opening, against finite elements with nodes at the
-particles of dx = 2: mean relative error (amplitude) and largest second difference of the error (oscillation) of u_x and
-sigma_xx, on the whole line and on the part that is 20 mm away from the opening and three particles from the edge;
-``error`` is the mean relative error of u_x against elements of 0.5 mm. The paper's text gives no dimensions: 200 x 200 mm
-with an opening of 40 x 40 mm, 0.4 mm on each edge. Like its figure, ``part=quarter`` takes a quarter on two symmetry
-lines, which are supports that cut families: stresses there are wrong at every spacing.
+particles of dx = 2: mean relative error (amplitude) and largest second difference of the error (oscillation) of u_x
+and sigma_xx, on the whole line and on the part that is 20 mm away from the opening and three particles from the edge;
+``error`` is the mean relative error of u_x against elements of 0.5 mm. The paper's text gives no dimensions: 200 x
+200 mm with an opening of 40 x 40 mm, 0.4 mm on each edge. Like its figure, ``part=quarter`` takes a quarter on two
+symmetry lines, which are supports that cut families: stresses there are wrong at every spacing.
 Reference: Luo, Sundararaghavan, section 5.2, Fig. 8-10.
 """
 

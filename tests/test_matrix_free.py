@@ -112,7 +112,7 @@ def test_the_choice_follows_size_and_option():
     assert not choose(model.problem, {}, Newton()).matrix_free
     assert choose(model.problem, {"pd_jacobian": "matfree"}, Newton()).matrix_free
     assert choose(model.problem, {"pc_type": "hypre"}, Newton()).matrix_free
-    assert not choose(body(2, horizon=1.015), {"pc_type": "hypre"}, Newton()).matrix_free
+    assert not choose(body(2, horizon=1.015).problem, {"pc_type": "hypre"}, Newton()).matrix_free
     assert not choose(model.problem, {"pc_type": "hypre", "pd_jacobian": "assembled"}, Newton()).matrix_free
     with pytest.raises(pd.CaseError, match="assembled, matfree or auto"):
         choose(model.problem, {"pd_jacobian": "dense"}, Newton())

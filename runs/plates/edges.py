@@ -8,8 +8,8 @@ import pdpetsc as pd
 def clipped(size, opening, dx, part="whole"):
     """Return the particles of a plate, or of its quarter; ``size`` and ``opening`` are half the sides [length].
 
-    With whole cells on the edges every section is a spacing too wide, and its force is too large. On a symmetry line half
-    cells make a family of nearest neighbours with sub-horizons the half of a whole one.
+    With whole cells on the edges every section is a spacing too wide, and its force is too large. On a symmetry line
+    half cells make a family of nearest neighbours with sub-horizons the half of a whole one.
     """
     n = round(size / dx)
     steps = np.arange(-n if part == "whole" else 0, n + 1) * dx

@@ -133,6 +133,15 @@ def test_symmetry_lines_spoil_the_stress_and_not_the_displacement(scheme, tmp_pa
     assert quarter["stress_oscillation_away"] > 4.0 * whole["stress_oscillation_away"]
 
 
+def test_half_cells_on_symmetry_lines_make_the_quarter_the_whole_with_sub_horizons(tmp_path):
+    quarter, whole = (
+        results(PLATE, "scheme=sub_horizons", "cells=clipped", f"part={part}", output=tmp_path)["results"]
+        for part in ("quarter", "whole")
+    )
+    assert quarter == pytest.approx(whole, rel=1e-6)
+    assert whole["stress_amplitude_away"] < 0.015
+
+
 @pytest.mark.parametrize("scheme", ["stress_points", "sub_horizons", "bond_associated"])
 def test_the_plate_with_a_diamond_hole_is_smooth_and_near_finite_elements(scheme, tmp_path):
     found = results("runs/plates/diamond_hole.py", f"scheme={scheme}", output=tmp_path)["results"]

@@ -71,8 +71,8 @@ def load_steps(
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
-    that equilibrium alternate until neither changes: damage only grows, so this ends. Where bonds heal Newton's answer
-    counts however far it jumped, and bonds break there; damage is held only where Newton fails.
+    that equilibrium alternate until neither changes: damage only grows, so this ends. Bonds that heal
+    also break where Newton converges gently; in sweeps their damage only grows, and Newton ends them.
     A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
     up to the largest, if it was easy.
 
@@ -146,7 +146,7 @@ def equilibrium(
         return attempt, result, broken, 0
     heals = problem.damage is not None and problem.damage.heals
     while not stop() and result.converged:
-        attempt, result, change = followed(solver, attempt, result, target, 1.0 if heals else GENTLE)
+        attempt, result, change = followed(solver, attempt, result, target)
         if not result.converged or change > LAST:
             break
         more = problem.break_bonds(solver.state(attempt), breaks if heals else 1)

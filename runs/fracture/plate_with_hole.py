@@ -1,7 +1,9 @@
 """Plate with a hole pulled apart: damage starts at the hole, crosses both ligaments and separates it. Units mm, N.
 
 150 x 50 mm, hole of radius 10, E = 210 GPa, nu = 0.33, plane strain; bonds fade between the stretches ``s_min`` and
-``s_cr``. Each end is moved by ``pull``. Results: ``first_damage_load``, ``peak_load``, ``max_damage``,
+``s_cr``. Each end is moved by ``pull``. The published scheme is ``effect=present continuous=False``; ``G`` is that of
+Silling's control, or with ``unit`` the printed coefficient with that unit of length [mm]. Without ``grips`` bonds near
+the ends may fail. Results: ``first_damage_load``, ``peak_load``, ``max_damage``,
 ``broken_bonds``, ``symmetry_error`` (first moments of the damage about the axes of the plate over its sum, in widths),
 ``last_load``.
 Reference: Hashim et al., section 4.5; the end displacement in the text is a misprint.
@@ -86,6 +88,6 @@ def case(
             "dissipated": pd.DissipatedEnergy(),
         },
         results=results,
-        fields=[pd.displacement, pd.stress, pd.local_damage],
+        fields=[pd.displacement, pd.stress, pd.local_damage, pd.lost_bonds],
         picture=pd.Picture(pd.local_damage, "", 20.0),
     )

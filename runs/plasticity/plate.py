@@ -13,6 +13,7 @@ and largest second difference of the error of sigma_yy over its largest value, t
 """
 
 import json
+import sys
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +21,9 @@ from pathlib import Path
 import numpy as np
 
 import pdpetsc as pd
+
+sys.path.append(str(Path(__file__).parent.parent / "plates"))
+import edges
 
 # Halves of the plate's and the opening's sides.
 SIZE = 100.0
@@ -89,17 +93,6 @@ class Roughness(AlongAxis):
         return float(second.max(initial=0.0) / np.abs(exact).max()) if solution.t == 1.0 else 0.0
 
 
-def clipped(dx):
-    """Return particles on the edges with the part of their cells that lies in the plate."""
-    n = round(SIZE / dx)
-    steps = np.arange(-n, n + 1) * dx
-    x = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    quarters = 0.25 * dx * np.array([(a, b) for a in (-1, 1) for b in (-1, 1)])
-    reach = np.abs(x[:, None, :] + quarters).max(axis=2)
-    share = ((reach < SIZE) & (reach > OPENING)).mean(axis=1)
-    return pd.Arrays(x[share > 0.0], share[share > 0.0] * dx * dx, thickness=1.0)
-
-
 def case(dx=4.0, horizon=1.015, scheme="sub_horizons", control="none", steps=10, cells="clipped", order=3):
     if cells not in ("clipped", "whole"):
         raise pd.CaseError(f"cells is clipped or whole, not {cells!r}.")
@@ -113,8 +106,9 @@ def case(dx=4.0, horizon=1.015, scheme="sub_horizons", control="none", steps=10,
         found = {name: history[name][-1] for name in history if name not in ("step", "t")}
         return found | {"curve_error": max(abs(value) for value in history["force_error"])}
 
+    lattice = pd.Lattice((-edge, -edge), (edge, edge), dx, cut=opening)
     return pd.Case(
-        particles=clipped(dx) if cells == "clipped" else pd.Lattice((-edge, -edge), (edge, edge), dx, cut=opening),
+        particles=edges.clipped(SIZE, OPENING, dx) if cells == "clipped" else lattice,
         horizon=horizon * dx,
         material=pd.J2(E=E, nu=NU, yield_stress=YIELD, hardening=HARDENING),
         scheme=pd.HigherOrder(order) if scheme == "higher_order" else pd.choose("scheme", scheme, pd.SCHEMES),

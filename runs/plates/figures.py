@@ -142,14 +142,18 @@ def numbers_of(prefix, results):
 
 
 def luo_10(folder):
-    """Displacement, stress and their amplitudes along the x axis of the plate with a square opening."""
+    """Displacement, stress and their amplitudes along the x axis of the plate with a square opening.
+
+    Of the whole plate and of a quarter on its symmetry lines, with whole cells and with cells clipped at the edges.
+    """
     fields = {"u": (plate.displacement_x, "u_x / mm"), "stress": (plate.stress_xx, "sigma_xx / MPa")}
     numbers = {}
-    for part in ("whole", "quarter"):
-        cases = {LABELS[key][0]: square_opening.case(part=part, **LABELS[key][1]) for key in LUO}
-        title = f"{part} plate, y = 0"
-        found = curves(folder, f"luo_10_{part}", title, cases, **fields)
-        numbers |= numbers_of(f"luo_10_{part}", dict(zip(LUO, found.values(), strict=True)))
+    kinds = {"whole": {}, "quarter": {"part": "quarter"}, "clipped": {"cells": "clipped"}}
+    kinds["clipped_quarter"] = {"part": "quarter", "cells": "clipped"}
+    for kind, more in kinds.items():
+        cases = {LABELS[key][0]: square_opening.case(**more, **LABELS[key][1]) for key in LUO}
+        found = curves(folder, f"luo_10_{kind}", f"{kind.replace('_', ' ')} plate, y = 0", cases, **fields)
+        numbers |= numbers_of(f"luo_10_{kind}", dict(zip(LUO, found.values(), strict=True)))
     return numbers
 
 

@@ -185,7 +185,7 @@ class _Run:
             families = find_families(cloud, case.cracks)
         with self._timed("model"):
             problem = make_problem(case, cloud, families)
-            refuse_rigid_motion(cloud, families, problem.supports.fixed[: cloud.n_owned])
+            refuse_rigid_motion(cloud, families, problem.held)
         self._describe(problem)
         self._report_loads(problem)
         self.phase = "set-up"

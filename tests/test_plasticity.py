@@ -1,5 +1,6 @@
 """J2 plasticity: derivatives, closed forms, objectivity, bodies against fibres and finite elements, history, ranks."""
 
+import dataclasses
 import importlib.util
 import json
 import math
@@ -8,10 +9,10 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import load_case
+from pdpetsc.cli import arguments_of, load_case
 from pdpetsc.solve.base import StepResult
 from pdpetsc.solve.static import StaticSolver
-from tests.commands import ROOT, field, results, run
+from tests.commands import ROOT, Stop, field, results
 from tests.scenes import DIMS, SCHEMES, body, dense_tangent, displacement, rotation
 
 STEEL = pd.J2(E=100.0, nu=0.3, yield_stress=1.0, hardening=5.0)
@@ -273,11 +274,20 @@ def test_higher_order_weights_calm_the_plate_at_the_horizon_that_makes_it_oscill
     assert found["correspondence"]["stress_error"] > 5.0 * found["higher_order"]["stress_error"]
 
 
-def test_restart_of_a_material_with_history_is_refused(tmp_path):
-    results(BEAM, "ny=5", "steps=2", output=tmp_path)
-    finished = run(BEAM, "ny=5", "steps=2", "--restart", tmp_path / "checkpoint.h5", output=tmp_path / "more")
-    assert finished.returncode == 2
-    assert "cannot be restarted" in finished.stderr
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("scheme", ["sub_horizons", "correspondence"])
+def test_a_restart_goes_on_with_the_history_of_the_material(scheme, ranks, tmp_path):
+    """Bent half of the way and on from there, on other ranks: the same plastic strain as without a stop."""
+    words = ("ny=5", "steps=4", f"scheme={scheme}")
+    results(BEAM, *words, output=tmp_path / "whole")
+    case = beam_case(**arguments_of(beam_case, dict(word.split("=") for word in words)))
+    stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(0.4)})
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped, output=tmp_path / "half", quiet=True)
+    results(BEAM, *words, "--restart-anyway", "--restart", tmp_path / "half", ranks=ranks, output=tmp_path / "again")
+    for name in ("displacement", "plastic_strain"):
+        whole, again = (field(tmp_path / run, name) for run in ("whole", "again"))
+        assert np.abs(again - whole).max() <= 1e-10 * np.abs(whole).max(), name
 
 
 @pytest.mark.parametrize(

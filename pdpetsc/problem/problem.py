@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
@@ -89,6 +89,15 @@ class Problem:
     def has_history(self) -> bool:
         """Return whether forces depend on converged steps; the same on all ranks (not collective)."""
         return self.damage is not None or any(term.has_history for term in self.terms)
+
+    @property
+    def held(self) -> Mask:
+        """Return which displacements of the own particles are prescribed or tied to the ground (not collective)."""
+        held = self.supports.fixed[: self.body.cloud.n_owned].copy()
+        for term in self.terms:
+            if term.grounded is not None:
+                held |= term.grounded
+        return held
 
     @property
     def parts(self) -> list[str]:

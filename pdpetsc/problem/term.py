@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.pattern import Pattern, Rows
 from pdpetsc.gradient.base import GradientOperator
@@ -159,6 +159,14 @@ class Term(ABC):
     def parts(self) -> list[str]:
         """Return what it is made of, for the record (not collective)."""
         return [type(self).__name__]
+
+    @property
+    def grounded(self) -> Mask | None:
+        """Return which displacements of the own particles it ties to the ground (n_owned, dim), as supports do.
+
+        None where it ties none (not collective).
+        """
+        return None
 
     @property
     def resultants(self) -> list[tuple[str, float, Float]]:

@@ -10,10 +10,10 @@ run: .venv/ready
 	.ci/mpirun 2 $(PYTHON) -m pdpetsc runs/beams/clamped.py ny=5 -o out/clamped
 
 test: .venv/ready
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n 2
 
 long: .venv/ready
-	$(PYTHON) -m pytest -m long
+	$(PYTHON) -m pytest -n 2 -m long
 
 lint: .venv/ready
 	.venv/bin/ruff check .

@@ -57,7 +57,8 @@ VALID = [
     pd.Displacement(region.All(), x=0.0), pd.Force(region.All(), x=0.0), pd.BodyForce(region.All(), x=ones),
     pd.Traction(region.All(), x=0.0, normal=(1.0, 0.0)), pd.MeanStrain(xx=0.1), pd.MeanStress(xx=1.0),
     pd.Silling(), pd.SillingMicromodulus(0.1, 1.0), pd.Littlewood(), pd.Wan(), pd.Springs(0.1),
-    pd.AveragedDisplacement(0.1),
+    pd.AveragedDisplacement(0.1), pd.RelativeSprings(), pd.RelativeAverage(), pd.Penalty(0.1),
+    pd.SmoothedDisplacement(),
 ]  # fmt: skip
 WRONG = [
     None, "", "x", "xy", b"x", math.nan, math.inf, -math.inf, -1, 0, 1, 0.5, 1e300, 10**400, True, 1j, [], {}, (),

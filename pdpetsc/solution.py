@@ -61,8 +61,8 @@ class Solution:
 
     @cached_property
     def state(self) -> State:
-        """Return the state of the problem."""
-        return State(self.problem.body, self.unknowns, self.t)
+        """Return the state of the problem (collective)."""
+        return self.problem.state(self.unknowns, self.t)
 
     def forget(self) -> None:
         """Free what was computed for outputs and would be computed again."""

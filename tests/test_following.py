@@ -155,3 +155,11 @@ def test_what_a_path_cannot_follow_is_refused(changes, message, tmp_path):
 def test_wrong_paths_are_refused(wrong):
     with pytest.raises(pd.CaseError):
         wrong()
+
+
+def test_a_schedule_that_ends_with_the_load_steps_is_refused(tmp_path):
+    """A table is proportional from 0 to 1 and stays there beyond, where the load factor of a path may go."""
+    case = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.8))
+    ending = [dataclasses.replace(c, schedule=pd.Table([0.0, 1.0], [0.0, 1.0])) for c in case.conditions]
+    with pytest.raises(pd.CaseError, match="proportional to the step time"):
+        pd.run(dataclasses.replace(case, conditions=ending), output=tmp_path, quiet=True)

@@ -83,15 +83,17 @@ class Equilibrium:
         self.reference = 0.0
         self.reason = ""
         self._reaction = np.zeros(fixed.shape)
+        self._loads: Float | None = None
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.tangent.destroy()
 
-    def impose(self, t: float, prescribed: Float | None = None) -> None:
-        """Take the conditions of a step time, or prescribed unknowns that are known."""
+    def impose(self, t: float, prescribed: Float | None = None, loads: Float | None = None) -> None:
+        """Take the conditions of a step time, or prescribed unknowns and loads that are known."""
         self.t = t
         self.prescribed = self.problem.supports.prescribed(t) if prescribed is None else prescribed
+        self._loads = loads
 
     def at_prescribed(self, x: Float) -> Float:
         """Return unknowns with the prescribed ones at their values (n_rows, dim) (not collective)."""
@@ -109,7 +111,7 @@ class Equilibrium:
             force = self.problem.internal_force(state)
             if force is None:
                 return None
-            self.external = self.problem.external_force(state)
+            self.external = self.problem.external_force(state) if self._loads is None else self._loads
         residual = force - self.external
         self._reaction = np.where(self.free, 0.0, residual)
         return np.where(self.free, residual, self.scales.stiffness * (values - self.prescribed))

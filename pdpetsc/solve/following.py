@@ -68,7 +68,7 @@ class PathSolver(StepSolver):
     def __init__(
         self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
     ) -> None:
-        refuse_what_is_not_proportional(problem, "Path following")
+        refuse_what_is_not_proportional(problem, "Path following", beyond=True)
         self.problem = problem
         self._comm = problem.body.cloud.comm
         fixed = problem.supports.fixed
@@ -270,7 +270,7 @@ class PathSolver(StepSolver):
         """Return the unknowns without the load factor, and that; the conditions follow it."""
         sought = self._equilibrium
         values, load = self._bordered.split(x)
-        sought.impose(load, load * self._whole[0])
+        sought.impose(load, load * self._whole[0], load * self._whole[1])
         return values * self._scales.length, load
 
     @property

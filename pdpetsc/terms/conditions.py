@@ -22,6 +22,8 @@ from pdpetsc.terms.dead_loads import DeadLoads
 
 # Step times at which conditions are compared with their proportional values, and how closely.
 PROBES = (0.0, 0.3, 0.7)
+# And beyond the range of load steps, where a load factor may go.
+BEYOND = (-0.4, 1.6)
 PROPORTIONAL = 1e-12
 
 
@@ -124,8 +126,11 @@ def apply(
     return onto.supports, onto.loads
 
 
-def refuse_what_is_not_proportional(problem: Problem, who: str) -> None:
-    """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective)."""
+def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = False) -> None:
+    """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective).
+
+    With ``beyond`` also at step times that load steps do not reach.
+    """
     zero = np.zeros(problem.supports.fixed.shape)
 
     def at(t: float) -> list[Float]:
@@ -133,7 +138,7 @@ def refuse_what_is_not_proportional(problem: Problem, who: str) -> None:
 
     whole = at(1.0)
     comm = problem.body.cloud.comm
-    for t in PROBES:
+    for t in (*PROBES, *(BEYOND if beyond else ())):
         part = at(t)
         # Displacements and forces, each by their own size.
         off = [largest(comm, np.abs(p - t * w).max(initial=0.0)) for p, w in zip(part, whole, strict=True)]

@@ -54,6 +54,8 @@ STABILISATIONS = {
     "relative_average": pd.RelativeAverage(3.0),
     "penalty": pd.Penalty(0.2),
 }
+# And what needs two dimensions.
+PLANE = {"silling_micromodulus": pd.SillingMicromodulus(0.5, 1.0)}
 # Controls that resist affine displacements too, by what they are.
 NOT_AFFINE = ("springs", "averaged_displacement", "relative_springs", "relative_average")
 BONDS = {
@@ -228,8 +230,11 @@ def bond_bodies(rng):
 
 def bodies(rng):
     """Yield (label, model) for every dimension, scheme and stabilisation, on shaken clouds."""
-    for dim, (s, scheme), (c, control) in itertools.product(DIMS, SCHEMES.items(), STABILISATIONS.items()):
-        yield f"{dim}D {s} {c}", body(dim, scheme, control, rng=rng)
+    for dim, (s, scheme) in itertools.product(DIMS, SCHEMES.items()):
+        for c, control in (STABILISATIONS | (PLANE if dim > 1 else {})).items():
+            yield f"{dim}D {s} {c}", body(dim, scheme, control, rng=rng)
+    for dim in DIMS:
+        yield f"{dim}D smoothed_displacement none", body(dim, pd.SmoothedDisplacement(), horizon=3.3, rng=rng)
 
 
 def displacement(model, rng, size=0.05):

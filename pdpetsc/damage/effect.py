@@ -35,7 +35,13 @@ class DamageEffect(Declared, ABC):
 
     @abstractmethod
     def reached(self, x: Float, worst: Float) -> Float:
-        """Return the stretch that decides (n_bonds,), both over the critical one [-]: now, and the largest kept."""
+        """Return the stretch over the critical one by which a bond is judged to break (n_bonds,) [-].
+
+        Parameters
+        ----------
+        x, worst : (n_bonds,) float64
+            The present one, and the largest that was kept at an equilibrium.
+        """
 
     @abstractmethod
     def volume_left(self, share: Float) -> Float:
@@ -43,7 +49,10 @@ class DamageEffect(Declared, ABC):
 
     @abstractmethod
     def of_control(self, kept: Float) -> Float:
-        """Return what multiplies stiffness and gradient of the control until the next equilibrium (n_bonds,) [-]."""
+        """Return what the stiffness of the control's bonds is multiplied with (n_bonds,) [-], in its gradient too.
+
+        It follows from the integrities ``kept`` at the last equilibrium, and stays until the next one.
+        """
 
     @abstractmethod
     def fading(self, integrity: Float) -> Float | None:

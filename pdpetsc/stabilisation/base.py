@@ -21,7 +21,7 @@ from pdpetsc.kernels.assembly import add_isotropic_kernel
 from pdpetsc.kernels.pattern import transpose
 
 Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
-_NO_DAMAGE = "This zero-energy control cannot take bond damage; take Silling, Springs or none."
+_NO_DAMAGE = "This zero-energy control cannot take bond damage; take Silling, springs, the penalty or none."
 
 
 @dataclass(frozen=True)

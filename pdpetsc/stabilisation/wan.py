@@ -24,7 +24,7 @@ class Wan(Stabilisation):
 
     References
     ----------
-    Wan, Chen, Chu, Xu (2019), Improved method for zero-energy mode suppression in peridynamic correspondence model.
+    Wan, Chen, Chu, Liu (2019), Improved method for zero-energy mode suppression in peridynamic correspondence model.
     """
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:

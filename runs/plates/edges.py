@@ -5,6 +5,13 @@ import numpy as np
 import pdpetsc as pd
 
 
+def refuse_other_sizes(size, opening, dx):
+    """Raise CaseError where particles do not lie on the edges of the plate and of its opening."""
+    for length in (size, opening):
+        if abs(length / dx - round(length / dx)) > 1e-9:
+            raise pd.CaseError(f"dx = {dx:g} does not divide {length:g}, half a side of the plate or its opening.")
+
+
 def clipped(size, opening, dx, part="whole"):
     """Return the particles of a plate, or of its quarter; ``size`` and ``opening`` are half the sides [length].
 

@@ -32,6 +32,7 @@ def case(dx=2.0, horizon=1.015, scheme="correspondence", control="none", part="w
         raise pd.CaseError(f"part is whole or quarter, not {part!r}.")
     if cells not in ("whole", "clipped"):
         raise pd.CaseError(f"cells is whole or clipped, not {cells!r}.")
+    edges.refuse_other_sizes(SIZE, OPENING, dx)
     region = pd.region
     edge, inside = SIZE + 0.5 * dx, OPENING - 0.5 * dx
     first, hole, behind = (-edge, -inside, -STRETCH) if part == "whole" else (-0.5 * dx, -dx, 0.0)

@@ -23,8 +23,6 @@ class Assembler:
     ----------
     pattern : Pattern
         Where the values go.
-    tangent : Tangent
-        The tangent where the matrix was last filled.
 
     Notes
     -----
@@ -51,25 +49,25 @@ class Assembler:
         diag, off : float64
             Scalar CSR values in ``pattern.rows`` order.
         """
-        self.tangent = self.problem.linearised(state)
         dim, owned = self.problem.dim, self.pattern.owned
         n_diag, n_off = dim**2 * int(owned.diag_ptr[-1]), dim**2 * int(owned.off_ptr[-1])
         diag[:] = 0.0
         off[:] = 0.0
         self._ghost[:] = 0.0
         entries = Entries(self.pattern, diag[:n_diag], off[:n_off], self._ghost)
-        assembled = self._fill(entries)
+        # Moduli are freed as soon as the matrix has them.
+        assembled = self._fill(self.problem.linearised(state), entries)
         if assembled.blocks is not None:
             entries.diag[self._own_blocks] += assembled.blocks
         self.pattern.complete(self._ghost, entries.diag, entries.off, dim)
         if self.pattern.border is not None:
             self._assemble_border(assembled, diag, off)
 
-    def _fill(self, entries: Entries) -> Tangent:
+    def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
         """Add the rows of families; return the tangent that the matrix stands for."""
-        for part in self.tangent.parts:
+        for part in tangent.parts:
             part.add_rows(entries)
-        return self.tangent
+        return tangent
 
     def _assemble_border(self, tangent: Tangent, diag: Float, off: Float) -> None:
         """Write the columns of the virtual unknowns, from the tangent applied to each of them, and their rows."""

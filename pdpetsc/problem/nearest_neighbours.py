@@ -71,10 +71,11 @@ class NearAssembler(Assembler):
         self._transposed = transpose(self._operator.point_ptr, self._operator.members, cloud.n_local)
         self._start(problem, build_pattern(cloud, self._operator.point_ptr, self._operator.members))
 
-    def _fill(self, entries: Entries) -> Tangent:
+    def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
         """Add the rows of near families; return the tangent of the near body."""
+        self.tangent = tangent
         dim, near = self.problem.dim, self._operator
-        D = self.tangent.stiffness()
+        D = tangent.stiffness()
         for rows, own in entries.row_sets():
             assemble_kernel(dim)(
                 rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *self.pattern.locals_of_columns,
@@ -83,7 +84,7 @@ class NearAssembler(Assembler):
         control = self._control(D)
         control.matrix(self.pattern).add(dim, entries.diag, entries.off)
         assembled = Tangent(self.problem.body, [NearTangent(dim, near, D, control)])
-        assembled.blocks = self.tangent.blocks
+        assembled.blocks = tangent.blocks
         return assembled
 
     def _control(self, D: Float) -> NonUniform:

@@ -377,13 +377,7 @@ FIGURES = {
     "18": lambda folder: beam_contours(folder, "fig_18", clamped, 2.015, CLAMPED_CONTOURS),
     "20": lambda folder: beam_against_G(folder, "fig_20", simply_supported, "hinged", 3),
     "21": lambda folder: beam_against_G(folder, "fig_21", simply_supported, "hinged", 5),
-    "22": lambda folder: beam_under_load(
-        folder,
-        "fig_22",
-        simply_supported,
-        "hinged",
-        [*zip(HORIZONS, STATED, strict=True), (2.015, 0.02), (3.015, 0.05)],
-    ),
+    "22": lambda folder: beam_under_load(folder, "fig_22", simply_supported, "hinged", SUPPORTED_BEST),
     "23": lambda folder: (
         beam_contours(folder, "fig_23", simply_supported, 2.015, SUPPORTED_CONTOURS)
         | beam_contours(folder, "fig_23_horizon_1.015", simply_supported, 1.015, SUPPORTED_CONTOURS)

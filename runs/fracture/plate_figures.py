@@ -419,4 +419,4 @@ if __name__ == "__main__":
     found = {}
     for name in chosen:
         found |= {f"{name}_{key}": value for key, value in FIGURES[name]().items()}
-    (FOLDER / "numbers.json").write_text(json.dumps(found, indent=1) + "\n")
+    study.write_numbers(FOLDER, found)

@@ -34,8 +34,7 @@ from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
 from pdpetsc.scene.influence import evaluate
 from pdpetsc.scene.particles import Chunk
-from pdpetsc.scene.solver import EventDriven
-from pdpetsc.solve.pairs import rehearse_pairs
+from pdpetsc.solve.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import ZeroEnergyControl, stiffness_of
@@ -113,8 +112,7 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 problem.matter.out_of_plane(state)
                 nearest_distances(problem.body)
                 problem.supports.held_at_cut_families()
-                if damage is not None and case.of_bonds and isinstance(case.solver, EventDriven):
-                    rehearse_pairs(problem)
+                implementation(case.solver).rehearse(problem)
 
 
 def _problem(

@@ -24,7 +24,7 @@ from pdpetsc.scene.cracks import Crack
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import All, Region
-from pdpetsc.scene.solver import AnySolver, Newton, Opening
+from pdpetsc.scene.solver import DeclaredSolver, Newton
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import Field, Solution, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
@@ -114,7 +114,7 @@ class Case(Declared):
     damage: BondDamage | None = None
     cell: Cell | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
-    solver: AnySolver = field(default_factory=Newton)
+    solver: DeclaredSolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
     fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress)
@@ -227,13 +227,7 @@ def check_declared(case: Case, dim: int) -> None:
             _in(f"{type(condition).__name__} condition {number}", condition.region.check, dim)
     if case.damage is not None and case.damage.protected is not None:
         _in("What damage is protected from", case.damage.protected.check, dim)
-    control = getattr(case.solver, "control", None)
-    if isinstance(control, Opening):
-        if control.component not in "xyz"[:dim]:
-            raise CaseError(f"The Opening of a {dim}-dimensional body has no component {control.component}.")
-        for side in (control.region, control.against):
-            if side is not None:
-                _in("The Opening", side.check, dim)
+    case.solver.check(dim)
     if case.cell is not None and case.cell.dim != dim:
         raise CaseError(f"The Cell has {case.cell.dim} coordinates, the particles {dim}.")
 

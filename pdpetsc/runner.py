@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -35,21 +35,16 @@ from pdpetsc.output.progress import Reporter
 from pdpetsc.output.records import write_summary
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
-from pdpetsc.scene.solver import DynamicRelaxation, EventDriven, PathFollowing
 from pdpetsc.signals import Signals, watched
 from pdpetsc.solution import Field, Solution, displacement
-from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.solve.base import Converged, Setting, Solver, Start, StepResult
 from pdpetsc.solve.defaults import default_options
-from pdpetsc.solve.events import EventSolver
-from pdpetsc.solve.following import PathSolver
 from pdpetsc.solve.jacobian import Choice, assembler, choose, words
 from pdpetsc.solve.matrix import predicted_bytes
 from pdpetsc.solve.petsc import options as petsc_options
 from pdpetsc.solve.petsc import options_in_force, petsc_version, refuse_files, refuse_names, unused
-from pdpetsc.solve.relaxation import RelaxationSolver
 from pdpetsc.solve.stages import OUTPUT, SEARCH, SET_UP, stage
-from pdpetsc.solve.static import StaticSolver
-from pdpetsc.solve.steps import Converged, load_steps
+from pdpetsc.solve.table import implementation, refuse_unmet
 
 
 def run(
@@ -118,8 +113,7 @@ STAGES = {
     **dict.fromkeys(("output", "picture"), OUTPUT),
 }
 
-Running: TypeAlias = StepSolver | EventSolver
-_abandoned: list[Running] = []
+_abandoned: list[Solver] = []
 
 
 class _Run:
@@ -148,7 +142,7 @@ class _Run:
         self.failed: list[StepResult] = []
         self.unit = "Newton"
         self.phase = "particles"
-        self.solver: Running | None = None
+        self.solver: Solver | None = None
         self.keeper: Keeper | None = None
         self.taken = False  # whether the folder holds files of this run
         self.signals: Signals
@@ -201,7 +195,7 @@ class _Run:
                 self.solver = self._solver(problem, choice, self.signals.asked)
                 self.summary["solver"] = self.solver.description()
                 self.report.say(f"solver: {self.solver.description()}")
-                return self._march(problem, self.solver, self.signals.asked)
+                return self._march(problem, self.solver)
             finally:
                 self.summary["unused_options"] = unused(self.summary["options"])
 
@@ -286,10 +280,12 @@ class _Run:
             with contextlib.suppress(OSError):
                 print(text, file=sys.stderr, flush=True)
 
-    def _solver(self, problem: Problem, choice: Choice, stop: Callable[[], bool]) -> Running:
-        chosen = self.case.solver
-        if isinstance(chosen, DynamicRelaxation):
-            return RelaxationSolver(problem, chosen, stop)
+    def _solver(self, problem: Problem, choice: Choice, stop: Callable[[], bool]) -> Solver:
+        declared, steps = self.case.solver, self.case.steps
+        make = implementation(declared).make
+        refuse_unmet(problem, declared)
+        if declared.needs.tangent == "none":
+            return make(Setting(problem, declared, steps, None, stop))
         if choice.matrix_free:
             with self._timed("kernels"):
                 rehearse(self.comm, self.case, problem.dim, near=True)
@@ -298,34 +294,28 @@ class _Run:
             predicted = predicted_bytes(filled.pattern, problem.dim)
             self.report.say(words(choice, predicted))
         with self._timed("allocation"):
-            solver: StaticSolver | EventSolver | PathSolver
-            if isinstance(chosen, EventDriven):
-                solver = EventSolver(problem, filled, chosen, stop)
-            elif isinstance(chosen, PathFollowing):
-                solver = PathSolver(problem, filled, chosen, stop)
-            else:
-                solver = StaticSolver(problem, filled, stop)
+            solver = make(Setting(problem, declared, steps, filled, stop))
         self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
         self.summary["allocated"].append("matrix of nearest neighbours" if choice.matrix_free else "tangent matrix")
         return solver
 
-    def _march(self, problem: Problem, solver: Running, stop: Callable[[], bool]) -> dict[str, float]:
+    def _march(self, problem: Problem, solver: Solver) -> dict[str, float]:
         case, cloud = self.case, problem.body.cloud
         order = InCreationOrder(cloud)
         start, origin = Solution(problem, np.zeros((cloud.n_rows, problem.dim)), 0.0, 0), None
         declared = self.comm.bcast(declared_parts(case) if is_root(self.comm) else None)
         if self.restart is not None:
-            if isinstance(solver, EventSolver):
-                raise CaseError("The event-driven solver starts from the unloaded body; it takes no restart.")
-            at_any_load = isinstance(solver, PathSolver)
+            if not case.solver.restarts:
+                raise CaseError(f"{case.solver.title} starts from the unloaded body; it takes no restart.")
+            at_any_load = case.solver.finds_load
             origin = read_checkpoint(problem, order, self.restart, declared, self.restart_anyway, at_any_load)
             start = origin.start
-            solver.resume(start.tangent_at, start.t)
+            solver.resume(_start(start))
         step = start.step
         self.phase = "output"
         self._try_records(start)
         with self._timed("output"):
-            checkpoints = 0 if isinstance(solver, EventSolver) else case.checkpoints
+            checkpoints = case.checkpoints if case.solver.restarts else 0
             # From here on the folder is this run's.
             self.signals.patient = True
             if origin is None or not origin.inside(self.folder):
@@ -348,21 +338,15 @@ class _Run:
         self.unit = solver.unit
         self.phase = "solve"
         before = time.perf_counter()
-        if isinstance(solver, EventSolver):
-            march = solver.march()
-        elif isinstance(solver, PathSolver):
-            march = solver.march(start.unknowns, start.t, start.pace, on_failure)
-        else:
-            march = load_steps(solver, case.steps, start.unknowns, start.t, stop, on_failure, start.pace)
-        for converged in march:
+        for converged in solver.march(_start(start), on_failure):
             self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
             step += 1
-            self.report.step(step, converged.t, converged.result, solver.unit, converged.broken, converged.sweeps)
+            self.report.step(converged.t, solver.line(step, converged))
             self._say_detached(problem)
             self.steps.append(_step_summary(step, converged, solver.unit))
             self.failed.clear()
             with self._timed("output"):
-                state = Solution(problem, converged.u, converged.t, step, pace=converged.pace)
+                state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
                 state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields)
             before, self.phase = time.perf_counter(), "solve"
@@ -378,8 +362,8 @@ class _Run:
         if left and is_root(self.comm):
             _warn(f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}.")
         unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
-        # Along a path equilibria past a limit of the load are meant to be found.
-        if unstable and not isinstance(solver, PathSolver) and is_root(self.comm):
+        # Where the load is sought, equilibria past its limit are meant to be found.
+        if unstable and not case.solver.finds_load and is_root(self.comm):
             _warn(
                 f"{unstable} of {len(self.steps)} equilibria are unstable, the first at step time "
                 f"{next(found['t'] for found in self.steps if found['negative_pivots']):.6g}; perturb the body, or let "
@@ -513,6 +497,10 @@ class _Run:
         with stage(STAGES[phase]):
             yield
         self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
+
+
+def _start(solution: Solution) -> Start:
+    return Start(solution.unknowns, solution.t, solution.resume, solution.tangent_at)
 
 
 def _numbers(results: Any) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -32,8 +32,8 @@ class Solution:
         Number of the step, 0 for the undeformed state.
     work : float
         What loads and supports have done since the undeformed state [energy].
-    pace : tuple of float
-        What the stepping needs to go on from here as if it had not stopped.
+    resume : mapping of str to float
+        Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
     tangent_at : (n_rows, dim) float64, optional
         Where the tangent is of that the next step begins with [length], if it is not of here.
 
@@ -44,14 +44,14 @@ class Solution:
 
     def __init__(
         self, problem: Problem, unknowns: Float, t: float, step: int, work: float = 0.0,
-        pace: tuple[float, ...] = (), tangent_at: Float | None = None,
+        resume: Mapping[str, float] | None = None, tangent_at: Float | None = None,
     ) -> None:  # fmt: skip
         self.problem = problem
         self.unknowns = unknowns
         self.t = t
         self.step = step
         self.work = work
-        self.pace = pace
+        self.resume = {name: float(value) for name, value in (resume or {}).items()}
         self.tangent_at = tangent_at
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import platform
 import stat
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +34,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.solution import Solution
 
-FORMAT = 6
+FORMAT = 7
 # What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
 # checksum is wrong, because it does not survive every damage.
 HEAD = 512
@@ -45,7 +46,7 @@ CHUNK = 16_384
 # Attributes, and the kind of value of each.
 ATTRIBUTES = {
     "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
-    "pace": "numbers", "identity": "numbers", "virtual": "numbers",
+    "resume": "text", "identity": "numbers", "virtual": "numbers",
     "tangent_virtual": "numbers", "damage": "text", "frozen": "whole",
     "declared": "text", "row": "text", "checksum": "text",
 }  # fmt: skip
@@ -185,7 +186,7 @@ def _write_attributes(
     damage = solution.problem.damage
     frozen = damage is not None and damage.bonds.frozen
     file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
-    file.attrs.update(pace=np.asarray(solution.pace, dtype=float), identity=identity)
+    file.attrs.update(resume=json.dumps(solution.resume), identity=identity)
     file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
     file.attrs.update(damage=_law(solution.problem), frozen=int(frozen), row=json.dumps(dict(record.row)))
     file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
@@ -296,8 +297,7 @@ def read_checkpoint(
     at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), values["tangent_virtual"])
     if not problem.admissible(problem.state(u, float(values["t"]))):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
-    pace = tuple(float(value) for value in values["pace"])
-    start = Solution(problem, u, float(values["t"]), int(values["step"]), float(values["work"]), pace, at)
+    start = Solution(problem, u, float(values["t"]), int(values["step"]), float(values["work"]), values["resume"], at)
     return Origin(start, path, Record(values["run"], values["declared"], values["row"]))
 
 
@@ -327,9 +327,11 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
         _must(bool(np.isfinite(array).all()), f"{name} is not finite")
         values[name] = array
     _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
-    for name in ("declared", "row"):
+    for name in ("declared", "row", "resume"):
         values[name] = json.loads(values[name])
         _must(isinstance(values[name], dict), f"{name} is no table")
+    numbers = values["resume"].values()
+    _must(all(type(number) is float and math.isfinite(number) for number in numbers), "what it resumes is no number")
     python = values["declared"].pop("python", None)
     values["python"] = python if isinstance(python, str) else ""
     return values
@@ -383,14 +385,10 @@ def _listed(names: Sequence[str]) -> str:
 
 def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> None:
     """Raise where a value has no meaning."""
-    t, pace = float(values["t"]), values["pace"]
+    t = float(values["t"])
     _must(any_load or 0.0 <= t <= 1.0, f"its step time {t:g} is not in 0 to 1")
     _must(int(values["step"]) >= 0, f"its step is {int(values['step'])}")
     _must(int(values["frozen"]) in (0, 1), f"frozen is {int(values['frozen'])}")
-    _must(len(pace) in (0, 1, 4), f"its pace has {len(pace)} numbers")
-    _must(len(pace) == 0 or pace[0] > 0.0, "its pace does not lead on")
-    _must(len(pace) != 1 or t + pace[0] > t, "its pace does not lead on")
-    _must(bool((pace >= 0.0).all()), "its pace is negative")
     _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
 
 

@@ -10,9 +10,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from pdpetsc.discrete.communicator import Comm, is_root
 from pdpetsc.solve.base import StepResult
 
-# Events of which every one is printed, and how many there are to a line after these.
-FIRST_EVENTS, EVENTS_A_LINE = 10, 100
-
 
 class _Console(Console):
     """A console that goes silent where nobody reads it any more, as behind ``| head``; rich would end the process."""
@@ -53,22 +50,11 @@ class Reporter:
         """Print a line."""
         self._console.print(text)
 
-    def step(self, number: int, t: float, result: StepResult, unit: str, broken: int = 0, sweeps: int = 0) -> None:
-        """Print how a converged step went; of events every hundredth and the first ones."""
-        if unit == "event":
-            self._progress.update(self._task, completed=t)
-            if number <= FIRST_EVENTS or number % EVENTS_A_LINE == 0 or not result.reason.startswith("bond"):
-                self.say(f"event {number:5d}  t = {t:<10.6g} {result.reason}")
-            return
-        last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
+    def step(self, t: float, line: str | None) -> None:
+        """Move the bar to a step time, and print the line of a converged step where it has one."""
         self._progress.update(self._task, completed=t)
-        inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""
-        self.say(
-            f"step {number:4d}  t = {t:<8.6g} {result.iterations:2d} {unit}{inner} iterations, residual {last:.1e}"
-            f"{' (round-off floor)' if 'floor' in result.reason else ''}"
-            f"{f', UNSTABLE (negative pivots: {result.negative_pivots})' if result.negative_pivots else ''}"
-            f"{f', {broken} bonds broke' if broken else ''}{f', damage held in {sweeps} sweeps' if sweeps else ''}"
-        )
+        if line is not None:
+            self.say(line)
 
     def cut_back(self, t: float, dt: float, result: StepResult) -> None:
         """Print that a step failed and is tried shorter."""

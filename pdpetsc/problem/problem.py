@@ -66,6 +66,15 @@ class Problem:
         return all(term.linear for term in self.terms)
 
     @property
+    def piecewise_linear(self) -> bool:
+        """Return whether the residual is linear in the unknowns as long as no bond fails (not collective)."""
+        frozen = self.damage is not None and self.damage.bonds.frozen
+        self.freeze(True)
+        linear = self.linear
+        self.freeze(frozen)
+        return linear
+
+    @property
     def symmetric(self) -> bool:
         """Return whether the tangent is symmetric (not collective)."""
         return all(term.symmetric for term in self.terms)

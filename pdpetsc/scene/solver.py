@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import ClassVar, Literal
 
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
@@ -13,12 +13,61 @@ from pdpetsc.scene.steps import refuse_breaks
 
 
 @dataclass(frozen=True)
-class Newton:
-    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``."""
+class Needs:
+    """What a way to equilibrium needs of the body, its conditions and the linear algebra.
+
+    Attributes
+    ----------
+    tangent : {"any", "assembled", "none"}
+        Whether its tangent may be applied without a matrix, must be one, or is not asked for.
+    proportional : {"no", "up to the whole load", "at any load"}
+        At which step times all conditions must be their values at step time 1 times the step time.
+    piecewise_linear : bool
+        Whether forces must be linear in the displacement where no bond fails.
+    """
+
+    tangent: Literal["any", "assembled", "none"] = "any"
+    proportional: Literal["no", "up to the whole load", "at any load"] = "no"
+    piecewise_linear: bool = False
+
+
+class DeclaredSolver(Declared):
+    """How equilibrium is found, as a scene declares it; ``pdpetsc.solve.table`` knows what does it.
+
+    Attributes
+    ----------
+    title : str
+        What messages call it.
+    needs : Needs
+        What it needs.
+    of_energy : bool
+        Whether its residual is the gradient of an energy where the terms have one, so that a line search may look for
+        a zero of the residual along the step.
+    finds_load : bool
+        Whether the load factor is among its unknowns: it may be any number, and unstable equilibria are meant.
+    restarts : bool
+        Whether it goes on from a checkpoint.
+    """
+
+    title: ClassVar[str]
+    needs: ClassVar[Needs] = Needs()
+    of_energy: ClassVar[bool] = True
+    finds_load: ClassVar[bool] = False
+    restarts: ClassVar[bool] = True
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where a body of ``dim`` dimensions lacks what this asks for (not collective)."""
 
 
 @dataclass(frozen=True)
-class DynamicRelaxation(Declared):
+class Newton(DeclaredSolver):
+    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``."""
+
+    title = "Newton's method"
+
+
+@dataclass(frozen=True)
+class DynamicRelaxation(DeclaredSolver):
     """Adaptive dynamic relaxation: damped motion in time until the body is at rest, without a matrix.
 
     Parameters
@@ -33,6 +82,9 @@ class DynamicRelaxation(Declared):
     tolerance: float = 1e-6
     most: int = 1_000_000
 
+    title = "Dynamic relaxation"
+    needs = Needs(tangent="none")
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.tolerance) and 0.0 < self.tolerance < 1.0):
@@ -42,7 +94,7 @@ class DynamicRelaxation(Declared):
 
 
 @dataclass(frozen=True)
-class EventDriven(Declared):
+class EventDriven(DeclaredSolver):
     """From one failing bond to the next, without iterations: for bodies whose laws are piecewise linear.
 
     Between events everything is linear in the step time, so the time of the next failure is known exactly. A failing
@@ -63,6 +115,11 @@ class EventDriven(Declared):
     updates: int | None = None
     most: int = 1_000_000
     fields_every: int = 0
+
+    title = "The event-driven solver"
+    needs = Needs(tangent="assembled", proportional="up to the whole load", piecewise_linear=True)
+    finds_load = True
+    restarts = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,6 +144,9 @@ class BondStretch(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         _refuse_step(self.step)
+
+    def check(self, dim: int) -> None:
+        """Accept every dimension."""
 
 
 @dataclass(frozen=True)
@@ -119,9 +179,20 @@ class Opening(Declared):
         if not (math.isfinite(self.end) and self.end > 0.0):
             raise CaseError(f"An Opening ends at a positive value, not {self.end}; turn the regions round.")
 
+    def check(self, dim: int) -> None:
+        """Raise CaseError where a body of ``dim`` dimensions has no such component or cannot select its regions."""
+        if self.component not in "xyz"[:dim]:
+            raise CaseError(f"The Opening of a {dim}-dimensional body has no component {self.component}.")
+        for side in (self.region, self.against):
+            if side is not None:
+                try:
+                    side.check(dim)
+                except CaseError as error:
+                    raise CaseError(f"The Opening: {error}") from None
+
 
 @dataclass(frozen=True)
-class PathFollowing(Declared):
+class PathFollowing(DeclaredSolver):
     """Newton's method along the path of equilibria, which may turn back: the load is an unknown.
 
     All conditions are multiplied with one factor, which rises and falls as equilibrium demands while what ``control``
@@ -150,6 +221,12 @@ class PathFollowing(Declared):
     most: int = 10_000
     breaks: int | None = None
 
+    title = "Path following"
+    needs = Needs(proportional="at any load")
+    # With the row of its control the residual is the gradient of nothing.
+    of_energy = False
+    finds_load = True
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (0.0 < self.first <= 1.0 and 0.0 < self.smallest <= 1.0 and 0.0 <= self.until < 1.0 and self.most >= 1):
@@ -159,16 +236,18 @@ class PathFollowing(Declared):
             )
         refuse_breaks(self.breaks)
 
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the control names what a body of ``dim`` dimensions lacks."""
+        self.control.check(dim)
+
 
 def _refuse_step(step: float) -> None:
     if not (math.isfinite(step) and step > 0.0):
         raise CaseError(f"The control of a path needs a positive step, not {step}.")
 
 
-AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing
-
 # The ways to equilibrium by the word that the command line uses.
-SOLVERS: dict[str, AnySolver] = {
+SOLVERS: dict[str, DeclaredSolver] = {
     "newton": Newton(),
     "relaxation": DynamicRelaxation(),
     "events": EventDriven(),

@@ -1,13 +1,17 @@
-"""What a solver of one load step gives to the load stepping."""
+"""What every solver is: from the state that a run starts from it marches from one converged state to the next."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any, Self, TypeAlias
 
 from pdpetsc.arrays import Float
+from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.scene.steps import AdaptiveSteps, Steps
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,99 @@ class StepResult:
     negative_pivots: int | None = None
 
 
+@dataclass(frozen=True)
+class Converged:
+    """A converged step.
+
+    Attributes
+    ----------
+    u : (n_rows, dim) float64
+        Unknowns [length].
+    t : float
+        Step time [-].
+    result : StepResult
+        How it went.
+    failures : list of StepResult
+        Failed attempts before it.
+    broken : int
+        Bonds that broke in it.
+    sweeps : int
+        Equilibria with damage held, where Newton with damage failed; 0 where it did not.
+    resume : mapping of str to float
+        Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
+    write_fields : bool
+        Whether it is one of those whose fields are written.
+    """
+
+    u: Float
+    t: float
+    result: StepResult
+    failures: list[StepResult] = field(default_factory=list)
+    broken: int = 0
+    sweeps: int = 0
+    resume: Mapping[str, float] = field(default_factory=dict)
+    write_fields: bool = True
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a march starts from.
+
+    Attributes
+    ----------
+    u : (n_rows, dim) float64
+        Converged unknowns [length].
+    t : float
+        Their step time [-].
+    resume : mapping of str to float
+        What the solver of the run before named in ``Converged.resume``; empty at the start of a run.
+    tangent_at : (n_rows, dim) float64 or None
+        Where the tangent is of that the first step begins with [length], where it is not that of ``u``.
+    """
+
+    u: Float
+    t: float = 0.0
+    resume: Mapping[str, float] = field(default_factory=dict)
+    tangent_at: Float | None = None
+
+
+# Told of a failed attempt: the step time that stands, the step that is tried next, and how the attempt went.
+OnFailure: TypeAlias = Callable[[float, float, StepResult], None]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a solver is made from.
+
+    Attributes
+    ----------
+    problem : Problem
+        What is solved.
+    declared : DeclaredSolver
+        What the scene declares, of the class that the table of solvers has it under.
+    steps : Steps or AdaptiveSteps
+        How the load is applied, for those that step it.
+    filled : Assembler or None
+        What fills the matrix; None for a solver that needs no tangent.
+    stop : callable
+        Asked now and then, collectively; True ends the march (a signal arrived).
+    """
+
+    problem: Problem
+    declared: Any
+    steps: Steps | AdaptiveSteps
+    filled: Assembler | None
+    stop: Callable[[], bool]
+
+    @property
+    def assembler(self) -> Assembler:
+        """Return what fills the matrix, for a solver that declares to need a tangent."""
+        assert self.filled is not None
+        return self.filled
+
+
 class Solver(ABC):
-    """Finds equilibrium.
+    """Marches from one equilibrium to the next.
 
     Attributes
     ----------
@@ -62,17 +157,55 @@ class Solver(ABC):
     advice: str
     resumed: Float | None = None
 
+    @classmethod
+    @abstractmethod
+    def make(cls, setting: Setting) -> Self:
+        """Return the solver of a setting (collective)."""
+
+    @classmethod  # noqa: B027 - most have none
+    def rehearse(cls, problem: Problem) -> None:
+        """Compile or load the loops that only this solver runs (collective on the problem's ranks)."""
+
+    @abstractmethod
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one converged state after the other, from ``start`` to the end of the load (collective).
+
+        Raises
+        ------
+        SolveError
+            No step leads on; what was yielded before stands.
+        Interrupted
+            A signal asked to stop.
+        """
+
     @property
     def tangent_at(self) -> Float | None:
         """Return where the tangent is of that the next step begins with (n_rows, dim) [length]; None for its start."""
         return None
 
-    def resume(self, tangent_at: Float | None, t: float) -> None:
-        """Begin the next step, from step time ``t``, as the run did that this one goes on from (collective).
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective).
 
-        That is with the tangent of ``tangent_at`` (n_rows, dim) [length].
+        Raises
+        ------
+        CaseError
+            The numbers that the run before left lead nowhere.
         """
-        self.resumed = tangent_at
+        self.resumed = start.tangent_at
+
+    def line(self, number: int, converged: Converged) -> str | None:
+        """Return what is printed of a converged step, None for nothing (not collective)."""
+        result = converged.result
+        last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
+        inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""
+        return (
+            f"step {number:4d}  t = {converged.t:<8.6g} {result.iterations:2d} {self.unit}{inner} iterations, "
+            f"residual {last:.1e}"
+            f"{' (round-off floor)' if 'floor' in result.reason else ''}"
+            f"{f', UNSTABLE (negative pivots: {result.negative_pivots})' if result.negative_pivots else ''}"
+            f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
+            f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
+        )
 
     @property
     @abstractmethod

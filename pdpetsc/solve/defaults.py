@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pdpetsc.problem.problem import Problem
-from pdpetsc.scene.solver import AnySolver, PathFollowing
+from pdpetsc.scene.solver import DeclaredSolver
 from pdpetsc.solve.jacobian import Choice
 
 # Relative tolerance of the first linear solve of a step, and the largest of the others.
 LOOSE = 1e-3
 
 
-def default_options(problem: Problem, solver: AnySolver, choice: Choice) -> dict[str, object]:
+def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) -> dict[str, object]:
     """Return pdpetsc's solver options for a problem; those of the case and the command line override each.
 
     Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
@@ -30,7 +30,7 @@ def default_options(problem: Problem, solver: AnySolver, choice: Choice) -> dict
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",
-        "snes_linesearch_type": "basic" if problem.linear or isinstance(solver, PathFollowing) else "cp",
+        "snes_linesearch_type": "cp" if solver.of_energy and not problem.linear else "basic",
         "snes_linesearch_max_it": 10,
         "snes_linesearch_atol": 0.0,
         "snes_atol": 0.0,
@@ -50,7 +50,7 @@ def default_options(problem: Problem, solver: AnySolver, choice: Choice) -> dict
             defaults["mat_mumps_icntl_13"] = 1
         return defaults if problem.damage is None else defaults | {"mat_mumps_icntl_24": 1}
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
-    if not (problem.linear or problem.damage is not None or isinstance(solver, PathFollowing)):
+    if solver.of_energy and not problem.linear and problem.damage is None:
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
     if choice.pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -16,13 +17,11 @@ from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import EventDriven
-from pdpetsc.solve.base import Solver, StepResult
+from pdpetsc.solve.base import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.solve.inelastic import InelasticForces
-from pdpetsc.solve.pairs import Key, Pairs, make_pairs
+from pdpetsc.solve.pairs import Key, Pairs, make_pairs, rehearse_pairs
 from pdpetsc.solve.path import Changed, Direction, find_direction
-from pdpetsc.solve.steps import Converged
 from pdpetsc.terms.bond_forces import BondForces
-from pdpetsc.terms.conditions import refuse_what_is_not_proportional
 
 # Bonds this close to their limit fail at the same load, one after the other in the order of their keys.
 TIED = 1e-10
@@ -35,6 +34,8 @@ UPDATES = 2.0
 FEWEST, MOST = 32, 400
 # So many events at one load, and nothing has moved: the path goes in circles.
 STANDSTILL = 1000
+# Events of which every one is printed, and how many there are to a line after these.
+FIRST_EVENTS, EVENTS_A_LINE = 10, 100
 
 
 class EventSolver(Solver):
@@ -106,8 +107,28 @@ class EventSolver(Solver):
         """Free the PETSc objects."""
         self.solver.destroy()
 
-    def march(self) -> Iterator[Converged]:
+    @classmethod
+    def make(cls, setting: Setting) -> Self:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
+
+    @classmethod
+    def rehearse(cls, problem: Problem) -> None:
+        """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
+        if problem.damage is not None and isinstance(problem.matter, BondForces):
+            rehearse_pairs(problem.matter)
+
+    def line(self, number: int, converged: Converged) -> str | None:
+        """Return what is printed of an event: of the first ones, every hundredth, and the end."""
+        reason = converged.result.reason
+        if number > FIRST_EVENTS and number % EVENTS_A_LINE and reason.startswith("bond"):
+            return None
+        return f"event {number:5d}  t = {converged.t:<10.6g} {reason}"
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the state at every event, from the unloaded body to the end of the load (collective).
+
+        The start is the unloaded body, and no attempt fails.
 
         Raises
         ------
@@ -286,15 +307,9 @@ def _law_of(damage: Damage) -> PiecewiseLinear:
 
 
 def _refuse(problem: Problem) -> None:
-    """Raise on all ranks if the laws are not piecewise linear or the conditions not proportional (collective)."""
+    """Raise on all ranks where bonds fail that carry no forces themselves."""
     if problem.damage is not None and not isinstance(problem.matter, BondForces):
         raise CaseError(
             "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients fail in "
             "load steps, with Newton."
         )
-    if not problem.linear:
-        raise CaseError(
-            "The event-driven solver needs laws that are piecewise linear: LinearElastic, or bonds with small "
-            "kinematics; this body has a law that is not linear between failures, so take Newton."
-        )
-    refuse_what_is_not_proportional(problem, "The event-driven solver")

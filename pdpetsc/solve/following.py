@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from petsc4py import PETSc
@@ -14,13 +15,12 @@ from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.solver import Opening, PathFollowing
-from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.solve.base import Converged, OnFailure, Setting, Start, StepResult, StepSolver
 from pdpetsc.solve.bordered import Bordered
 from pdpetsc.solve.constraint import Constraint, opening_weights
 from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import linear_solver, negative_pivots, set_domain_error
-from pdpetsc.solve.steps import GROWTH, LAST, Converged, damage_of, equilibrium, followed, settle
-from pdpetsc.terms.conditions import refuse_what_is_not_proportional
+from pdpetsc.solve.steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 
 # Bonds whose stretch over the critical one is within this of the largest share the control, relatively.
 BAND = 0.05
@@ -31,6 +31,9 @@ LEAP = 10.0
 JUMP, PATIENCE = 0.4, 0.05
 # Sweeps with damage held in which it settles, or a shorter step is tried.
 SWEEPS = 100
+# What a run that goes on finds: the step of the control, the largest forces [force], the highest load factor [-], and
+# the forces of the last equilibrium [force].
+RESUMED = ("control_step", "largest_reference", "highest_load", "last_reference")
 
 
 class PathSolver(StepSolver):
@@ -51,7 +54,7 @@ class PathSolver(StepSolver):
     Raises
     ------
     CaseError
-        The conditions are not proportional to the step time, or the control does not fit the body.
+        The control does not fit the body.
 
     Notes
     -----
@@ -68,7 +71,6 @@ class PathSolver(StepSolver):
     def __init__(
         self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
     ) -> None:
-        refuse_what_is_not_proportional(problem, "Path following", beyond=True)
         self.problem = problem
         self._comm = problem.body.cloud.comm
         fixed = problem.supports.fixed
@@ -116,10 +118,20 @@ class PathSolver(StepSolver):
         self._bordered.free()
         self._equilibrium.destroy()
 
-    def march(
-        self, u: Float, load: float, pace: tuple[float, ...], on_failure: Callable[[float, float, StepResult], None]
-    ) -> Iterator[Converged]:
-        """Yield equilibria from ``u`` at a load factor, at the ``pace`` of the step before if any (collective).
+    @classmethod
+    def make(cls, setting: Setting) -> Self:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
+
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective)."""
+        super().resume(start)
+        found = [start.resume[name] for name in RESUMED if name in start.resume]
+        if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
+            raise CaseError("The checkpoint's place on its path has no meaning; restart from another one.")
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one equilibrium along the path after the other, from a load factor (collective).
 
         Raises
         ------
@@ -129,9 +141,11 @@ class PathSolver(StepSolver):
             A signal asked to stop.
         """
         options = self._options
+        u, load = start.u, start.t
         self.load = load
-        # A checkpoint of load steps has another pace.
-        known = pace if len(pace) == 4 else (options.control.step, 0.0, 0.0, 0.0)
+        # A checkpoint of load steps says nothing of a path.
+        at_first = (options.control.step, 0.0, 0.0, 0.0)
+        known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
         step, highest, self._highest, self._equilibrium.reference = known
         failures: list[StepResult] = []
         converged = 0
@@ -164,7 +178,7 @@ class PathSolver(StepSolver):
             if result.easy:
                 step = min(step * GROWTH, options.control.step)
             now = (step, highest, self._highest, result.reference)
-            yield Converged(u, load, result, failures, broken, sweeps, now)
+            yield Converged(u, load, result, failures, broken, sweeps, dict(zip(RESUMED, now, strict=True)))
             failures = []
             if result.reference <= options.until * highest or self._at_end(u):
                 return

@@ -16,7 +16,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
-from pdpetsc.scene.solver import AnySolver, DynamicRelaxation, EventDriven
+from pdpetsc.scene.solver import DeclaredSolver
 from pdpetsc.solve.matrix import TangentMatrix
 from pdpetsc.solve.matrix_free import MatrixFreeTangent
 from pdpetsc.solve.tangent import PetscTangent
@@ -52,7 +52,7 @@ class Choice:
     estimate: int
 
 
-def choose(problem: Problem, chosen: Mapping[str, Any], solver: AnySolver) -> Choice:
+def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver) -> Choice:
     """Choose by ``-pd_jacobian``, else by size: direct where that is quick, assembled where rows are narrow.
 
     Parameters
@@ -74,12 +74,12 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: AnySolver) -> Ch
     pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
     if word not in ("assembled", "matfree", "auto"):
         raise CaseError(f"-pd_jacobian takes assembled, matfree or auto, not {word!r}.")
-    if word == "matfree" and isinstance(solver, EventDriven):
-        raise CaseError("The event-driven solver factors its matrix; leave -pd_jacobian at assembled or auto.")
+    if word == "matfree" and solver.needs.tangent == "assembled":
+        raise CaseError(f"{solver.title} factors its matrix; leave -pd_jacobian at assembled or auto.")
     cloud, dim = problem.body.cloud, problem.dim
     small = cloud.n_global * dim <= DIRECT_UNKNOWNS[dim]
     direct = pc in ("lu", "cholesky") or (not pc and small)
-    if word == "assembled" or isinstance(solver, EventDriven | DynamicRelaxation) or (word == "auto" and direct):
+    if word == "assembled" or solver.needs.tangent != "any" or (word == "auto" and direct):
         return Choice(pc, direct, False, 0)
     blocks = _blocks(problem)
     narrow = blocks <= WIDE * NEAR_BLOCKS[dim] * cloud.n_global

@@ -11,7 +11,6 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
-from pdpetsc.problem.problem import Problem
 from pdpetsc.terms.bond_forces import BondForces
 
 # What names a bond on every rank: ids of both ends and the relative place of the second.
@@ -96,11 +95,10 @@ def make_pairs(term: BondForces) -> Pairs:
     )
 
 
-def rehearse_pairs(problem: Problem) -> None:
-    """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
-    assert isinstance(problem.matter, BondForces)
-    pairs = make_pairs(problem.matter)
-    e = pairs.elongation(np.zeros_like(problem.body.cloud.x))
+def rehearse_pairs(bonds: BondForces) -> None:
+    """Compile or load the loops that go from event to event (collective on the body's ranks)."""
+    pairs = make_pairs(bonds)
+    e = pairs.elongation(np.zeros_like(bonds.body.cloud.x))
     able = np.ones(len(e), dtype=bool)
     first_failure(e, e, pairs.limit, able)
     first_of_tied(e, e, pairs.limit, able, 0.0, 0.0)

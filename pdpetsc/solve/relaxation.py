@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Self
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from pdpetsc.discrete.communicator import largest, smallest, total
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.scene.solver import DynamicRelaxation
-from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.scene.steps import AdaptiveSteps, Steps
+from pdpetsc.solve.base import Converged, OnFailure, Setting, Start, StepResult, StepSolver
+from pdpetsc.solve.steps import check_load_step, load_steps
 
 # Iterations that estimate the largest frequency, and the share of the critical time step that is used.
 POWER_ITERATIONS = 30
@@ -40,6 +43,8 @@ class RelaxationSolver(StepSolver):
         What is solved.
     options : DynamicRelaxation
         When it stops.
+    steps : Steps or AdaptiveSteps
+        How the load is applied.
     stop : callable
         Asked now and then, collectively; True ends the solve (a signal arrived).
 
@@ -51,8 +56,11 @@ class RelaxationSolver(StepSolver):
     unit = "relaxation"
     advice = "look for zero-energy modes, add or raise the stabilisation, take more steps or more iterations"
 
-    def __init__(self, problem: Problem, options: DynamicRelaxation, stop: Callable[[], bool]) -> None:
+    def __init__(
+        self, problem: Problem, options: DynamicRelaxation, steps: Steps | AdaptiveSteps, stop: Callable[[], bool]
+    ) -> None:
         self.problem = problem
+        self._steps = steps
         self._comm = problem.body.cloud.comm
         self._options = options
         self._stop = stop
@@ -62,6 +70,20 @@ class RelaxationSolver(StepSolver):
         self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])[:, None]
         self._courant = _courant_step(problem)
         self._largest = 0.0
+
+    @classmethod
+    def make(cls, setting: Setting) -> Self:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.declared, setting.steps, setting.stop)
+
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective)."""
+        check_load_step(start)
+        super().resume(start)
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one state of rest after the other (collective)."""
+        return load_steps(self, self._steps, start, self._stop, on_failure)
 
     @property
     def matrix_bytes(self) -> int:

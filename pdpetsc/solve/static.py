@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from petsc4py import PETSc
@@ -12,7 +13,8 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem
-from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.scene.steps import AdaptiveSteps, Steps
+from pdpetsc.solve.base import Converged, OnFailure, Setting, Start, StepResult, StepSolver
 from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import (
     effort,
@@ -24,9 +26,11 @@ from pdpetsc.solve.petsc import (
     set_domain_error,
     start_anew,
 )
+from pdpetsc.solve.steps import check_load_step, load_steps
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
+ONE_STEP = Steps()
 
 
 class StaticSolver(StepSolver):
@@ -38,6 +42,8 @@ class StaticSolver(StepSolver):
         What is solved, and what fills its matrix.
     stop : callable
         Asked after every iteration, collectively; True ends the solve (a signal arrived).
+    steps : Steps or AdaptiveSteps
+        How the load is applied.
 
     Notes
     -----
@@ -50,8 +56,11 @@ class StaticSolver(StepSolver):
         "-snes_linesearch_type basic, a smaller smallest step or -snes_rtol 1e-8"
     )
 
-    def __init__(self, problem: Problem, assembler: Assembler, stop: Callable[[], bool]) -> None:
+    def __init__(
+        self, problem: Problem, assembler: Assembler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
+    ) -> None:
         self.problem = problem
+        self._steps = steps
         self._comm = problem.body.cloud.comm
         self._fixed = problem.supports.fixed
         self._stop = stop
@@ -77,10 +86,20 @@ class StaticSolver(StepSolver):
         held = not self.problem.linear and (damage is None or not damage.bonds.frozen)
         return self._filled_at if held and self._equilibrium.tangent.holds() else None
 
-    def resume(self, tangent_at: Float | None, t: float) -> None:
+    @classmethod
+    def make(cls, setting: Setting) -> Self:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
+
+    def resume(self, start: Start) -> None:
         """Begin the next step as the run did that this one goes on from (collective)."""
-        super().resume(tangent_at, t)
-        self._resumed_from = self.problem.supports.prescribed(t)
+        check_load_step(start)
+        super().resume(start)
+        self._resumed_from = self.problem.supports.prescribed(start.t)
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one converged load step after the other (collective)."""
+        return load_steps(self, self._steps, start, self._stop, on_failure)
 
     @property
     def matrix_bytes(self) -> int:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from pdpetsc.arrays import Float
-from pdpetsc.errors import Interrupted, SolveError
+from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.damage import Damage
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solve.base import StepResult, StepSolver
+from pdpetsc.solve.base import Converged, OnFailure, Start, StepResult, StepSolver
 
 SAME_TIME = 1e-9
+# What a run that goes on finds the next load step under.
+LOAD_STEP = "load_step"
 GROWTH = 1.5
 # Newton's answer counts where it changes no integrity by more: a longer jump has passed unstable states, and which of
 # the states beyond it finds is left to round-off.
@@ -24,50 +26,20 @@ SWEEPS = 1000
 FOLLOWING = 50
 
 
-@dataclass(frozen=True)
-class Converged:
-    """A converged step.
-
-    Attributes
-    ----------
-    u : (n_rows, dim) float64
-        Unknowns [length].
-    t : float
-        Step time [-].
-    result : StepResult
-        How it went.
-    failures : list of StepResult
-        Failed attempts before it.
-    broken : int
-        Bonds that broke in it.
-    sweeps : int
-        Equilibria with damage held, where Newton with damage failed; 0 where it did not.
-    pace : tuple of float
-        What the stepping needs to go on from here as if it had not stopped.
-    write_fields : bool
-        Whether it is one of those whose fields are written.
-    """
-
-    u: Float
-    t: float
-    result: StepResult
-    failures: list[StepResult] = field(default_factory=list)
-    broken: int = 0
-    sweeps: int = 0
-    pace: tuple[float, ...] = ()
-    write_fields: bool = True
+def check_load_step(start: Start) -> None:
+    """Raise CaseError where the load step that a run before left leads nowhere (not collective)."""
+    dt = start.resume.get(LOAD_STEP, 1.0)
+    if not (dt > 0.0 and start.t + dt > start.t):
+        raise CaseError(
+            f"The checkpoint's next load step, {dt:g} from step time {start.t:g}, leads nowhere; it is damaged, so "
+            f"restart from another one."
+        )
 
 
 def load_steps(
-    solver: StepSolver,
-    steps: Steps | AdaptiveSteps,
-    u: Float,
-    t: float,
-    stop: Callable[[], bool],
-    on_failure: Callable[[float, float, StepResult], None],
-    pace: tuple[float, ...] = (),
+    solver: StepSolver, steps: Steps | AdaptiveSteps, start: Start, stop: Callable[[], bool], on_failure: OnFailure
 ) -> Iterator[Converged]:
-    """Yield converged steps from step time ``t`` to 1, at the ``pace`` of the step before where there was one.
+    """Yield converged steps from ``start`` to step time 1, with the load step that a run before would have gone on.
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
@@ -87,7 +59,8 @@ def load_steps(
     -----
     Collective.
     """
-    dt = min(pace[0], steps.largest) if len(pace) == 1 else steps.first
+    u, t = start.u, start.t
+    dt = min(start.resume.get(LOAD_STEP, steps.first), steps.largest)
     stops = steps.stops()
     failures: list[StepResult] = []
     while t < 1.0 - SAME_TIME:
@@ -110,7 +83,7 @@ def load_steps(
             solver.problem.commit(solver.state(u))
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
-            yield Converged(u, t, result, failures, broken, sweeps, (dt,))
+            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
             failures = []
             continue
         solver.problem.revert()

@@ -26,6 +26,7 @@ from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.problem.assembly import Assembler  # noqa: E402
 from pdpetsc.scene.solver import EventDriven  # noqa: E402
+from pdpetsc.solve.base import Start  # noqa: E402
 from pdpetsc.solve.defaults import default_options  # noqa: E402
 from pdpetsc.solve.events import EventSolver  # noqa: E402
 from pdpetsc.solve.jacobian import choose  # noqa: E402
@@ -42,8 +43,9 @@ def measure(scene, updates):
     choice = choose(problem, {}, EventDriven())
     with options({}, default_options(problem, EventDriven(), choice)):
         solver = EventSolver(problem, Assembler(problem), EventDriven(updates), lambda: False)
+        start = np.zeros((cloud.n_rows, problem.dim))
         spent, before = [], time.perf_counter()
-        for _, _ in zip(range(EVENTS), solver.march(), strict=False):
+        for _, _ in zip(range(EVENTS), solver.march(Start(start), lambda *_: None), strict=False):
             now = time.perf_counter()
             spent.append(now - before)
             before = now

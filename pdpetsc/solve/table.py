@@ -1,0 +1,44 @@
+"""Which solver does what a scene declares, and what a solver must find in a problem."""
+
+from __future__ import annotations
+
+from pdpetsc.errors import CaseError
+from pdpetsc.problem.problem import Problem
+from pdpetsc.scene.solver import DeclaredSolver, DynamicRelaxation, EventDriven, Newton, PathFollowing
+from pdpetsc.solve.base import Solver
+from pdpetsc.solve.events import EventSolver
+from pdpetsc.solve.following import PathSolver
+from pdpetsc.solve.relaxation import RelaxationSolver
+from pdpetsc.solve.static import StaticSolver
+from pdpetsc.terms.conditions import refuse_what_is_not_proportional
+
+# A new solver is one class of its own and a line here.
+SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
+    Newton: StaticSolver,
+    DynamicRelaxation: RelaxationSolver,
+    EventDriven: EventSolver,
+    PathFollowing: PathSolver,
+}
+
+
+def implementation(declared: DeclaredSolver) -> type[Solver]:
+    """Return what does what a scene declares (not collective); raise CaseError where the table has nothing."""
+    for kind in type(declared).__mro__:
+        if kind in SOLVERS:
+            return SOLVERS[kind]
+    raise CaseError(
+        f"No solver is known for {type(declared).__name__}; enter the class that does it in "
+        f"pdpetsc.solve.table.SOLVERS."
+    )
+
+
+def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
+    """Raise CaseError on all ranks where a problem has not what a solver declares to need (collective)."""
+    needs = declared.needs
+    if needs.piecewise_linear and not problem.piecewise_linear:
+        raise CaseError(
+            f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
+            f"this body has a law that is not linear between failures, so take Newton."
+        )
+    if needs.proportional != "no":
+        refuse_what_is_not_proportional(problem, declared.title, beyond=needs.proportional == "at any load")

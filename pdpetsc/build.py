@@ -14,7 +14,7 @@ from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, law_of
 from pdpetsc.damage import ConstantCritical, LinearSoftening
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.declared import called, numbers_from, shown
+from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
@@ -26,6 +26,7 @@ from pdpetsc.material import Graded, Material
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.extra import build_extra
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.nearest_neighbours import NearAssembler
@@ -128,11 +129,7 @@ def _problem(
     supports, loads = apply(body, matter, case.conditions, case.particles)
     extra = []
     for number, declared in enumerate(case.terms, 1):
-        term = called(f"build of term {number}, {type(declared).__name__},", declared.build, body)
-        with agreed(cloud.comm):
-            if not isinstance(term, Term):
-                raise CaseError(f"{type(declared).__name__} must build a Term, not {shown(term)}.")
-        extra.append(term)
+        extra.append(build_extra(declared, number, body))
     problem = Problem(body, matter, [*others, loads, *extra], supports, damage)
     if damage is not None:
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)

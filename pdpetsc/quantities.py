@@ -184,13 +184,15 @@ class DissipatedEnergy(Quantity):
 
     Of bonds with forces of their own it is what their laws have dissipated, whatever the steps: external work less the
     energy stored is larger by what jumps of a load step have set free, and by the error of the work between steps. In
-    other bodies it is that difference.
+    other bodies, and where a term of the case has a history, it is that difference.
     """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
-        known = solution.problem.matter.dissipated_energy()
-        return solution.work - sum(solution.energies.values()) if known is None else known
+        problem = solution.problem
+        known = problem.matter.dissipated_energy()
+        others = any(term.has_history for term in problem.terms if term is not problem.matter)
+        return solution.work - sum(solution.energies.values()) if known is None or others else known
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,13 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
     parts = order.parts_on_root(u[: cloud.n_owned])
     tangent = iter(()) if solution.tangent_at is None else order.parts_on_root(at[: cloud.n_owned])
     damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
+    with agreed(cloud.comm):
+        for name, array in arrays.items():
+            if not np.isfinite(array.values).all():
+                raise OutputError(f"Cannot write {path}: {name} of a term is not a number; an earlier one stays.")
     tables = {name: _by_particle(array, cloud) for name, array in arrays.items()}
+    # An array without rows anywhere has nothing to go on with.
+    tables = {name: table for name, table in tables.items() if table.shape[1]}
     of_terms = {name: order.parts_on_root(table) for name, table in tables.items()}
     failure: OutputError | None = None
     if is_root(cloud.comm):
@@ -252,6 +258,8 @@ def read_checkpoint(
     found, lacking = 0, 0
     arrays = problem.arrays()
     widths = {name: _width(array, cloud) for name, array in arrays.items()}
+    widths = {name: width for name, width in widths.items() if width}
+    arrays = {name: arrays[name] for name in widths}
     tables: dict[str, Float] = {}
     with agreed(comm):
         path = find_checkpoint(path)

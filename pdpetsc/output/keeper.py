@@ -98,6 +98,7 @@ class Keeper:
             self._fields.write(start)
         # One write for all rows: a run that dies here leaves the earlier table or this one.
         self._rows = HistoryWriter(comm, folder, list(self.history), [*(rows or ()), self._evaluated(start)])
+        start.forget()
 
     @property
     def problem(self) -> Problem:

@@ -55,8 +55,11 @@ class Assembler:
         off[:] = 0.0
         self._ghost[:] = 0.0
         entries = Entries(self.pattern, diag[:n_diag], off[:n_off], self._ghost)
-        # Moduli are freed as soon as the matrix has them.
-        assembled = self._fill(self.problem.linearised(state), entries)
+        # Moduli take the place of F in memory, and are freed as soon as the matrix has them.
+        tangent = self.problem.linearised(state)
+        state.forget()
+        assembled = self._fill(tangent, entries)
+        del tangent
         if assembled.blocks is not None:
             entries.diag[self._own_blocks] += assembled.blocks
         self.pattern.complete(self._ghost, entries.diag, entries.off, dim)

@@ -28,6 +28,7 @@ class Matter(Term):
     """
 
     horizons = 2
+    energy_of = "strain"
     note: str = ""
     n_detached: int = 0
 

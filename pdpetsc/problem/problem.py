@@ -133,19 +133,23 @@ class Problem:
 
         Without ``of_solver`` terms that only help a solver are left out.
         """
-        return self._sum(state, [term for term in self.terms if not term.load and (of_solver or not term.of_solver)])
+        terms = [term for term in self.terms if not term.load and (of_solver or not term.of_solver)]
+        # Ghosts are there before a term asks for them, which it may do on one rank alone.
+        _ = state.u_local
+        here = [term.admissible(state) for term in terms]
+        if int(total(self.body.cloud.comm, int(not all(here)))):
+            return None
+        return self.force_of(terms, state)
 
     def external_force(self, state: State) -> Float:
         """Return the forces of loads (n_rows, dim) [force]."""
         loads = [term for term in self.terms if term.load]
-        found = self._sum(state, loads)
-        assert found is not None
-        return -found
+        return -self.force_of(loads, state)
 
-    def _sum(self, state: State, terms: Sequence[Term]) -> Float | None:
-        here = [term.admissible(state) for term in terms]
-        if any(not term.load for term in terms) and int(total(self.body.cloud.comm, int(not all(here)))):
-            return None
+    def force_of(self, terms: Sequence[Term], state: State) -> Float:
+        """Return what terms add to the residual at a state that they admit (n_rows, dim) [force]."""
+        if any(term.horizons for term in terms):
+            _ = state.u_local
         r = np.zeros_like(state.u)
         for term in terms:
             term.add_row_force(state, r)
@@ -159,6 +163,7 @@ class Problem:
 
     def linearised(self, state: State) -> Tangent:
         """Return the tangent at a state, which is applied without assembling it."""
+        _ = state.u_local
         parts = [part for part in (term.linearised(state) for term in self.terms) if part is not None]
         if state is self._last:
             # Moduli take its place in memory.

@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.pattern import Pattern, Rows
+from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -26,17 +27,29 @@ class KeptArray:
 
     Attributes
     ----------
-    per : {"particle", "point"}
-        What each row belongs to: an own particle, or a gradient point of one.
     owner : (n,) int
-        The own particle of each row, ascending.
+        The own particle of each row, ascending: a particle may have one row, several (one of each of its gradient
+        points) or none.
     values : (n, ...) float64
-        Written and, when a run goes on, overwritten in place.
+        Written and, when a run goes on, overwritten in place: the array that the term reads, not a copy.
+
+    Raises
+    ------
+    CaseError
+        The arrays are not these.
     """
 
-    per: Literal["particle", "point"]
     owner: LocalIndex
     values: Float
+
+    def __post_init__(self) -> None:
+        if len(self.owner) != len(self.values) or self.values.dtype != np.float64:
+            raise CaseError(
+                f"A KeptArray needs a row of float64 for each of its {len(self.owner)} owners, not {self.values.dtype} "
+                f"of shape {self.values.shape}."
+            )
+        if np.any(np.diff(self.owner) < 0):
+            raise CaseError("The owners of a KeptArray must ascend.")
 
 
 @dataclass(frozen=True)
@@ -129,22 +142,29 @@ class Term(ABC):
 
     Attributes
     ----------
-    linear, symmetric : bool
-        Whether its forces are linear in the unknowns now, and its tangent symmetric.
+    linear : bool
+        Whether its forces are linear in the unknowns, with a tangent that does not change with the step time; for terms
+        of bonds that fail, as long as none does.
+    symmetric : bool
+        Whether its tangent is symmetric.
     load : bool
-        Whether it is a load, which the residual is judged against, like the reactions.
+        Whether it is a load, which the residual is judged against, like the reactions. A foundation is none. Along a
+        path, and from event to event, loads are dead and proportional to the step time.
     of_solver : bool
         Whether it only helps a solver on its way and outputs leave it out.
     horizons : int
-        Over how many horizons it couples particles; 0 for each with itself alone.
+        Over how many horizons it couples particles: 0 for each with itself alone, 1 for the two ends of a bond, 2 for
+        members of one family.
     energy_of : str
-        Under which name its energy is summed: ``"strain"``, ``"control"`` or one of its own.
+        Under which name its energy is summed; that of the material is ``"strain"``, that of a control ``"control"``.
     version : int
-        Grows whenever its tangent at the same unknowns changes.
+        Grows whenever its forces or its tangent at the same unknowns and step time change, as when ``commit`` moves
+        what it remembers.
 
     Notes
     -----
-    Every method is collective but where it says otherwise.
+    Every method is collective but where it says otherwise. Attributes, ``has_history`` and the names in ``arrays`` are
+    the same on all ranks.
     """
 
     linear: bool = True
@@ -152,7 +172,7 @@ class Term(ABC):
     load: bool = False
     of_solver: bool = False
     horizons: int = 0
-    energy_of: str = "strain"
+    energy_of: str = "extra"
     version: int = 0
 
     @property
@@ -180,12 +200,18 @@ class Term(ABC):
 
     @property
     def within_families(self) -> bool:
-        """Return whether all members of a stencil are in one family (not collective)."""
+        """Return whether all members of a stencil are in one family (not collective).
+
+        The sparsity then needs no entries for it where another term couples families whole.
+        """
         return True
 
     @property
     def whole_families(self) -> bool:
-        """Return whether it couples all members of a family with each other (not collective)."""
+        """Return whether it couples all members of a family with each other (not collective).
+
+        The sparsity is then that of whole families.
+        """
         return False
 
     def admissible(self, state: State) -> bool:

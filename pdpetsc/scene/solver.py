@@ -24,11 +24,14 @@ class Needs:
         At which step times all conditions must be their values at step time 1 times the step time.
     piecewise_linear : bool
         Whether forces must be linear in the displacement where no bond fails.
+    symmetric : bool
+        Whether the tangent of every term must be symmetric.
     """
 
     tangent: Literal["any", "assembled", "none"] = "any"
     proportional: Literal["no", "up to the whole load", "at any load"] = "no"
     piecewise_linear: bool = False
+    symmetric: bool = False
 
 
 class DeclaredSolver(Declared):
@@ -117,7 +120,7 @@ class EventDriven(DeclaredSolver):
     fields_every: int = 0
 
     title = "The event-driven solver"
-    needs = Needs(tangent="assembled", proportional="up to the whole load", piecewise_linear=True)
+    needs = Needs(tangent="assembled", proportional="up to the whole load", piecewise_linear=True, symmetric=True)
     finds_load = True
     restarts = False
 

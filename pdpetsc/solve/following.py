@@ -200,7 +200,7 @@ class PathSolver(StepSolver):
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
-            # Once more from where it came to rest: the damping has no force there.
+            # Once more from where it came to rest: the springs have no force there.
             sought.move_springs(self._displacement(self._x))
             sought.reason = ""
             self.snes.solve(None, self._x)

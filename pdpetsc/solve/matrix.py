@@ -30,7 +30,7 @@ def predicted_bytes(pattern: Pattern, dim: int) -> int:
 
 
 class TangentMatrix(PetscTangent):
-    """An AIJ matrix of block size ``dim`` that the model's assembler fills in place.
+    """An AIJ matrix of block size ``dim`` that an assembler fills in place.
 
     It holds ``K / scale``. Rows and columns of prescribed degrees of freedom hold only 1 on the diagonal, so that the
     matrix stays symmetric.

@@ -136,7 +136,7 @@ class StaticSolver(StepSolver):
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
-            # Once more from where it came to rest: the damping has no force there.
+            # Once more from where it came to rest: the springs have no force there.
             rest = sought.at_prescribed(self._displacement(self._x))
             sought.move_springs(rest)
             sought.reason = ""
@@ -222,6 +222,8 @@ class StaticSolver(StepSolver):
             sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
         b = external - force - self.problem.linearised(state)(jump)
+        # Nothing of it is needed while the tangent is factored.
+        state.forget()
         self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
         ksp = self.snes.getKSP()
         ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)

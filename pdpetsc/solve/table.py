@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.proportional import refuse_what_is_not_proportional
 from pdpetsc.scene.solver import DeclaredSolver, DynamicRelaxation, EventDriven, Newton, PathFollowing
 from pdpetsc.solve.base import Solver
 from pdpetsc.solve.events import EventSolver
 from pdpetsc.solve.following import PathSolver
 from pdpetsc.solve.relaxation import RelaxationSolver
 from pdpetsc.solve.static import StaticSolver
-from pdpetsc.terms.conditions import refuse_what_is_not_proportional
 
 # A new solver is one class of its own and a line here.
 SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
@@ -40,5 +40,12 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
             f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
             f"this body has a law that is not linear between failures, so take Newton."
         )
+    if needs.symmetric:
+        for term in problem.terms:
+            if not term.symmetric:
+                raise CaseError(
+                    f"{declared.title} needs a symmetric tangent, and that of {type(term).__name__} is not, so take "
+                    f"Newton."
+                )
     if needs.proportional != "no":
         refuse_what_is_not_proportional(problem, declared.title, beyond=needs.proportional == "at any load")

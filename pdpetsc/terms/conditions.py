@@ -6,25 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask
-from pdpetsc.discrete.communicator import agreed, largest
+from pdpetsc.arrays import Mask
+from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.matter import Matter
-from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.supports import Supports
 from pdpetsc.scene.conditions import BodyForce, Condition, Displacement, Force, MeanStrain, MeanStress, Traction
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import Region
 from pdpetsc.terms.dead_loads import DeadLoads
-
-# Step times at which conditions are compared with their proportional values, and how closely.
-PROBES = (0.0, 0.3, 0.7)
-# And beyond the range of load steps, where a load factor may go.
-BEYOND = (-0.4, 1.6)
-PROPORTIONAL = 1e-12
 
 
 class Applied:
@@ -124,27 +117,3 @@ def apply(
     except SolveError as error:
         raise CaseError(str(error)) from error
     return onto.supports, onto.loads
-
-
-def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = False) -> None:
-    """Raise on all ranks unless every condition is its value at step time 1 times the step time (collective).
-
-    With ``beyond`` also at step times that load steps do not reach.
-    """
-    zero = np.zeros(problem.supports.fixed.shape)
-
-    def at(t: float) -> list[Float]:
-        return [problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))]
-
-    whole = at(1.0)
-    comm = problem.body.cloud.comm
-    for t in (*PROBES, *(BEYOND if beyond else ())):
-        part = at(t)
-        # Displacements and forces, each by their own size.
-        off = [largest(comm, np.abs(p - t * w).max(initial=0.0)) for p, w in zip(part, whole, strict=True)]
-        size = [largest(comm, np.abs(w).max(initial=0.0)) for w in whole]
-        if any(o > PROPORTIONAL * max(s, 1e-300) for o, s in zip(off, size, strict=True)):
-            raise CaseError(
-                f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
-                f"the load goes up and down as equilibrium demands, which has no meaning for others."
-            )

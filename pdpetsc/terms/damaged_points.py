@@ -251,3 +251,7 @@ class DamagedTangent(PointsTangent):
         intact = self.points.damage.bonds.intact
         left = np.bincount(centres, self._T, n) / np.maximum(np.bincount(centres, intact, n), 1)
         return np.asarray(super().stiffness() * left[:, None, None, None, None])
+
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness``."""
+        return np.asarray(np.einsum("pikik->p", self.stiffness()))

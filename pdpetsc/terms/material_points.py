@@ -103,7 +103,8 @@ class MaterialPoints(Matter):
             F += np.eye(self.body.dim)
             return F
 
-        return state.kept(("F", id(operator)), make)
+        # The state holds the operator too, so that its id stays its own.
+        return state.kept(("F", id(operator)), lambda: (operator, make()))[1]
 
     def admissible(self, state: State) -> bool:
         """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
@@ -178,7 +179,7 @@ class MaterialPoints(Matter):
         """Return the histories of the materials that have one, by the number of the material."""
         owner = self.operator.owner
         return {
-            f"history_{number}": KeptArray("point", owner[law.points], law.history)
+            f"history_{number}": KeptArray(owner[law.points], law.history)
             for number, law in enumerate(self.laws)
             if law.has_history
         }

@@ -1,0 +1,83 @@
+"""Whether a problem scales with its load factor, which path following and the event-driven solver count on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import largest
+from pdpetsc.errors import CaseError
+from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
+
+# Step times at which conditions are compared with their proportional values, and how closely.
+PROBES = (0.0, 0.3, 0.7)
+# And beyond the range of load steps, where a load factor may go.
+BEYOND = (-0.4, 1.6)
+PROPORTIONAL = 1e-12
+
+
+def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = False) -> None:
+    """Raise on all ranks unless loads and prescribed unknowns are the step time times what they are at 1 (collective).
+
+    Loads must not depend on the displacement, and what other terms than the material add must vanish with the
+    displacement and not depend on the step time: the residual is then ``f_int(u) - t f_ext``.
+
+    Parameters
+    ----------
+    who : str
+        The solver, for the message.
+    beyond : bool
+        Also at step times that load steps do not reach.
+    """
+    zero = np.zeros(problem.supports.fixed.shape)
+    times = (*PROBES, *(BEYOND if beyond else ()))
+
+    def at(t: float) -> list[Float]:
+        return [problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))]
+
+    whole = at(1.0)
+    for t in times:
+        part = at(t)
+        # Displacements and forces, each by their own size.
+        if any(_differ(problem, p, t * w, w) for p, w in zip(part, whole, strict=True)):
+            raise CaseError(
+                f"{who} needs conditions proportional to the step time, such as numbers with the schedule Ramp: "
+                f"the load goes up and down as equilibrium demands, which has no meaning for others."
+            )
+    for term in problem.terms:
+        if term is not problem.matter:
+            _refuse_term(problem, term, who, times)
+
+
+def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
+    zero, name = np.zeros(problem.supports.fixed.shape), type(term).__name__
+    found = [term.linearised(State(problem.body, zero, t)) for t in (1.0, *times)]
+    if term.load:
+        if any(part is not None for part in found):
+            raise CaseError(
+                f"{who} needs loads that do not depend on the displacement, and {name} has a tangent; let it be an "
+                f"internal force (load = False), or take load steps with Newton."
+            )
+        return
+    gid = problem.body.cloud.gid[: problem.body.cloud.n_owned, None].astype(float)
+    v = np.zeros_like(zero)
+    v[: len(gid)] = np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(problem.dim))
+    products = [Tangent(problem.body, [] if part is None else [part])(v).copy() for part in found]
+    forces = [problem.force_of([term], State(problem.body, zero, t)) for t in (1.0, *times)]
+    offset = max(largest(problem.body.cloud.comm, np.abs(force).max(initial=0.0)) for force in forces)
+    if offset > 0.0 or any(_differ(problem, product, products[0], products[0]) for product in products[1:]):
+        raise CaseError(
+            f"{who} needs forces that depend on the displacement alone and vanish with it, besides loads that are "
+            f"proportional to the step time; those of {name} do not, so take load steps with Newton."
+        )
+
+
+def _differ(problem: Problem, a: Float, b: Float, of: Float) -> bool:
+    """Return whether two arrays differ, relative to the largest number of a third (collective)."""
+    comm = problem.body.cloud.comm
+    off, size = (largest(comm, float(np.abs(values).max(initial=0.0))) for values in (a - b, of))
+    return bool(off > PROPORTIONAL * max(size, 1e-300))

@@ -162,6 +162,10 @@ class Solver(ABC):
     def make(cls, setting: Setting) -> Self:
         """Return the solver of a setting (collective)."""
 
+    @classmethod  # noqa: B027 - most need no more than they declare
+    def refuse(cls, problem: Problem) -> None:
+        """Raise CaseError on all ranks for a problem that this solver cannot solve (collective)."""
+
     @classmethod  # noqa: B027 - most have none
     def rehearse(cls, problem: Problem) -> None:
         """Compile or load the loops that only this solver runs (collective on the problem's ranks)."""

@@ -72,7 +72,6 @@ class EventSolver(Solver):
     def __init__(self, problem: Problem, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]) -> None:
         # Events change the integrity; between them it stays.
         problem.freeze(True)
-        _refuse(problem)
         damage = problem.damage
         self._law = None if damage is None else _law_of(damage)
         self._problem = problem
@@ -117,6 +116,15 @@ class EventSolver(Solver):
         """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
         if problem.damage is not None and isinstance(problem.matter, BondForces):
             rehearse_pairs(problem.matter)
+
+    @classmethod
+    def refuse(cls, problem: Problem) -> None:
+        """Raise CaseError on all ranks where bonds fail that carry no forces themselves (not collective)."""
+        if problem.damage is not None and not isinstance(problem.matter, BondForces):
+            raise CaseError(
+                "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients "
+                "fail in load steps, with Newton."
+            )
 
     def line(self, number: int, converged: Converged) -> str | None:
         """Return what is printed of an event: of the first ones, every hundredth, and the end."""
@@ -304,12 +312,3 @@ def _law_of(damage: Damage) -> PiecewiseLinear:
             f"LinearSoftening, or Newton."
         )
     return law
-
-
-def _refuse(problem: Problem) -> None:
-    """Raise on all ranks where bonds fail that carry no forces themselves."""
-    if problem.damage is not None and not isinstance(problem.matter, BondForces):
-        raise CaseError(
-            "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients fail in "
-            "load steps, with Newton."
-        )

@@ -34,6 +34,7 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks where a problem has not what a solver declares to need (collective)."""
+    implementation(declared).refuse(problem)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(

@@ -509,6 +509,8 @@ def _numbers(results: Any) -> dict[str, float]:
         raise RunError(f"results must return a mapping of names to numbers, not {type(results).__name__}", of_user=True)
     found = {}
     for name, value in results.items():
+        if getattr(value, "ndim", 0):
+            raise RunError(f"results must return numbers; {name!r} is an array of shape {value.shape}", of_user=True)
         try:
             found[str(name)] = float(value)
         except (TypeError, ValueError):

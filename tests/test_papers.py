@@ -70,3 +70,13 @@ def test_the_numbers_of_the_page_come_out_again(command, tmp_path):
     found = table.run(command, tmp_path / "out")
     rows = [row for row in ROWS if row["command"] == command]
     assert [text for text in (table.changed(row, found) for row in rows) if text] == []
+
+
+def test_the_index_of_examples_lists_all_of_them():
+    spec = importlib.util.spec_from_file_location("runs_index", ROOT / "runs" / "index.py")
+    index = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(index)
+    folders = {path.parent.name for path in (ROOT / "runs").glob("*/*.py")}
+    assert folders == set(index.FOLDERS)
+    assert all((ROOT / "docs" / name).exists() for name in index.PICTURES.values())
+    assert index.PAGE.read_text() == index.page(), "run python runs/index.py"

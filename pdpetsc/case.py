@@ -24,7 +24,7 @@ from pdpetsc.scene.cracks import Crack
 from pdpetsc.scene.influence import Constant, Influence
 from pdpetsc.scene.particles import Particles
 from pdpetsc.scene.region import All, Region
-from pdpetsc.scene.solver import DeclaredSolver, Newton
+from pdpetsc.scene.solver import AnySolver, Newton
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
 from pdpetsc.solution import Field, Solution, displacement, stress
 from pdpetsc.stabilisation import Stabilisation
@@ -114,7 +114,7 @@ class Case(Declared):
     damage: BondDamage | None = None
     cell: Cell | None = None
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
-    solver: DeclaredSolver = field(default_factory=Newton)
+    solver: AnySolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
     fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress)

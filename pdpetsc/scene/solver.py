@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias
 
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
@@ -248,6 +248,9 @@ def _refuse_step(step: float) -> None:
     if not (math.isfinite(step) and step > 0.0):
         raise CaseError(f"The control of a path needs a positive step, not {step}.")
 
+
+# What a case takes; those of this module are named in messages.
+AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing | DeclaredSolver
 
 # The ways to equilibrium by the word that the command line uses.
 SOLVERS: dict[str, DeclaredSolver] = {

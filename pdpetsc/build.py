@@ -12,7 +12,7 @@ from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, law_of
-from pdpetsc.damage import ConstantCritical, LinearSoftening
+from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
@@ -145,8 +145,7 @@ def _bonds(
     matter = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
     if case.damage is None:
         return matter, [], None
-    state = FailingBonds(body.cloud, body.families, resolve(case.damage, bonds, matter.k), _protected(case, body.cloud))
-    damage = Damage(body, state, matter.finite)
+    damage = _failing(case.damage, body, bonds, matter.k, matter.finite)
     matter.take_damage(damage)
     return matter, [], damage
 
@@ -162,8 +161,7 @@ def _points(
     if case.damage is not None:
         alike = [BondBased(law.E, plane=law.plane, calibration="lattice") for law in laws]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
-        law = resolve(case.damage, bonds, k)
-        damage = Damage(body, FailingBonds(body.cloud, body.families, law, _protected(case, body.cloud)), True)
+        damage = _failing(case.damage, body, bonds, k, finite=True)
         matter = DamagedPoints(body, bonds.omega, case.gradients, laws, material_of, factor, damage)
     else:
         matter = MaterialPoints(body, bonds.omega, case.gradients, laws, material_of, factor)
@@ -173,12 +171,18 @@ def _points(
     return matter, [ZeroEnergyControl(body, case.stabilisation, bonds.omega, stiffness, damage)], damage
 
 
-def _protected(case: Case, cloud: Cloud) -> Mask | None:
+def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:
+    """Return the damage of bonds of stiffness ``k`` (n_bonds,), its fracture energy resolved (collective)."""
+    law = resolve(declared, bonds, k)
+    return Damage(body, FailingBonds(body.cloud, body.families, law, _protected(declared, body.cloud)), finite)
+
+
+def _protected(declared: BondDamage, cloud: Cloud) -> Mask | None:
     """Return the local particles whose bonds do not fail (collective)."""
-    if case.damage is None or case.damage.protected is None:
+    if declared.protected is None:
         return None
     marked = np.zeros(cloud.n_local)
-    marked[: cloud.n_owned] = select(cloud, case.damage.protected, "what damage is protected from")
+    marked[: cloud.n_owned] = select(cloud, declared.protected, "what damage is protected from")
     cloud.halo.forward(marked)
     return marked > 0.0
 

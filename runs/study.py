@@ -35,6 +35,24 @@ def folder_for(words, default):
     return folder
 
 
+def chosen(words, known, kind="figure"):
+    """Return the names that follow the folder on the command line, or all known ones; end where one is unknown."""
+    unknown = [word for word in words[1:] if word not in known]
+    if unknown:
+        sys.exit(f"There is no {kind} {unknown[0]}; choose from {', '.join(known)}.")
+    return words[1:] or list(known)
+
+
+def draw_chosen(words, functions, default, kind="figure"):
+    """Call those of ``{name: function(folder)}`` that the command line names, and write the numbers they return."""
+    names = chosen(words, functions, kind)
+    folder = folder_for(words, default)
+    numbers = {}
+    for name in names:
+        numbers |= functions[name](folder)
+    write_numbers(folder, numbers)
+
+
 def run(folder, case):
     """Run a case without files of fields; return (history, summary), or None where it did not converge."""
     import json

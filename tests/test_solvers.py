@@ -8,8 +8,8 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 import pdpetsc as pd
 from pdpetsc.scene.solver import DeclaredSolver, Needs
-from pdpetsc.solve.base import Start, StepResult, StepSolver
-from pdpetsc.solve.steps import load_steps
+from pdpetsc.solve.base import Start, StepResult
+from pdpetsc.solve.steps import LoadStepSolver
 from pdpetsc.solve.table import SOLVERS, implementation
 from tests.commands import Stop, field
 
@@ -22,7 +22,7 @@ class ByScipy(DeclaredSolver):
     needs = Needs(tangent="none")
 
 
-class ScipySolver(StepSolver):
+class ScipySolver(LoadStepSolver):
     """Newton's method on one rank, with conjugate gradients of SciPy."""
 
     unit = "SciPy"
@@ -30,7 +30,8 @@ class ScipySolver(StepSolver):
     matrix_bytes = 0
 
     def __init__(self, setting):
-        self.problem, self._setting = setting.problem, setting
+        self.problem, self.steps, self.stop = setting.problem, setting.steps, setting.stop
+        self._tolerance = setting.declared.tolerance
 
     @classmethod
     def make(cls, setting):
@@ -42,9 +43,6 @@ class ScipySolver(StepSolver):
     def destroy(self):
         pass
 
-    def march(self, start, on_failure):
-        return load_steps(self, self._setting.steps, start, self._setting.stop, on_failure)
-
     def solve(self, u, t):
         self.t = t
         fixed = self.problem.supports.fixed
@@ -55,7 +53,7 @@ class ScipySolver(StepSolver):
             r = self.problem.internal_force(state) - self.problem.external_force(state)
             reference = np.linalg.norm(r[fixed])
             norms.append(float(np.linalg.norm(r[~fixed])))
-            if norms[-1] <= self._setting.declared.tolerance * reference:
+            if norms[-1] <= self._tolerance * reference:
                 return u, StepResult(True, "residual below tolerance", norms, float(reference), len(norms) - 1)
             tangent = self.problem.linearised(state)
 

@@ -11,6 +11,9 @@ import numpy as np
 from pdpetsc.kernels.bonds import direction
 from pdpetsc.kernels.compile import compiled
 
+# Stiffness and shape tensors for ``gradient_times_kernel`` where no control shares its pass.
+NO_CONTROL = np.empty(0), np.empty((0, 0, 0))
+
 
 @lru_cache
 def gradient_times_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:

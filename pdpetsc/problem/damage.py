@@ -61,12 +61,7 @@ class Damage:
 
     def elongation(self, state: State) -> Float:
         """Return the elongation of every bond (n_bonds,) [length]."""
-        return self.elongated(state)[0]
-
-    def elongated(self, state: State) -> tuple[Float, float]:
-        """Return the elongations and the least current length of a bond on this rank [length]."""
-        u_local = state.u_local
-        return state.kept(("elongation", self.finite), lambda: self.body.elongated(u_local, self.finite))
+        return state.elongated(self.finite)[0]
 
     def at(self, state: State) -> tuple[Float, Float]:
         """Return integrity (n_bonds,) [-] and its derivative by the elongation [1 / length]."""

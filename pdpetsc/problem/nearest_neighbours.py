@@ -12,7 +12,7 @@ from pdpetsc.gradient.base import GradientOperator, flat, stencil_weights, whole
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
 from pdpetsc.kernels.pattern import transpose
-from pdpetsc.kernels.tangent import gradient_times_kernel
+from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.term import Entries, LinearisedTerm
@@ -26,10 +26,6 @@ WIDER, THIN, WIDENINGS = 1.3, 0.1, 12
 LACKING = 1e-3
 # Stiffness of the zero-energy control over the modulus of the body, and the least of it over the mean one.
 CONTROL, LEAST = 0.5, 1e-6
-
-
-# In place of stiffness and shape tensors of a control that does not share the pass.
-NOTHING = np.empty(0), np.empty((0, 0, 0))
 
 
 class NearAssembler(Assembler):
@@ -108,7 +104,7 @@ class NearTangent(LinearisedTerm):
         """Add the forces of the near families."""
         near = self._near
         stencils = near.points_of, near.point_ptr, near.members, near.g, near.g, near.volume
-        gradient_times_kernel(self._dim)(particles, *stencils, self._D, *NOTHING, du, f)
+        gradient_times_kernel(self._dim)(particles, *stencils, self._D, *NO_CONTROL, du, f)
         self._control.force(du, f, particles)
 
 

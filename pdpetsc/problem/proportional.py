@@ -55,7 +55,8 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
 
 def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
     zero, name = np.zeros(problem.supports.fixed.shape), type(term).__name__
-    found = [term.linearised(State(problem.body, zero, t)) for t in (1.0, *times)]
+    states = [State(problem.body, zero, t) for t in (1.0, *times)]
+    found = [term.linearised(state) for state in states]
     if term.load:
         if any(part is not None for part in found):
             raise CaseError(
@@ -67,7 +68,7 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
     v = np.zeros_like(zero)
     v[: len(gid)] = np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(problem.dim))
     products = [Tangent(problem.body, [] if part is None else [part])(v).copy() for part in found]
-    forces = [problem.force_of([term], State(problem.body, zero, t)) for t in (1.0, *times)]
+    forces = [problem.force_of([term], state) for state in states]
     offset = max(largest(problem.body.cloud.comm, np.abs(force).max(initial=0.0)) for force in forces)
     if offset > 0.0 or any(_differ(problem, product, products[0], products[0]) for product in products[1:]):
         raise CaseError(

@@ -46,6 +46,11 @@ class State:
             self._u_local = self.body.with_ghosts(self.u)
         return self._u_local
 
+    def elongated(self, finite: bool) -> tuple[Float, float]:
+        """Return the elongations (n_bonds,) and the least current length of a bond on this rank [length]."""
+        u_local = self.u_local
+        return self.kept(("elongation", finite), lambda: self.body.elongated(u_local, finite))
+
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what was kept under ``key``, or make and keep it."""
         if key not in self._kept:

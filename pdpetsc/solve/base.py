@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 from pdpetsc.arrays import Float
 from pdpetsc.problem.assembly import Assembler
@@ -159,7 +159,7 @@ class Solver(ABC):
 
     @classmethod
     @abstractmethod
-    def make(cls, setting: Setting) -> Self:
+    def make(cls, setting: Setting) -> Solver:
         """Return the solver of a setting (collective)."""
 
     @classmethod  # noqa: B027 - most need no more than they declare

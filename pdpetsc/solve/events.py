@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -107,7 +106,7 @@ class EventSolver(Solver):
         self.solver.destroy()
 
     @classmethod
-    def make(cls, setting: Setting) -> Self:
+    def make(cls, setting: Setting) -> EventSolver:
         """Return the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 from petsc4py import PETSc
@@ -119,7 +118,7 @@ class PathSolver(StepSolver):
         self._equilibrium.destroy()
 
     @classmethod
-    def make(cls, setting: Setting) -> Self:
+    def make(cls, setting: Setting) -> PathSolver:
         """Return the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Self
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.scene.solver import DynamicRelaxation
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solve.base import Converged, OnFailure, Setting, Start, StepResult, StepSolver
-from pdpetsc.solve.steps import check_load_step, load_steps
+from pdpetsc.solve.base import Setting, StepResult
+from pdpetsc.solve.steps import LoadStepSolver
 
 # Iterations that estimate the largest frequency, and the share of the critical time step that is used.
 POWER_ITERATIONS = 30
@@ -27,7 +26,7 @@ KEPT = 100
 UNLOADED = 1e-3
 
 
-class RelaxationSolver(StepSolver):
+class RelaxationSolver(LoadStepSolver):
     """Damped motion ``m a + c m v = f_ext - f_int`` with unit density, in central differences, to rest.
 
     The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle, and never
@@ -60,10 +59,10 @@ class RelaxationSolver(StepSolver):
         self, problem: Problem, options: DynamicRelaxation, steps: Steps | AdaptiveSteps, stop: Callable[[], bool]
     ) -> None:
         self.problem = problem
-        self._steps = steps
+        self.steps = steps
         self._comm = problem.body.cloud.comm
         self._options = options
-        self._stop = stop
+        self.stop = stop
         self._free = ~problem.supports.fixed
         cloud = problem.body.cloud
         whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
@@ -72,18 +71,9 @@ class RelaxationSolver(StepSolver):
         self._largest = 0.0
 
     @classmethod
-    def make(cls, setting: Setting) -> Self:
+    def make(cls, setting: Setting) -> RelaxationSolver:
         """Return the solver of a setting (collective)."""
         return cls(setting.problem, setting.declared, setting.steps, setting.stop)
-
-    def resume(self, start: Start) -> None:
-        """Begin the next step as the run did that this one goes on from (collective)."""
-        check_load_step(start)
-        super().resume(start)
-
-    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield one state of rest after the other (collective)."""
-        return load_steps(self, self._steps, start, self._stop, on_failure)
 
     @property
     def matrix_bytes(self) -> int:
@@ -145,7 +135,7 @@ class RelaxationSolver(StepSolver):
             first_change = first_change or moving
             if iteration % KEPT == 0:
                 norms.append(float(np.sqrt(sums[2])))
-                if self._stop():
+                if self.stop():
                     return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
             if not np.isfinite(sums[2]):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 from petsc4py import PETSc
@@ -14,7 +13,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solve.base import Converged, OnFailure, Setting, Start, StepResult, StepSolver
+from pdpetsc.solve.base import Setting, Start, StepResult
 from pdpetsc.solve.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solve.petsc import (
     effort,
@@ -26,14 +25,14 @@ from pdpetsc.solve.petsc import (
     set_domain_error,
     start_anew,
 )
-from pdpetsc.solve.steps import check_load_step, load_steps
+from pdpetsc.solve.steps import LoadStepSolver
 
 # The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
 SECANTS = "cp"
 ONE_STEP = Steps()
 
 
-class StaticSolver(StepSolver):
+class StaticSolver(LoadStepSolver):
     """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
 
     Parameters
@@ -60,10 +59,10 @@ class StaticSolver(StepSolver):
         self, problem: Problem, assembler: Assembler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
     ) -> None:
         self.problem = problem
-        self._steps = steps
+        self.steps = steps
         self._comm = problem.body.cloud.comm
         self._fixed = problem.supports.fixed
-        self._stop = stop
+        self.stop = stop
         self._filled_at: Float | None = None
         self._resumed_from: Float | None = None
         self._equilibrium = Equilibrium(problem, assembler)
@@ -87,19 +86,14 @@ class StaticSolver(StepSolver):
         return self._filled_at if held and self._equilibrium.tangent.holds() else None
 
     @classmethod
-    def make(cls, setting: Setting) -> Self:
+    def make(cls, setting: Setting) -> StaticSolver:
         """Return the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
 
     def resume(self, start: Start) -> None:
         """Begin the next step as the run did that this one goes on from (collective)."""
-        check_load_step(start)
         super().resume(start)
         self._resumed_from = self.problem.supports.prescribed(start.t)
-
-    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
-        """Yield one converged load step after the other (collective)."""
-        return load_steps(self, self._steps, start, self._stop, on_failure)
 
     @property
     def matrix_bytes(self) -> int:
@@ -176,7 +170,7 @@ class StaticSolver(StepSolver):
     def _iterate(self, start: Float) -> int:
         """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""
         linear = self._run(start)
-        if self._failed() and line_search(self.snes) == SECANTS and not self._stop():
+        if self._failed() and line_search(self.snes) == SECANTS and not self.stop():
             self._equilibrium.reason = ""
             with full_steps(self.snes):
                 linear += self._run(start)
@@ -253,7 +247,7 @@ class StaticSolver(StepSolver):
             y.scale(part)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
-        if self._stop():
+        if self.stop():
             return self._equilibrium.interrupted()
         values = self._displacement(snes.getSolution())
         verdict = self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)

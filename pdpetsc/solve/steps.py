@@ -26,14 +26,33 @@ SWEEPS = 1000
 FOLLOWING = 50
 
 
-def check_load_step(start: Start) -> None:
-    """Raise CaseError where the load step that a run before left leads nowhere (not collective)."""
-    dt = start.resume.get(LOAD_STEP, 1.0)
-    if not (dt > 0.0 and start.t + dt > start.t):
-        raise CaseError(
-            f"The checkpoint's next load step, {dt:g} from step time {start.t:g}, leads nowhere; it is damaged, so "
-            f"restart from another one."
-        )
+class LoadStepSolver(StepSolver):
+    """Finds equilibrium of one declared load step after another.
+
+    Attributes
+    ----------
+    steps : Steps or AdaptiveSteps
+        How the load is applied.
+    stop : callable
+        Asked between attempts, collectively; True ends the march (a signal arrived).
+    """
+
+    steps: Steps | AdaptiveSteps
+    stop: Callable[[], bool]
+
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective)."""
+        dt = start.resume.get(LOAD_STEP, 1.0)
+        if not (dt > 0.0 and start.t + dt > start.t):
+            raise CaseError(
+                f"The checkpoint's next load step, {dt:g} from step time {start.t:g}, leads nowhere; it is damaged, so "
+                f"restart from another one."
+            )
+        super().resume(start)
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one converged load step after the other (collective)."""
+        return load_steps(self, self.steps, start, self.stop, on_failure)
 
 
 def load_steps(

@@ -136,14 +136,9 @@ class BondForces(Matter):
         entry_ptr, entries, points = transpose(whole.point_ptr, whole.members, self.body.cloud.n_local)
         return entry_ptr, entries, points
 
-    def elongated(self, state: State) -> tuple[Float, float]:
-        """Return the elongation of every bond (n_bonds,) and the least current length of one here [length]."""
-        u_local = state.u_local
-        return state.kept(("elongation", self.finite), lambda: self.body.elongated(u_local, self.finite))
-
     def elongation(self, state: State) -> Float:
         """Return the elongation of every bond (n_bonds,) [length]."""
-        return self.elongated(state)[0]
+        return state.elongated(self.finite)[0]
 
     def secant(self, state: State) -> Float:
         """Return ``T k`` of every bond (n_bonds,) [force / length]."""
@@ -173,7 +168,7 @@ class BondForces(Matter):
 
     def admissible(self, state: State) -> bool:
         """Return whether no bond has lost its length on this rank."""
-        least = self.elongated(state)[1]
+        least = state.elongated(self.finite)[1]
         return not self.finite or least > 0.0
 
     def add_force(self, state: State, f: Float) -> None:

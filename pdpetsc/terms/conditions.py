@@ -14,9 +14,8 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.supports import Supports
-from pdpetsc.scene.conditions import BodyForce, Condition, Displacement, Force, MeanStrain, MeanStress, Traction
+from pdpetsc.scene.conditions import BodyForce, Condition, Displacement, Force, MeanStrain, MeanStress, Traction, Value
 from pdpetsc.scene.particles import Particles
-from pdpetsc.scene.region import Region
 from pdpetsc.terms.dead_loads import DeadLoads
 
 
@@ -45,30 +44,23 @@ class Applied:
 
     def displacement(self, condition: Displacement, name: str) -> None:
         """Prescribe displacements."""
-        mask = self._select(condition.region, name)
-        with agreed(self.body.cloud.comm):
-            components = condition.components(self.body.dim)
+        mask, components = self._where(condition, name)
         self.supports.prescribe(condition, components, np.flatnonzero(mask), name)
 
     def force(self, condition: Force, name: str) -> None:
         """Add a total force."""
-        mask = self._select(condition.region, name)
-        with agreed(self.body.cloud.comm):
-            components = condition.components(self.body.dim)
+        mask, components = self._where(condition, name)
         self.loads.add_total(condition, components, np.flatnonzero(mask), name)
 
     def body_force(self, condition: BodyForce, name: str) -> None:
         """Add a force per volume."""
-        mask = self._select(condition.region, name)
-        with agreed(self.body.cloud.comm):
-            components = condition.components(self.body.dim)
+        mask, components = self._where(condition, name)
         self.loads.add_per_volume(condition, components, np.flatnonzero(mask), name)
 
     def traction(self, condition: Traction, name: str) -> None:
         """Add a traction."""
-        mask = self._select(condition.region, name)
+        mask, components = self._where(condition, name)
         with agreed(self.body.cloud.comm):
-            components = condition.components(self.body.dim)
             normal = condition.unit_normal(self.body.dim)
         self.loads.add_traction(condition, components, mask, normal, name)
 
@@ -80,8 +72,13 @@ class Applied:
         """Let a mean stress act on the cell."""
         self.loads.add_stress(condition, self._components(condition, name))
 
-    def _select(self, region: Region, name: str) -> Mask:
-        return select(self.body.cloud, region, name)
+    def _where(
+        self, condition: Displacement | Force | BodyForce | Traction, name: str
+    ) -> tuple[Mask, list[tuple[int, Value]]]:
+        """Return the own particles of a condition's region and its components, checked on all ranks (collective)."""
+        mask = select(self.body.cloud, condition.region, name)
+        with agreed(self.body.cloud.comm):
+            return mask, condition.components(self.body.dim)
 
     def _components(self, condition: MeanStrain | MeanStress, name: str) -> list[tuple[int, float]]:
         if self.cell is None:

@@ -246,12 +246,15 @@ class DamagedTangent(PointsTangent):
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle, times the mean integrity of its bonds."""
+        return np.asarray(super().stiffness() * self._left()[:, None, None, None, None])
+
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness`` without forming it."""
+        return super().strength() * self._left()
+
+    def _left(self) -> Float:
+        """Return the mean integrity of the bonds that are left to each own particle (n_owned,) [-]."""
         body = self.points.body
         centres, n = body.families.centres, body.cloud.n_owned
         intact = self.points.damage.bonds.intact
-        left = np.bincount(centres, self._T, n) / np.maximum(np.bincount(centres, intact, n), 1)
-        return np.asarray(super().stiffness() * left[:, None, None, None, None])
-
-    def strength(self) -> Float:
-        """Return the trace of ``stiffness``."""
-        return np.asarray(np.einsum("pikik->p", self.stiffness()))
+        return np.asarray(np.bincount(centres, self._T, n) / np.maximum(np.bincount(centres, intact, n), 1))

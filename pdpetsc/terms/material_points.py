@@ -13,16 +13,13 @@ from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.pattern import transpose
-from pdpetsc.kernels.tangent import gradient_times_kernel
+from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 from pdpetsc.law import Law, make_law
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm
-
-# In place of stiffness and shape tensors of a control that does not share the pass.
-NOTHING = np.empty(0), np.empty((0, 0, 0))
 
 
 class MaterialPoints(Matter):
@@ -283,7 +280,7 @@ class PointsTangent(LinearisedTerm):
         operator = self.operator
         gradient_times_kernel(self.points.body.dim, int(self._shared is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
-            self.A, *(self._shared or NOTHING), du, f,
+            self.A, *(self._shared or NO_CONTROL), du, f,
         )  # fmt: skip
 
     def add_rows(self, entries: Entries) -> None:

@@ -388,16 +388,5 @@ FIGURES = {
 }
 
 
-def main():
-    unknown = [word for word in words[1:] if word not in FIGURES]
-    if unknown:
-        sys.exit(f"There is no figure {unknown[0]}; choose from {', '.join(FIGURES)}.")
-    folder = study.folder_for(words, "out/figures")
-    numbers = {}
-    for name in words[1:] or FIGURES:
-        numbers |= FIGURES[name](folder)
-    study.write_numbers(folder, numbers)
-
-
 if __name__ == "__main__":
-    main()
+    study.draw_chosen(words, FIGURES, "out/figures")

@@ -52,12 +52,10 @@ def residuals(folder, table):
 
 
 def main():
-    unknown = [word for word in words[1:] if word not in TABLES]
-    if unknown:
-        sys.exit(f"There is no table {unknown[0]}; choose from {', '.join(TABLES)}.")
+    names = study.chosen(words, TABLES, "table")
     folder = study.folder_for(words, "out/tables")
     numbers = {}
-    for table in words[1:] or TABLES:
+    for table in names:
         found = residuals(folder, table)
         last = max(iteration for _, iteration in found)
         rows = [(k, *(found.get((step, k), math.nan) for step in STEPS)) for k in range(1, last + 1)]

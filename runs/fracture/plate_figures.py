@@ -409,14 +409,11 @@ FIGURES = {
 }  # fmt: skip
 
 if __name__ == "__main__":
-    wrong = [word for word in WORDS[1:] if word not in FIGURES]
-    if wrong:
-        sys.exit(f"There is no figure {wrong[0]}; choose from {', '.join(FIGURES)}.")
+    names = study.chosen(WORDS, FIGURES)
     if world().size > 1:
         sys.exit("The figures of the plate are drawn by one process; start it without mpirun.")
     FOLDER = study.folder_for(WORDS, "out/plate")
-    chosen = WORDS[1:] or [name for name in FIGURES if name != "deviations"]
     found = {}
-    for name in chosen:
+    for name in names if WORDS[1:] else [name for name in names if name != "deviations"]:
         found |= {f"{name}_{key}": value for key, value in FIGURES[name]().items()}
     study.write_numbers(FOLDER, found)

@@ -305,16 +305,5 @@ def chowdhury_9(folder):
 FIGURES = {f.__name__: f for f in (luo_9, luo_10, luo_12, luo_13, luo_14, chowdhury_8, chowdhury_9)}
 
 
-def main():
-    unknown = [word for word in words[1:] if word not in FIGURES]
-    if unknown:
-        sys.exit(f"There is no figure {unknown[0]}; choose from {', '.join(FIGURES)}.")
-    folder = study.folder_for(words, "out/plate_figures")
-    numbers = {}
-    for name in words[1:] or FIGURES:
-        numbers |= FIGURES[name](folder)
-    study.write_numbers(folder, numbers)
-
-
 if __name__ == "__main__":
-    main()
+    study.draw_chosen(words, FIGURES, "out/plate_figures")

@@ -39,14 +39,12 @@ PARTS = ("", "_away")
 
 
 def main():
-    unknown = [word for word in words[1:] if word not in PLATES]
-    if unknown:
-        sys.exit(f"There is no plate {unknown[0]}; choose from {', '.join(PLATES)}.")
+    names = study.chosen(words, PLATES, "plate")
     folder = study.folder_for(words, "out/plates")
     columns = [f"{number}{part}" for part in PARTS for number in ("amplitude", "oscillation")]
     header = ("plate", "horizon", "scheme", "control", "quantity", *columns, "seconds")
     rows, numbers = [], {}
-    for name in words[1:] or PLATES:
+    for name in names:
         make, horizons = PLATES[name]
         for horizon in horizons:
             for scheme, control in METHODS:

@@ -246,12 +246,10 @@ FIGURES = {
 
 
 def main():
-    unknown = [word for word in words[1:] if word not in FIGURES]
-    if unknown:
-        sys.exit(f"There is no figure {unknown[0]}; choose from {', '.join(FIGURES)}.")
+    names = study.chosen(words, FIGURES)
     folder = study.folder_for(words, "out/singular_bar")
     numbers = {}
-    for name in words[1:] or FIGURES:
+    for name in names:
         numbers |= {f"{name}.{key}": value for key, value in FIGURES[name](folder).items()}
     study.write_numbers(folder, numbers)
 

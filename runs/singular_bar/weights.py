@@ -171,16 +171,5 @@ STUDIES = {
 }
 
 
-def main():
-    unknown = [word for word in words[1:] if word not in STUDIES]
-    if unknown:
-        sys.exit(f"There is no study {unknown[0]}; choose from {', '.join(STUDIES)}.")
-    folder = study.folder_for(words, "out/weights")
-    numbers = {}
-    for name in words[1:] or STUDIES:
-        numbers |= STUDIES[name](folder)
-    study.write_numbers(folder, numbers)
-
-
 if __name__ == "__main__":
-    main()
+    study.draw_chosen(words, STUDIES, "out/weights", "study")

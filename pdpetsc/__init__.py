@@ -6,6 +6,18 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 from typing import TYPE_CHECKING, Any
 
 from pdpetsc.bond_based import BondBased, LinearSolid
+from pdpetsc.control import (
+    CONTROLS,
+    AveragedDisplacement,
+    Littlewood,
+    Penalty,
+    RelativeAverage,
+    RelativeSprings,
+    Silling,
+    SillingMicromodulus,
+    Springs,
+    Wan,
+)
 from pdpetsc.damage import (
     BilinearSoftening,
     Brittle,
@@ -19,6 +31,16 @@ from pdpetsc.damage import (
     PresentStretch,
     SmoothDegradation,
 )
+from pdpetsc.declare import influence, region
+from pdpetsc.declare.cell import Cell
+from pdpetsc.declare.choice import choose
+from pdpetsc.declare.conditions import BodyForce, Displacement, Force, MeanStrain, MeanStress, Pressure, Traction
+from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
+from pdpetsc.declare.files import Mesh, TextFile
+from pdpetsc.declare.particles import Arrays, Lattice
+from pdpetsc.declare.schedule import Hold, Ramp, Table
+from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import (
     SCHEMES,
@@ -32,9 +54,7 @@ from pdpetsc.gradient import (
 )
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
-from pdpetsc.problem.state import State
-from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTangent, Term
-from pdpetsc.quantities import (
+from pdpetsc.post.quantities import (
     At,
     BrokenBonds,
     CellStrain,
@@ -51,17 +71,7 @@ from pdpetsc.quantities import (
     RelativeError,
     StrainEnergy,
 )
-from pdpetsc.scene import influence, region
-from pdpetsc.scene.cell import Cell
-from pdpetsc.scene.choice import choose
-from pdpetsc.scene.conditions import BodyForce, Displacement, Force, MeanStrain, MeanStress, Pressure, Traction
-from pdpetsc.scene.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
-from pdpetsc.scene.files import Mesh, TextFile
-from pdpetsc.scene.particles import Arrays, Lattice
-from pdpetsc.scene.schedule import Hold, Ramp, Table
-from pdpetsc.scene.solver import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
-from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solution import (
+from pdpetsc.post.solution import (
     Solution,
     deformation_gradient,
     displacement,
@@ -73,22 +83,12 @@ from pdpetsc.solution import (
     reaction,
     stress,
 )
-from pdpetsc.stabilisation import (
-    CONTROLS,
-    AveragedDisplacement,
-    Littlewood,
-    Penalty,
-    RelativeAverage,
-    RelativeSprings,
-    Silling,
-    SillingMicromodulus,
-    Springs,
-    Wan,
-)
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTangent, Term
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
-    from pdpetsc.runner import run
+    from pdpetsc.running.runner import run
 
 __version__ = "0.1.0"
 
@@ -211,7 +211,7 @@ def __getattr__(name: str) -> Any:
 
         return Case
     if name == "run":
-        from pdpetsc.runner import run
+        from pdpetsc.running.runner import run
 
         return run
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

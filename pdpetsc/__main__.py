@@ -5,7 +5,7 @@ import os
 # One thread per rank, unless the user says otherwise; numpy reads this when it is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from pdpetsc.cli import main
+from pdpetsc.command_line.cli import main
 
 if __name__ == "__main__":
     main()

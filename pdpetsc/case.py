@@ -10,24 +10,24 @@ from typing import Any, TypeAlias
 
 from pdpetsc.arrays import Float
 from pdpetsc.bond_based import BondMaterial
+from pdpetsc.control import ZeroEnergyControl
 from pdpetsc.damage import BondDamage
+from pdpetsc.declare.cell import Cell
+from pdpetsc.declare.conditions import Condition
+from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.influence import Constant, Influence
+from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.region import All, Region
+from pdpetsc.declare.solvers import AnySolver, Newton
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, SubHorizons
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
+from pdpetsc.post.quantities import Quantity, refuse_component
+from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm
-from pdpetsc.quantities import Quantity, refuse_component
-from pdpetsc.scene.cell import Cell
-from pdpetsc.scene.conditions import Condition
-from pdpetsc.scene.cracks import Crack
-from pdpetsc.scene.influence import Constant, Influence
-from pdpetsc.scene.particles import Particles
-from pdpetsc.scene.region import All, Region
-from pdpetsc.scene.solver import AnySolver, Newton
-from pdpetsc.scene.steps import AdaptiveSteps, Steps
-from pdpetsc.solution import Field, Solution, displacement, stress
-from pdpetsc.stabilisation import Stabilisation
 
 AnyMaterial: TypeAlias = Material | BondMaterial | Graded
 # What stands between the columns of the history, and in quotes.
@@ -37,7 +37,7 @@ _COLUMNS, _ATTRIBUTES = {"step", "t"}, {"volume"}
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
 
 
-def law_of(material: AnyMaterial) -> Material | BondMaterial:
+def ungraded(material: AnyMaterial) -> Material | BondMaterial:
     """Return the material without its grading."""
     return material.material if isinstance(material, Graded) else material
 
@@ -74,7 +74,7 @@ class Case(Declared):
         Materials of bonds have none.
     influence : Influence
         How much a bond counts.
-    stabilisation : Stabilisation, optional
+    control : ZeroEnergyControl, optional
         Zero-energy control; none where absent.
     cracks : sequence of Crack
         What cuts bonds from the start; let it run between particles.
@@ -109,7 +109,7 @@ class Case(Declared):
     conditions: Sequence[Condition]
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
-    stabilisation: Stabilisation | None = None
+    control: ZeroEnergyControl | None = None
     cracks: Sequence[Crack] = ()
     damage: BondDamage | None = None
     cell: Cell | None = None
@@ -133,7 +133,7 @@ class Case(Declared):
     @property
     def of_bonds(self) -> bool:
         """Return whether the forces act along bonds."""
-        return any(isinstance(law_of(material), BondMaterial) for _, material in self.materials)
+        return any(isinstance(ungraded(material), BondMaterial) for _, material in self.materials)
 
     @property
     def gradients(self) -> Scheme:
@@ -192,9 +192,9 @@ class Case(Declared):
 
     def _check_formulation(self) -> None:
         if self.of_bonds:
-            if not all(isinstance(law_of(material), BondMaterial) for _, material in self.materials):
+            if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):
                 raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")
-            for name, given in (("scheme", self.scheme), ("stabilisation", self.stabilisation)):
+            for name, given in (("scheme", self.scheme), ("control", self.control)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
             if self.damage is not None and self.damage.effect.heals:

@@ -159,7 +159,7 @@ def described(error: BaseException) -> PdpetscError:
     if isinstance(error, MemoryError | ImportError | SystemExit):
         return RunError(what)
     own = _own_line(error)
-    if own.startswith("pdpetsc/scene/") and isinstance(error, TypeError | ValueError | ArithmeticError):
+    if own.startswith("pdpetsc/declare/") and isinstance(error, TypeError | ValueError | ArithmeticError):
         # What a case declares is looked at there, also what its functions return.
         return RunError(f"{what}; a number or an array that the case gives is none, or too large", own, of_user=True)
     if isinstance(error, OSError):

@@ -132,9 +132,9 @@ def dense_tangent(problem, u, assembler=None):
 
 def build(case):
     """Return the problem of a case on this process."""
-    from pdpetsc.build import make_cloud, make_problem
     from pdpetsc.discrete.communicator import world
     from pdpetsc.discrete.families import find_families
+    from pdpetsc.running.build import make_cloud, make_problem
 
     cloud = make_cloud(world(), case)
     return make_problem(case, cloud, find_families(cloud, case.cracks))

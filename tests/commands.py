@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 import pdpetsc as pd
-from pdpetsc.cli import arguments_of, load_case
+from pdpetsc.command_line.cli import arguments_of, load_case
 
 ROOT = Path(__file__).parent.parent
 TIMEOUT = 120
@@ -58,7 +58,7 @@ import petsc4py
 
 petsc4py.init(sys.argv[:1])
 import pdpetsc as pd
-from pdpetsc.cli import arguments_of, load_case
+from pdpetsc.command_line.cli import arguments_of, load_case
 
 for case, words, output in json.loads(sys.argv[1]):
     function = load_case(Path(case))

@@ -21,7 +21,8 @@ import petsc4py
 petsc4py.init(["pdpetsc"])
 import h5py
 
-from pdpetsc import cli, runner  # noqa: F401
+from pdpetsc.command_line import cli
+from pdpetsc.running import runner  # noqa: F401
 
 case, folder, how = sys.argv[1], Path(sys.argv[2]), sys.argv[3]
 first, stride = map(int, sys.argv[4:6]) if len(sys.argv) > 4 else (1, 1)

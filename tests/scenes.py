@@ -19,7 +19,7 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
-from pdpetsc.terms.control import ZeroEnergyControl, stiffness_of
+from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.material_points import MaterialPoints
 
@@ -43,7 +43,7 @@ SCHEMES = {
     "higher_order": pd.HigherOrder(2),
     "bond_associated": pd.BondAssociated(),
 }
-STABILISATIONS = {
+ALL_CONTROLS = {
     "none": None,
     "silling": pd.Silling(0.5),
     "littlewood": pd.Littlewood(0.2),
@@ -97,8 +97,8 @@ class Small:
         return self.matter.operator
 
     @property
-    def laws(self):
-        return self.matter.laws
+    def materials(self):
+        return self.matter.materials
 
     @property
     def failure(self):
@@ -106,7 +106,7 @@ class Small:
 
     @property
     def control(self):
-        controls = [term.control for term in self.problem.terms if isinstance(term, ZeroEnergyControl)]
+        controls = [term.control for term in self.problem.terms if isinstance(term, ControlForces)]
         return controls[0] if controls else None
 
     def at(self, u):
@@ -165,13 +165,11 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     terms = []
     if control is not None:
         stiffness = stiffness_of(whole, materials, material_of, None)
-        terms = [ZeroEnergyControl(whole, control, omega, stiffness, damage)]
+        terms = [ControlForces(whole, control, omega, stiffness, damage)]
     return Small(Problem(whole, matter, terms, Supports(whole), damage))
 
 
-def body(
-    dim, scheme=SCHEMES["correspondence"], stabilisation=None, material=MATERIALS["hencky"], horizon=2.015, rng=None
-):
+def body(dim, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], horizon=2.015, rng=None):
     """Return the model of a small body on this process, with a volume per particle that varies where shaken."""
     x = lattice(dim, rng)
     volume = np.ones(len(x)) if rng is None else rng.uniform(0.8, 1.2, len(x))
@@ -179,7 +177,7 @@ def body(
     families = find_families(cloud)
     omega = np.ones(len(families.neighbours))
     material_of = np.zeros(cloud.n_owned, dtype=np.int32)
-    return small_points(cloud, families, omega, scheme, [material], material_of, stabilisation)
+    return small_points(cloud, families, omega, scheme, [material], material_of, control)
 
 
 LAWS = {
@@ -229,9 +227,9 @@ def bond_bodies(rng):
 
 
 def bodies(rng):
-    """Yield (label, model) for every dimension, scheme and stabilisation, on shaken clouds."""
+    """Yield (label, model) for every dimension, scheme and control, on shaken clouds."""
     for dim, (s, scheme) in itertools.product(DIMS, SCHEMES.items()):
-        for c, control in (STABILISATIONS | (PLANE if dim > 1 else {})).items():
+        for c, control in (ALL_CONTROLS | (PLANE if dim > 1 else {})).items():
             yield f"{dim}D {s} {c}", body(dim, scheme, control, rng=rng)
     for dim in DIMS:
         yield f"{dim}D smoothed_displacement none", body(dim, pd.SmoothedDisplacement(), horizon=3.3, rng=rng)

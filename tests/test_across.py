@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.scene import region
+from pdpetsc.declare import region
 
 E, NU, STRAIN = 1000.0, 0.3, 0.02
 

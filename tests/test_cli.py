@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import arguments_of, split
+from pdpetsc.command_line.cli import arguments_of, split
 from tests.commands import run
 
 GOOD = """

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.build import make_cloud, make_problem
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.output import checkpoint, folder
@@ -26,6 +25,7 @@ from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, fingerprint
 from pdpetsc.output.index import Index, Step, part_of, storable
 from pdpetsc.output.records import whole_rows, write_summary
+from pdpetsc.running.build import make_cloud, make_problem
 from tests.commands import ROOT, Stop, command, field, run
 
 CASE = """
@@ -143,7 +143,7 @@ def test_a_fingerprint_is_that_of_the_source_in_any_process(scene):
     """Sets in the code have another order in each process, and another place in the file changes nothing."""
     text = (
         "import sys, petsc4py\npetsc4py.init()\nsys.path.insert(0, sys.argv[1])\nimport json\n"
-        "from pdpetsc.cli import load_case\nfrom pathlib import Path\n"
+        "from pdpetsc.command_line.cli import load_case\nfrom pathlib import Path\n"
         "from pdpetsc.output.fingerprint import declared_parts\n"
         "print(json.dumps(declared_parts(load_case(Path(sys.argv[2]))())))\n"
     )
@@ -730,7 +730,7 @@ def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_
     fields = [pd.displacement, pd.stress, pd.reaction, pd.local_damage, pd.energy_density]
     plate = plate_with_hole.case(law="linear", steps=15)
     plate = dataclasses.replace(
-        plate, material=pd.BondBased(E=210e3, kinematics="finite"), scheme=None, stabilisation=None,
+        plate, material=pd.BondBased(E=210e3, kinematics="finite"), scheme=None, control=None,
         fields=fields, picture=None,
     )  # fmt: skip
     for name, end, words in (("whole", 0.3, {}), ("part", after, {}), ("rest", 0.3, {"restart": tmp_path / "part"})):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.solve.path import Changed, find_direction
+from pdpetsc.solvers.event_driven.direction import Changed, find_direction
 from tests import reference
 from tests.commands import ROOT, results, run
 

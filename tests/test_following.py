@@ -36,16 +36,16 @@ def test_one_bond_in_series_with_another_is_followed_back(ratio, tmp_path):
     assert h["dissipated"][-1] == pytest.approx(0.5 * k * limit * ratio * limit, rel=1e-9)
 
 
-@pytest.mark.parametrize("control", ["stretch", "opening"])
-def test_the_peak_of_a_crack_is_that_of_the_event_driven_solver(control, tmp_path):
+@pytest.mark.parametrize("measure", ["stretch", "opening"])
+def test_the_peak_of_a_crack_is_that_of_the_event_driven_solver(measure, tmp_path):
     pd.run(crack(), output=tmp_path / "events", quiet=True)
     middle = pd.region.Box((8.0, 18.0), (12.0, 22.0))
     up, down = pd.region.Slab("y", low=20.0), pd.region.Slab("y", high=20.0)
-    controls = {
+    measures = {
         "stretch": pd.BondStretch(0.1),
         "opening": pd.Opening("y", middle & up, against=middle & down, step=0.004, end=0.2),
     }
-    pd.run(crack(solver=pd.PathFollowing(controls[control])), output=tmp_path / "path", quiet=True)
+    pd.run(crack(solver=pd.PathFollowing(measures[measure])), output=tmp_path / "path", quiet=True)
     exact, path = history(tmp_path / "events"), history(tmp_path / "path")
     assert path["force"].max() == pytest.approx(exact["force"].max(), rel=0.02)
     # All of the work is dissipated where the body is apart, up to what jumps between the steps have set free.

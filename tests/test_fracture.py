@@ -145,7 +145,7 @@ def strip(**changes):
         "horizon": 2.015,
         "material": pd.Hencky(E=100.0, nu=0.3),
         "scheme": pd.Correspondence(),
-        "stabilisation": pd.Silling(0.5),
+        "control": pd.Silling(0.5),
         "damage": pd.Brittle(pd.ConstantCritical(0.02)),
         "conditions": [
             pd.Displacement(pd.region.Slab("x", high=2.0), x=0.0, y=0.0),
@@ -229,7 +229,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
 
     case = strip(
         damage=pd.ExponentialSoftening(pd.ConstantCritical(0.02)),
-        stabilisation=control,
+        control=control,
         scheme=pd.Correspondence() if control else pd.SubHorizons(),
         steps=pd.Steps(12),
         history={**strip().history, "unbalanced": Unbalanced(), "over": Overstretched()},

@@ -17,7 +17,7 @@ import time
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import arguments_of, load_case
+from pdpetsc.command_line.cli import arguments_of, load_case
 from tests.commands import ROOT, command
 
 # Seconds for draws in this process and in processes, of the default suite.

@@ -110,15 +110,15 @@ import petsc4py
 petsc4py.init(["sizes", "-pd_jacobian", "matfree"])
 import numpy as np
 import pdpetsc as pd
-from pdpetsc.build import make_cloud, make_problem, rehearse
+from pdpetsc.running.build import make_cloud, make_problem, rehearse
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
-from pdpetsc.discrete.pieces import refuse_rigid_motion
-from pdpetsc.scene.solver import Newton
-from pdpetsc.solve.defaults import default_options
-from pdpetsc.solve.jacobian import assembler, choose
-from pdpetsc.solve.petsc import options
-from pdpetsc.solve.static import StaticSolver
+from pdpetsc.discrete.components import refuse_rigid_motion
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import assembler, choose
+from pdpetsc.petsc.options import options
+from pdpetsc.solvers.newton import StaticSolver
 comm = world()
 sys.path.insert(0, "runs/bench")
 from box import case

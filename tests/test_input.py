@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.build import make_cloud
 from pdpetsc.case import check_declared
+from pdpetsc.declare.influence import evaluate
 from pdpetsc.declared import Declared
 from pdpetsc.discrete import memory
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.memory import predicted_bonds, refuse_beyond_memory
-from pdpetsc.scene.influence import evaluate
+from pdpetsc.running.build import make_cloud
 from tests.commands import run
 
 region = pd.region

@@ -13,7 +13,7 @@ import time
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import load_case
+from pdpetsc.command_line.cli import load_case
 from pdpetsc.errors import FlatFamilies, described, notice, of_petsc, rebuilt
 from pdpetsc.kernels.compile import cache_lock, cache_trouble
 from tests.commands import ROOT, command
@@ -296,7 +296,7 @@ def test_errors_of_the_case_go_to_other_ranks_as_words():
 
 
 def test_a_defect_of_pdpetsc_leaves_its_traceback_in_the_folder(case, monkeypatch):
-    monkeypatch.setattr("pdpetsc.runner.find_families", None)
+    monkeypatch.setattr("pdpetsc.running.runner.find_families", None)
     folder = case.parent / "out"
     with pytest.raises(pd.RunError, match="defect of pdpetsc") as caught:
         pd.run(load_case(case)(), output=folder, quiet=True)
@@ -328,7 +328,7 @@ def test_files_of_options_lying_about_are_not_read(case):
     assert (code, said) == (0, [])
     assert found["options"]["snes_max_it"] == {"value": "30", "from": "pdpetsc"}
     assert found["options"]["snes_atol"] == {"value": "1e-30", "from": "environment"}
-    script = "import pdpetsc.runner\nfrom petsc4py import PETSc\nprint(PETSc.Options().getAll())"
+    script = "import pdpetsc.running.runner\nfrom petsc4py import PETSc\nprint(PETSc.Options().getAll())"
     words = [sys.executable, "-c", script]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     out = subprocess.run(words, cwd=case.parent, env=environment, capture_output=True, text=True, check=True).stdout

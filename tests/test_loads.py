@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.scene import region
+from pdpetsc.declare import region
 from tests.commands import run
 
 E = 1000.0
@@ -30,7 +30,7 @@ def strip(particles, sizes, condition, scheme=None):
         horizon=1.015 * max(sizes),
         material=pd.LinearElastic(E=E),
         scheme=scheme or pd.Correspondence(),
-        stabilisation=pd.Silling(),
+        control=pd.Silling(),
         conditions=[
             pd.Displacement(region.Slab("x", high=sizes[0]), **dict.fromkeys("xyz"[: len(sizes)], 0.0)),
             condition,

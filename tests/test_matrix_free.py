@@ -10,8 +10,8 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
+from pdpetsc.petsc.jacobian import choose
 from pdpetsc.problem.nearest_neighbours import NearAssembler
-from pdpetsc.solve.jacobian import choose
 from tests.commands import ROOT, results, run
 from tests.scenes import (
     DIMS,
@@ -106,7 +106,7 @@ def test_results_are_those_of_the_assembled_tangent_on_1_and_2_ranks(name, tmp_p
 
 
 def test_the_choice_follows_size_and_option():
-    from pdpetsc.scene.solver import EventDriven, Newton
+    from pdpetsc.declare.solvers import EventDriven, Newton
 
     model = body(2, horizon=3.015)
     assert not choose(model.problem, {}, Newton()).matrix_free

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.scene import formats
-from pdpetsc.scene.cells import SIMPLICES
+from pdpetsc.declare import formats
+from pdpetsc.declare.cells import SIMPLICES
 from tests.test_scene import whole
 
 # The hexahedron in six pyramids around its centre, node 8.

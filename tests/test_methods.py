@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import load_case
+from pdpetsc.command_line.cli import load_case
 from tests.commands import ROOT, field, jacobian_ratios, results, run, run_several
 
 BAR = "runs/singular_bar/bar.py"

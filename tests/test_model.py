@@ -6,12 +6,12 @@ import pytest
 import pdpetsc as pd
 from tests import reference
 from tests.scenes import (
+    ALL_CONTROLS,
     DIMS,
     MATERIALS,
     NOT_AFFINE,
     PLANE_STRESS,
     SCHEMES,
-    STABILISATIONS,
     STEP,
     bodies,
     body,
@@ -24,7 +24,7 @@ from tests.scenes import (
 
 
 @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES.keys())
-@pytest.mark.parametrize("control", STABILISATIONS.values(), ids=STABILISATIONS.keys())
+@pytest.mark.parametrize("control", ALL_CONTROLS.values(), ids=ALL_CONTROLS.keys())
 @pytest.mark.parametrize("dim", DIMS)
 def test_tangent_agrees_with_differences_for_every_material(dim, control, scheme, rng):
     materials = [*MATERIALS.values(), *(PLANE_STRESS.values() if dim == 2 else [])]

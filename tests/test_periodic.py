@@ -16,10 +16,10 @@ AXES = {1: ["x"], 2: ["x", "xy"], 3: ["x", "xz", "xyz"]}
 
 @pytest.mark.parametrize("scheme", pd.SCHEMES)
 @pytest.mark.parametrize(("dim", "axes"), [(dim, axes) for dim in AXES for axes in AXES[dim]])
-@pytest.mark.parametrize("control", ["stress", "strain"])
-def test_mean_stress_and_strain_give_the_exact_uniform_gradient(dim, axes, scheme, control, tmp_path):
+@pytest.mark.parametrize("prescribed", ["stress", "strain"])
+def test_mean_stress_and_strain_give_the_exact_uniform_gradient(dim, axes, scheme, prescribed, tmp_path):
     for horizon in (2.015,) if dim == 3 else (1.015, 3.015):
-        arguments = (f"dim={dim}", f"axes={axes}", f"scheme={scheme}", f"control={control}", f"horizon={horizon}")
+        arguments = (f"dim={dim}", f"axes={axes}", f"scheme={scheme}", f"prescribed={prescribed}", f"horizon={horizon}")
         found = results(CELL, *arguments, "G=0.5", output=tmp_path)["results"]
         assert found["max_F_error"] < 1e-10
         assert found["strain_error"] < 1e-10
@@ -43,7 +43,7 @@ def wavy(dim=2, mean=None, n=6, scheme=None, **changes):
         "horizon": 2.015 / n,
         "material": pd.Graded(pd.Hencky(E=10.0, nu=0.3), lambda x: 1.0 + 0.5 * np.sin(2.0 * np.pi * x.sum(axis=1))),
         "scheme": scheme or SCHEMES["sub_horizons"],
-        "stabilisation": pd.Silling(0.2),
+        "control": pd.Silling(0.2),
         "cell": pd.Cell(low, high),
         "conditions": [
             pd.Displacement(pd.region.Nearest([0.5 / n] * dim), **dict.fromkeys("xyz"[:dim], 0.0)),
@@ -81,7 +81,7 @@ def test_any_number_of_ranks_finds_the_same_cell(dim, tmp_path):
 
 def test_stress_is_the_derivative_of_the_energy_by_the_mean_strain(tmp_path):
     def at(strain):
-        case = wavy(mean=[pd.MeanStrain(xx=strain, yy=0.02, xy=0.05)], stabilisation=None)
+        case = wavy(mean=[pd.MeanStrain(xx=strain, yy=0.02, xy=0.05)], control=None)
         return pd.run(case, output=tmp_path, quiet=True)
 
     low, middle, high = (at(strain) for strain in (0.0999, 0.1, 0.1001))
@@ -125,7 +125,7 @@ def test_relaxation_and_multigrid_find_the_same_cell(tmp_path):
 
 def test_multigrid_takes_few_iterations_with_virtual_unknowns(tmp_path):
     for n in (20, 40):
-        case = wavy(n=n, stabilisation=None, mean=[pd.MeanStress(xx=0.5, xy=0.1)])
+        case = wavy(n=n, control=None, mean=[pd.MeanStress(xx=0.5, xy=0.1)])
         pd.run(case, output=tmp_path, quiet=True, options={"pc_type": "gamg"})
         step = json.loads((tmp_path / "summary.json").read_text())["steps"][-1]
         assert step["linear_iterations"] < 50 * (step["newton_iterations"] + 1)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import arguments_of, load_case
-from pdpetsc.solve.base import StepResult
-from pdpetsc.solve.static import StaticSolver
+from pdpetsc.command_line.cli import arguments_of, load_case
+from pdpetsc.solvers.newton import StaticSolver
+from pdpetsc.solvers.protocol import StepResult
 from tests.commands import ROOT, Stop, field, results
 from tests.scenes import DIMS, SCHEMES, body, dense_tangent, displacement, rotation
 

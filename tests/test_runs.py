@@ -23,7 +23,7 @@ def strip(pull=0.3, **changes):
         "particles": pd.Lattice((0.0, 0.0), (10.0, 4.0), 1.0),
         "horizon": 2.015,
         "material": pd.Hencky(E=10.0, nu=0.3),
-        "stabilisation": pd.Silling(0.5),
+        "control": pd.Silling(0.5),
         "conditions": [
             pd.Displacement(pd.region.Slab("x", high=2.0), x=0.0, y=0.0),
             pd.Displacement(pd.region.Slab("x", low=8.0), x=pull, y=0.0),
@@ -92,7 +92,7 @@ def test_external_work_is_stored_and_what_is_not_is_dissipated(tmp_path):
 
 def test_work_of_the_load_is_the_energy(tmp_path):
     """Trapezoidal work of the prescribed displacement against stored energy of a hyperelastic body without control."""
-    pd.run(strip(stabilisation=None, steps=pd.Steps(40)), output=tmp_path, quiet=True)
+    pd.run(strip(control=None, steps=pd.Steps(40)), output=tmp_path, quiet=True)
     _, t, force, energy = np.loadtxt(tmp_path / "history.csv", delimiter=",", skiprows=1).T
     work = 0.3 * np.diff(t) @ (0.5 * (force[1:] + force[:-1]))
     assert energy[-1] == pytest.approx(work, rel=1e-3)
@@ -174,7 +174,7 @@ def test_user_fields_and_a_scene_without_fields(tmp_path):
 
 
 def test_a_bare_scene_allocates_less_than_a_full_one(tmp_path):
-    pd.run(strip(stabilisation=None), output=tmp_path / "bare", quiet=True)
+    pd.run(strip(control=None), output=tmp_path / "bare", quiet=True)
     pd.run(strip(), output=tmp_path / "full", quiet=True)
     bare, full = summary(tmp_path / "bare")["allocated"], summary(tmp_path / "full")["allocated"]
     assert set(bare) < set(full)
@@ -326,11 +326,11 @@ def test_predicted_matrix_memory_is_what_is_measured(tmp_path):
 import petsc4py, numpy as np, resource, sys
 petsc4py.init()
 import pdpetsc as pd
-from pdpetsc.build import make_cloud, make_problem
+from pdpetsc.running.build import make_cloud, make_problem
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.problem.assembly import Assembler
-from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes
+from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
 
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.declare.region import View
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
+from pdpetsc.post.solution import Solution
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem
-from pdpetsc.scene.region import View
-from pdpetsc.solution import Solution
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.material_points import MaterialPoints
 

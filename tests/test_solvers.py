@@ -7,10 +7,10 @@ import pytest
 from scipy.sparse.linalg import LinearOperator, cg
 
 import pdpetsc as pd
-from pdpetsc.scene.solver import DeclaredSolver, Needs
-from pdpetsc.solve.base import Start, StepResult
-from pdpetsc.solve.steps import LoadStepSolver
-from pdpetsc.solve.table import SOLVERS, implementation
+from pdpetsc.declare.solvers import DeclaredSolver, Needs
+from pdpetsc.solvers.load_steps import LoadStepSolver
+from pdpetsc.solvers.protocol import Start, StepResult
+from pdpetsc.solvers.table import SOLVERS, implementation
 from tests.commands import Stop, field
 
 
@@ -119,7 +119,7 @@ def test_a_load_step_that_leads_nowhere_is_refused(solver, step):
         made.resume(Start(np.zeros((1, 1)), 0.5, {"load_step": step}))
 
 
-@pytest.mark.parametrize("found", [{"control_step": 0.0}, {"highest_load": -1.0}])
+@pytest.mark.parametrize("found", [{"measure_step": 0.0}, {"highest_load": -1.0}])
 def test_a_place_on_a_path_without_meaning_is_refused(found):
     made = object.__new__(SOLVERS[pd.PathFollowing])
     with pytest.raises(pd.CaseError, match="has no meaning"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.scene import region
+from pdpetsc.declare import region
 from tests.commands import run
 
 LENGTH, E = 10.0, 1000.0

@@ -12,7 +12,7 @@ import time
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.plot import plot
+from pdpetsc.command_line.plot import plot
 from tests.commands import ROOT, results
 
 CLAMPED = "runs/beams/clamped.py"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.cli import arguments_of, load_case
+from pdpetsc.command_line.cli import arguments_of, load_case
 
 from .commands import ROOT
 from .units import in_units

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 import pdpetsc as pd
-from pdpetsc.scene.cracks import Crack
-from pdpetsc.scene.particles import Particles
-from pdpetsc.scene.region import Region
+from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.region import Region
 
 
 def in_units(case, force, length):
@@ -26,7 +26,7 @@ def in_units(case, force, length):
         material=materials,
         conditions=[units.condition(condition) for condition in case.conditions],
         cracks=[_Crack(crack, length) for crack in case.cracks],
-        stabilisation=units.control(case.stabilisation),
+        control=units.control(case.control),
         damage=case.damage and units.damage(case.damage),
         cell=cell,
         solver=units.solver(case.solver),
@@ -126,15 +126,15 @@ class _Units:
         return dataclasses.replace(damage, critical=critical, protected=protected)
 
     def solver(self, solver):
-        if not isinstance(solver, pd.PathFollowing) or not isinstance(solver.control, pd.Opening):
+        if not isinstance(solver, pd.PathFollowing) or not isinstance(solver.measure, pd.Opening):
             return solver
-        opening = solver.control
+        opening = solver.measure
         against = opening.against and _Region(opening.against, self.length)
-        control = dataclasses.replace(
+        measure = dataclasses.replace(
             opening,
             region=_Region(opening.region, self.length),
             against=against,
             step=opening.step * self.length,
             end=opening.end * self.length,
         )
-        return dataclasses.replace(solver, control=control)
+        return dataclasses.replace(solver, measure=measure)

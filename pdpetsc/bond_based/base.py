@@ -11,12 +11,12 @@ import numpy as np
 from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.declare.influence import Influence, evaluate
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.linear_elastic import LinearElastic
-from pdpetsc.scene.influence import Influence, evaluate
 
 # Points of the quadrature of a moment of the influence function on each half of the horizon.
 QUADRATURE = 40

@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.bond_based.base import BondMaterial, BondStiffness, Neighbourhood
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.pattern import sum_by
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.linear_elastic import LinearElastic
 
 # Families whose moment is this close to the largest one are whole.

@@ -1,6 +1,8 @@
 """Damage of bonds: when a bond fails, and how it loses its force."""
 
-from pdpetsc.damage.bond import (
+from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
+from pdpetsc.damage.effect import DamageEffect, LargestStretch, PresentStretch
+from pdpetsc.damage.laws import (
     BilinearSoftening,
     BondDamage,
     Brittle,
@@ -9,8 +11,6 @@ from pdpetsc.damage.bond import (
     PiecewiseLinear,
     SmoothDegradation,
 )
-from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
-from pdpetsc.damage.effect import DamageEffect, LargestStretch, PresentStretch
 
 __all__ = [
     "BilinearSoftening",

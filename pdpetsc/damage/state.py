@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.damage.bond import BondDamage
+from pdpetsc.damage.laws import BondDamage
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.families import Families

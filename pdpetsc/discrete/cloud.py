@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.cell import Cell
 from pdpetsc.discrete.communicator import Comm, exchange, fetch, offset, total
 from pdpetsc.discrete.halo import Halo
-from pdpetsc.discrete.images import Images, refuse_outside, shifts
 from pdpetsc.discrete.partition import bisect
+from pdpetsc.discrete.periodic import Images, refuse_outside, shifts
 from pdpetsc.errors import CaseError
-from pdpetsc.scene.cell import Cell
 
 # Bonds exactly as long as the horizon belong to the family whatever the rounding of the positions.
 HORIZON_TOLERANCE = 1e-9

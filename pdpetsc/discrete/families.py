@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.pattern import families_from_pairs
-from pdpetsc.scene.cracks import Crack
+from pdpetsc.kernels.sparsity import families_from_pairs
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from mpi4py import MPI
 
 from pdpetsc.arrays import Float
+from pdpetsc.declare.cell import Cell
 from pdpetsc.discrete.communicator import Comm, agreed, total
 from pdpetsc.errors import CaseError
-from pdpetsc.scene.cell import Cell
 
 # What a particle takes until it has its rank, and a bond until families are found, at least [bytes].
 PER_PARTICLE, PER_BOND = 140.0, 40.0

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Mask
+from pdpetsc.declare.region import Region, View
 from pdpetsc.declared import called
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, smallest, total
 from pdpetsc.errors import CaseError
-from pdpetsc.scene.region import Region, View
 
 
 def select(cloud: Cloud, region: Region, name: str) -> Mask:

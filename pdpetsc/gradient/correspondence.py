@@ -14,8 +14,8 @@ from pdpetsc.gradient.base import GradientOperator, Scheme, operator, regular_sh
 class Correspondence(Scheme):
     """Plain correspondence, ``F_i = I + sum_j omega V_j eta_ij (x) K_i^-1 xi_ij``.
 
-    Displacements that alternate from particle to particle cancel in the sum and have no energy: add a stabilisation,
-    or take another scheme, where the load can excite them.
+    Displacements that alternate from particle to particle cancel in the sum and have no energy: add a zero-energy
+    control, or take another scheme, where the load can excite them.
 
     References
     ----------

@@ -30,11 +30,11 @@ from pdpetsc.output.files import (
     writing_hdf5,
 )
 from pdpetsc.output.fingerprint import differing
+from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.term import KeptArray
-from pdpetsc.solution import Solution
 
-FORMAT = 7
+FORMAT = 8
 # What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
 # checksum is wrong, because it does not survive every damage.
 HEAD = 512

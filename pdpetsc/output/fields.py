@@ -27,7 +27,7 @@ from pdpetsc.output.files import (
 )
 from pdpetsc.output.folder import FIELDS
 from pdpetsc.output.index import Index, Step, part_of, remove, steps_in, storable
-from pdpetsc.solution import Field, Solution, in_space
+from pdpetsc.post.solution import Field, Solution, in_space
 
 
 class FieldWriter:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.scene.files import Mesh, TextFile
+from pdpetsc.declare.files import Mesh, TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
 MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints"}

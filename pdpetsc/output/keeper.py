@@ -13,9 +13,9 @@ from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.folder import set_history_aside
 from pdpetsc.output.records import HistoryWriter, whole_rows
+from pdpetsc.post.quantities import Quantity
+from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
-from pdpetsc.quantities import Quantity
-from pdpetsc.solution import Field, Solution
 
 
 class Keeper:

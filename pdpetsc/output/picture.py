@@ -13,8 +13,8 @@ from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import open_hdf5, replacing
-from pdpetsc.quantities import refuse_component
-from pdpetsc.solution import Field, stress
+from pdpetsc.post.quantities import refuse_component
+from pdpetsc.post.solution import Field, stress
 
 # Particles drawn at most; of a larger cloud every n-th.
 MOST = 200_000

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pdpetsc.discrete.communicator import Comm, is_root
-from pdpetsc.solve.base import StepResult
+from pdpetsc.solvers.protocol import StepResult
 
 
 class _Console(Console):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdpetsc.discrete.components import find_pieces
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.pieces import find_pieces
 from pdpetsc.problem.problem import Problem
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.pattern import Pattern, Rows, build_pattern
+from pdpetsc.discrete.sparsity import Pattern, Rows, build_pattern
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries

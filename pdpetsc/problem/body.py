@@ -9,7 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.spread import Spread, start_displacements, start_forces
+from pdpetsc.discrete.overlap import Overlap, start_displacements, start_forces
 from pdpetsc.gradient.base import Stencils, whole_families
 from pdpetsc.kernels.bonds import elongation_kernel
 
@@ -36,9 +36,9 @@ class Body:
         return self.cloud.dim
 
     @cached_property
-    def spread(self) -> Spread:
+    def overlap(self) -> Overlap:
         """Return what applies work on families, with the exchange of ghosts behind it."""
-        return Spread(self.cloud, self.families)
+        return Overlap(self.cloud, self.families)
 
     @cached_property
     def with_centres(self) -> Stencils:

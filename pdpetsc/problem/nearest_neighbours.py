@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.pattern import build_pattern
+from pdpetsc.discrete.sparsity import build_pattern
 from pdpetsc.gradient.base import GradientOperator, flat, stencil_weights, whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
-from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.term import Entries, LinearisedTerm
-from pdpetsc.stabilisation.non_uniform import NonUniform
 
 # Bonds are near up to this multiple of the length of the dim-th shortest one of either end.
 REACH = 1.25

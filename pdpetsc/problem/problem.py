@@ -247,7 +247,7 @@ class Tangent:
 
     def __call__(self, du: Float) -> Float:
         """Return ``K du`` (n_rows, dim) [force]; the next call may overwrite it."""
-        found = self.body.spread(du, self.forces)
+        found = self.body.overlap(du, self.forces)
         if self.blocks is not None:
             n = len(self.blocks)
             found[:n] += np.einsum("pij,pj->pi", self.blocks, du[:n])

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
-from pdpetsc.kernels.pattern import nearest_neighbours
+from pdpetsc.kernels.sparsity import nearest_neighbours
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
 

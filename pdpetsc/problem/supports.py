@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.pattern import first_moments
+from pdpetsc.kernels.sparsity import first_moments
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
-from pdpetsc.scene.conditions import Displacement, MeanStrain, Value, evaluated
 
 # A family is cut in a direction where its first moment is more than this share of what one side alone would have.
 ONE_SIDED = 0.9

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
-from pdpetsc.discrete.pattern import Pattern, Rows
+from pdpetsc.discrete.sparsity import Pattern, Rows
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.problem.body import Body

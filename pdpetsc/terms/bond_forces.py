@@ -9,11 +9,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.bond_based import BondMaterial, Neighbourhood, combine
-from pdpetsc.discrete.pattern import sharing_stencil
+from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
-from pdpetsc.kernels.pattern import sum_by, transpose
+from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage

@@ -7,6 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdpetsc.arrays import Mask
+from pdpetsc.declare.conditions import (
+    BodyForce,
+    Condition,
+    Displacement,
+    Force,
+    MeanStrain,
+    MeanStress,
+    Traction,
+    Value,
+)
+from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
@@ -14,8 +25,6 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.supports import Supports
-from pdpetsc.scene.conditions import BodyForce, Condition, Displacement, Force, MeanStrain, MeanStress, Traction, Value
-from pdpetsc.scene.particles import Particles
 from pdpetsc.terms.dead_loads import DeadLoads
 
 

@@ -7,25 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.pattern import Pattern
+from pdpetsc.control.base import Control, ControlMatrix, Stiffness, ZeroEnergyControl
+from pdpetsc.discrete.sparsity import Pattern
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm, Term
-from pdpetsc.stabilisation.base import Control, ControlMatrix, Stabilisation, Stiffness
 from pdpetsc.terms.falling import FallingBonds, gradient_of_integrity
 
 
-class ZeroEnergyControl(Term):
+class ControlForces(Term):
     """Forces linear in the displacement that resist what the gradients do not see.
 
     Parameters
     ----------
     body : Body
         Particles and bonds.
-    stabilisation : Stabilisation
+    control : ZeroEnergyControl
         As declared.
     omega : (n_bonds,) float64
         Influence of every bond [-].
@@ -43,12 +43,12 @@ class ZeroEnergyControl(Term):
     energy_of = "control"
 
     def __init__(
-        self, body: Body, stabilisation: Stabilisation, omega: Float, stiffness: Stiffness, damage: Damage | None = None
+        self, body: Body, control: ZeroEnergyControl, omega: Float, stiffness: Stiffness, damage: Damage | None = None
     ) -> None:
         self.body = body
-        self.name = type(stabilisation).__name__
+        self.name = type(control).__name__
         self.damage = damage
-        self._whole = stabilisation.build(body.cloud, body.families, omega, stiffness)
+        self._whole = control.build(body.cloud, body.families, omega, stiffness)
         self.control: Control = self._whole
         self._matrix: tuple[Control, Pattern, ControlMatrix] | None = None
         self._shared: tuple[Control, GradientOperator, tuple[Float, Float] | None] | None = None
@@ -136,7 +136,7 @@ class ZeroEnergyControl(Term):
 class ControlTangent(LinearisedTerm):
     """The tangent of a zero-energy control."""
 
-    def __init__(self, term: ZeroEnergyControl, control: Control, falling: FallingBonds | None) -> None:
+    def __init__(self, term: ControlForces, control: Control, falling: FallingBonds | None) -> None:
         self._term, self._control, self._falling = term, control, falling
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:

@@ -12,7 +12,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
-from pdpetsc.kernels.pattern import sum_by
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
@@ -54,7 +54,7 @@ class DamagedPoints(MaterialPoints):
         factor: Float | None, damage: Damage,
     ) -> None:  # fmt: skip
         super().__init__(body, omega, scheme, materials, material_of, factor)
-        if any(law.has_history for law in self.laws):
+        if any(at_points.has_history for at_points in self.materials):
             raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
         self._omega = omega
         self._scheme = scheme
@@ -178,10 +178,10 @@ class DamagedPoints(MaterialPoints):
             operator.owner, operator.point_ptr, operator.members, families.indptr, families.neighbours,
             self.body.cloud.n_local, self.bond_of_entry,
         )  # fmt: skip
-        law_of = self._material_of[operator.owner]
-        for number, law in enumerate(self.laws):
-            law.points = np.flatnonzero(law_of == number)
-            law.factor = None if self._factor is None else self._factor[operator.owner[law.points]]
+        number_of = self._material_of[operator.owner]
+        for number, at_points in enumerate(self.materials):
+            at_points.points = np.flatnonzero(number_of == number)
+            at_points.factor = None if self._factor is None else self._factor[operator.owner[at_points.points]]
 
     def _rebuilt(self) -> GradientOperator:
         """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""

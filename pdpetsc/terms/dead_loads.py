@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.conditions import BodyForce, Force, MeanStress, Traction, Value, evaluated
+from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.cloud import from_parts
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError, SolveError
@@ -16,8 +18,6 @@ from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import LinearisedTerm, Term
-from pdpetsc.scene.conditions import BodyForce, Force, MeanStress, Traction, Value, evaluated
-from pdpetsc.scene.particles import Particles
 
 # A consistent traction whose forces add up to a share of traction times face outside of these is not that of one face.
 WHOLE_FACE = (0.5, 2.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.kernels.bonds import outer_rows_kernel
-from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import outer_times_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State

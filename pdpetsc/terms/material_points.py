@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.discrete.pattern import sharing_stencil
+from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
-from pdpetsc.kernels.pattern import transpose
+from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
-from pdpetsc.law import Law, make_law
+from pdpetsc.material.at_points import MaterialAtPoints, make_at_points
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
@@ -62,12 +62,12 @@ class MaterialPoints(Matter):
         super().__init__(body)
         self.operator: GradientOperator = scheme.build(body.cloud, body.families, omega)
         self.note = self.operator.note
-        law_of = material_of[self.operator.owner]
-        self.laws: list[Law] = []
+        number_of = material_of[self.operator.owner]
+        self.materials: list[MaterialAtPoints] = []
         for number, material in enumerate(materials):
-            points = np.flatnonzero(law_of == number)
-            at_points = None if factor is None else factor[self.operator.owner[points]]
-            self.laws.append(make_law(material, points, body.dim, at_points))
+            points = np.flatnonzero(number_of == number)
+            factors = None if factor is None else factor[self.operator.owner[points]]
+            self.materials.append(make_at_points(material, points, body.dim, factors))
         self._linear = all(material.linear for material in materials)
         self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
 
@@ -84,7 +84,7 @@ class MaterialPoints(Matter):
     @property
     def parts(self) -> list[str]:
         """Return what it is made of."""
-        return ["gradient operator", *(f"material {type(law.material).__name__}" for law in self.laws)]
+        return ["gradient operator", *(f"material {type(at_points.material).__name__}" for at_points in self.materials)]
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
@@ -111,22 +111,22 @@ class MaterialPoints(Matter):
     def stress(self, F: Float) -> Float:
         """Return ``P_p`` (n_points, dim, dim) [stress]."""
         P = np.empty_like(F)
-        for law in self.laws:
-            law.stress(F, P)
+        for at_points in self.materials:
+            at_points.stress(F, P)
         return P
 
     def moduli(self, F: Float) -> Float:
         """Return ``A_p = dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
         A = np.empty((len(F), *(self.body.dim,) * 4))
-        for law in self.laws:
-            law.tangent(F, A)
+        for at_points in self.materials:
+            at_points.tangent(F, A)
         return A
 
     def point_energy(self, F: Float) -> Float:
         """Return ``psi_p`` (n_points,) [energy / volume]."""
         psi = np.empty(len(F))
-        for law in self.laws:
-            law.energy(F, psi)
+        for at_points in self.materials:
+            at_points.energy(F, psi)
         return psi
 
     def add_force(self, state: State, f: Float) -> None:
@@ -163,33 +163,33 @@ class MaterialPoints(Matter):
         """Let materials with history remember a converged state."""
         if self.has_history:
             F = self.deformation(state)
-            for law in self.laws:
-                law.commit(F)
+            for at_points in self.materials:
+                at_points.commit(F)
             self.version += 1
 
     @property
     def has_history(self) -> bool:
         """Return whether stresses depend on converged steps; the same on all ranks."""
-        return any(law.has_history for law in self.laws)
+        return any(at_points.has_history for at_points in self.materials)
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials that have one, by the number of the material."""
         owner = self.operator.owner
         return {
-            f"history_{number}": KeptArray(owner[law.points], law.history)
-            for number, law in enumerate(self.laws)
-            if law.has_history
+            f"history_{number}": KeptArray(owner[at_points.points], at_points.history)
+            for number, at_points in enumerate(self.materials)
+            if at_points.has_history
         }
 
     @property
     def kappa(self) -> float:
         """Return the largest ``lambda + 2 mu / dim`` of the materials [stress]."""
-        return max(law.material.bulk_like_modulus(self.body.dim) for law in self.laws)
+        return max(at_points.material.bulk_like_modulus(self.body.dim) for at_points in self.materials)
 
     @property
     def largest_modulus(self) -> float:
         """Return the largest entry of the small-strain stiffness on this rank [stress]."""
-        return max(law.largest_modulus() for law in self.laws)
+        return max(at_points.largest_modulus() for at_points in self.materials)
 
     def reach(self, marked: Float) -> Mask:
         """Return the own particles that share a gradient point with a marked local one (collective)."""
@@ -198,11 +198,11 @@ class MaterialPoints(Matter):
     def cauchy(self, F: Float) -> Float:
         """Return ``sigma_p = P F^T / J`` (n_points, dim, dim) [stress], J with the hidden stretches; P where linear."""
         sigma = self.stress(F)
-        for law in self.laws:
-            if not law.material.linear and len(law.points):
-                part = F[law.points]
-                J = np.linalg.det(part) * law.material.thickness_stretch(part)
-                sigma[law.points] = np.einsum("pik,pjk->pij", sigma[law.points], part) / J[:, None, None]
+        for at_points in self.materials:
+            if not at_points.material.linear and len(at_points.points):
+                part = F[at_points.points]
+                J = np.linalg.det(part) * at_points.material.thickness_stretch(part)
+                sigma[at_points.points] = np.einsum("pik,pjk->pij", sigma[at_points.points], part) / J[:, None, None]
         return sigma
 
     def deformation_gradient(self, state: State) -> Float:
@@ -221,13 +221,13 @@ class MaterialPoints(Matter):
         """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""
         F = self.deformation(state)
         stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
-        for law in self.laws:
-            part = F[law.points]
-            across = law.material.thickness_stretch(part)
-            stretch[law.points] = np.sqrt(across) if self.body.dim == 1 else across
-            P[law.points] = law.out_of_plane_stress(part)
-            current = 1.0 if law.material.linear else stretch[law.points] / (np.linalg.det(part) * across)
-            sigma[law.points] = P[law.points] * current
+        for at_points in self.materials:
+            part = F[at_points.points]
+            across = at_points.material.thickness_stretch(part)
+            stretch[at_points.points] = np.sqrt(across) if self.body.dim == 1 else across
+            P[at_points.points] = at_points.out_of_plane_stress(part)
+            current = 1.0 if at_points.material.linear else stretch[at_points.points] / (np.linalg.det(part) * across)
+            sigma[at_points.points] = P[at_points.points] * current
         return self._mean(stretch), self.mean_stress(P), self.mean_stress(sigma)
 
     def energy_density(self, state: State) -> Float:
@@ -237,8 +237,8 @@ class MaterialPoints(Matter):
     def plastic_strain(self) -> Float:
         """Return the mean accumulated plastic strain over the points of each own particle (n_owned,) [-]."""
         alpha = np.zeros(self.operator.n_points)
-        for law in self.laws:
-            alpha[law.points] = law.plastic_strain()
+        for at_points in self.materials:
+            alpha[at_points.points] = at_points.plastic_strain()
         return self._mean(alpha)
 
     def mean_stress(self, stress: Float) -> Float:

@@ -52,7 +52,7 @@ def case(
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane=plane),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=beam.control_of(G, control, G_printed, unit),
+        control=beam.control_of(G, control, G_printed, unit),
         conditions=[
             pd.Displacement(held, x=0.0),
             pd.Displacement(pin, y=0.0),

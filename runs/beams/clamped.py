@@ -16,5 +16,5 @@ def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control=
         middle = held & pd.region.Slab("y", -0.1 * dx, 0.1 * dx)
         return [pd.Displacement(held, x=0.0), pd.Displacement(middle, y=0.0)]
 
-    stabilisation = beam.control_of(G, control, G_printed, unit)
-    return beam.half_beam("clamped", ny, horizon, scheme, steps, supports, stabilisation)
+    control = beam.control_of(G, control, G_printed, unit)
+    return beam.half_beam("clamped", ny, horizon, scheme, steps, supports, control)

@@ -15,5 +15,5 @@ def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control=
     def supports(dx):
         return [pd.Displacement(pd.region.Nearest((-0.5 * dx, 0.0)), x=0.0, y=0.0)]
 
-    stabilisation = beam.control_of(G, control, G_printed, unit)
-    return beam.half_beam("hinged", ny, horizon, scheme, steps, supports, stabilisation)
+    control = beam.control_of(G, control, G_printed, unit)
+    return beam.half_beam("hinged", ny, horizon, scheme, steps, supports, control)

@@ -15,7 +15,7 @@ import study
 words = study.start("beams")
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.compare import compare  # noqa: E402
+from pdpetsc.command_line.compare import compare  # noqa: E402
 
 CONTROLLED = [name for name in pd.CONTROLS if name != "none"]
 HORIZONS = ("1.015", "2.015", "3.015")

@@ -14,12 +14,12 @@ import petsc4py
 petsc4py.init(["bench"])
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.build import make_cloud, make_problem  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
+from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes  # noqa: E402
 from pdpetsc.problem.assembly import Assembler  # noqa: E402
 from pdpetsc.problem.state import State  # noqa: E402
-from pdpetsc.solve.matrix import TangentMatrix, predicted_bytes  # noqa: E402
+from pdpetsc.running.build import make_cloud, make_problem  # noqa: E402
 
 REPEATS = 5
 

@@ -14,7 +14,7 @@ def case(dim=3, n=22, horizon=3.015, nu=0.3, scheme="correspondence", G=0.5, str
         horizon=horizon,
         material=pd.Hencky(E=1.0, nu=nu),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        control=pd.Silling(G) if G else None,
         damage=pd.Brittle(pd.damage.ConstantCritical(1.0)) if breakable else None,
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=1.0), **dict.fromkeys("xyz"[:dim], 0.0)),

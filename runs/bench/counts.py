@@ -14,9 +14,9 @@ from box import case  # noqa: E402
 from linear import solve  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
-from pdpetsc.build import make_cloud  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, world  # noqa: E402
 from pdpetsc.discrete.halo import Halo  # noqa: E402
+from pdpetsc.running.build import make_cloud  # noqa: E402
 
 exchanges = []
 

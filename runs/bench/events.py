@@ -21,16 +21,16 @@ words = study.start("localisation")
 import numpy as np  # noqa: E402
 from periodic_cell import case  # noqa: E402
 
-from pdpetsc.build import make_cloud, make_problem  # noqa: E402
+from pdpetsc.declare.solvers import EventDriven  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
+from pdpetsc.petsc.defaults import default_options  # noqa: E402
+from pdpetsc.petsc.jacobian import choose  # noqa: E402
+from pdpetsc.petsc.library import options  # noqa: E402
 from pdpetsc.problem.assembly import Assembler  # noqa: E402
-from pdpetsc.scene.solver import EventDriven  # noqa: E402
-from pdpetsc.solve.base import Start  # noqa: E402
-from pdpetsc.solve.defaults import default_options  # noqa: E402
-from pdpetsc.solve.events import EventSolver  # noqa: E402
-from pdpetsc.solve.jacobian import choose  # noqa: E402
-from pdpetsc.solve.petsc import options  # noqa: E402
+from pdpetsc.running.build import make_cloud, make_problem  # noqa: E402
+from pdpetsc.solvers.event_driven.solver import EventSolver  # noqa: E402
+from pdpetsc.solvers.protocol import Start  # noqa: E402
 
 EVENTS = 600
 FACTORISATIONS = 30

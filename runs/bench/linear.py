@@ -22,14 +22,14 @@ import numpy as np  # noqa: E402
 from box import case  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
-from pdpetsc.build import make_cloud, make_problem, rehearse  # noqa: E402
+from pdpetsc.declare.solvers import Newton  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
+from pdpetsc.petsc.defaults import default_options  # noqa: E402
+from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
+from pdpetsc.petsc.library import linear_solver, options  # noqa: E402
 from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
-from pdpetsc.scene.solver import Newton  # noqa: E402
-from pdpetsc.solve.defaults import default_options  # noqa: E402
-from pdpetsc.solve.jacobian import assembler, choose, make_tangent  # noqa: E402
-from pdpetsc.solve.petsc import linear_solver, options  # noqa: E402
+from pdpetsc.running.build import make_cloud, make_problem, rehearse  # noqa: E402
 
 RTOL = 1e-8
 APPLIED = 5

@@ -56,7 +56,7 @@ def case(mesh="out/dog_bone.vtu", horizon=2.45, strain=0.01, steps=4, scheme="co
         horizon=horizon,
         material=pd.Hencky(E=E, nu=NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        control=pd.Silling(G) if G else None,
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0, z=0.0),
             pd.Displacement(right, x=strain * LENGTH, y=0.0, z=0.0),

@@ -29,13 +29,13 @@ import numpy as np  # noqa: E402
 import plate_with_hole  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
+from pdpetsc.declare.solvers import Newton  # noqa: E402
 from pdpetsc.discrete.communicator import world  # noqa: E402
+from pdpetsc.petsc.defaults import default_options  # noqa: E402
+from pdpetsc.petsc.jacobian import choose  # noqa: E402
+from pdpetsc.petsc.library import options  # noqa: E402
 from pdpetsc.problem.assembly import Assembler  # noqa: E402
-from pdpetsc.scene.solver import Newton  # noqa: E402
-from pdpetsc.solve.defaults import default_options  # noqa: E402
-from pdpetsc.solve.jacobian import choose  # noqa: E402
-from pdpetsc.solve.petsc import options  # noqa: E402
-from pdpetsc.solve.static import StaticSolver  # noqa: E402
+from pdpetsc.solvers.newton import StaticSolver  # noqa: E402
 
 LENGTH, WIDTH, RADIUS = plate_with_hole.LENGTH, plate_with_hole.WIDTH, plate_with_hole.RADIUS
 REFERENCE = json.loads(Path(__file__).with_name("finite_elements.json").read_text())

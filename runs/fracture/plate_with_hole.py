@@ -72,7 +72,7 @@ def case(
         horizon=layer,
         material=pd.Hencky(E=210e3, nu=0.33),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=control,
+        control=control,
         damage=damage,
         conditions=[pd.Displacement(left, x=-pull, y=0.0), pd.Displacement(right, x=pull, y=0.0)],
         steps=pd.Steps(steps),

@@ -70,7 +70,7 @@ def case(
         horizon=horizon,
         material=material,
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.choose("control", control, pd.CONTROLS),
+        control=pd.choose("control", control, pd.CONTROLS),
         conditions=[
             pd.Displacement(ends, x=lambda x, t: t * (stretch - 1.0) * (x[:, 0] - nx / 2)),
             pd.Displacement(region.Nearest((0.0, ny / 2)), y=0.0),

@@ -21,7 +21,7 @@ def case(dim=2, n=8, horizon=2.015, shake=0.2, scheme="correspondence", control=
         horizon=horizon,
         material=pd.Hencky(E=1.0e3, nu=0.3),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.choose("control", control, pd.CONTROLS),
+        control=pd.choose("control", control, pd.CONTROLS),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=0.1), **dict.fromkeys("xyz"[:dim], 0.0)),
             pd.Displacement(pd.region.Slab("x", low=last - 0.1), x=pull * last, y=0.5 * pull * last),

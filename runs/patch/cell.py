@@ -1,8 +1,8 @@
 """Periodic cell under a mean stress or the mean strain that belongs to it: the patch test of periodicity. Units m, N.
 
 ``axes`` are the periodic directions; in the others the body has free sides. Whatever method, horizon and axes, the
-deformation gradient is uniform and exact. ``control=stress`` prescribes the mean stress along x, ``control=strain`` the
-mean strain along x; what else the cell can do it does freely.
+deformation gradient is uniform and exact. ``prescribed=stress`` prescribes the mean stress along x, ``strain`` the mean
+strain along x; what else the cell can do it does freely.
 """
 
 from tension import NU, E, exact_gradient
@@ -10,7 +10,7 @@ from tension import NU, E, exact_gradient
 import pdpetsc as pd
 
 
-def case(dim=2, n=4, axes="", horizon=2.015, stress=100.0, scheme="sub_horizons", control="stress", G=0.0, steps=1):
+def case(dim=2, n=4, axes="", horizon=2.015, stress=100.0, scheme="sub_horizons", prescribed="stress", G=0.0, steps=1):
     if dim not in (1, 2, 3):
         raise pd.CaseError(f"dim is 1, 2 or 3, not {dim}.")
     high = [1.0] * dim
@@ -28,9 +28,9 @@ def case(dim=2, n=4, axes="", horizon=2.015, stress=100.0, scheme="sub_horizons"
         horizon=horizon / n,
         material=pd.Hencky(E=E, nu=NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        control=pd.Silling(G) if G else None,
         cell=cell,
-        conditions=[*held, pd.choose("control", control, load)],
+        conditions=[*held, pd.choose("prescribed", prescribed, load)],
         steps=pd.Steps(steps),
         history={
             "max_F_error": pd.LargestError(pd.deformation_gradient, lambda x, t: F),

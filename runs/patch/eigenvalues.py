@@ -26,7 +26,7 @@ def spectrum(dim, horizon, scheme, control):
         horizon=horizon,
         material=pd.LinearElastic(E=1.0, nu=0.3),
         scheme=scheme,
-        stabilisation=control,
+        control=control,
         conditions=[],
     )
     problem = study.build(case)

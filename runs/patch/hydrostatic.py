@@ -54,7 +54,7 @@ def case(n=25, horizon=1.015, G=0.0, loading="displacement", steps=4, scheme="co
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=control,
+        control=control,
         conditions=conditions,
         steps=pd.Steps(steps),
         history={

@@ -47,7 +47,7 @@ def case(
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        stabilisation=pd.Silling(G) if G else None,
+        control=pd.Silling(G) if G else None,
         conditions=[
             *held,
             *(

@@ -183,5 +183,5 @@ def method(scheme, control):
     """Return what a case passes on for the names of a scheme and a control."""
     return {
         "scheme": pd.choose("scheme", scheme, pd.SCHEMES),
-        "stabilisation": pd.choose("control", control, pd.CONTROLS),
+        "control": pd.choose("control", control, pd.CONTROLS),
     }

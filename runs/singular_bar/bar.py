@@ -40,7 +40,7 @@ def case(
         horizon=horizon * dx,
         material=BAR.material(),
         scheme=scheme_of(scheme, order, sectors),
-        stabilisation=chosen[0] if chosen else pd.choose("control", control, pd.CONTROLS),
+        control=chosen[0] if chosen else pd.choose("control", control, pd.CONTROLS),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=0.5 * dx), x=0.0),
             pd.Displacement(pd.region.Slab("x", low=1.0 - 0.5 * dx), x=BAR.end),

@@ -28,7 +28,7 @@ def case(n=4000, horizon=5.1, scheme="correspondence", order=0, sectors=0, contr
         horizon=horizon * dx,
         material=BAR.material(),
         scheme=scheme_of(scheme, order, sectors),
-        stabilisation=pd.choose("control", control, pd.CONTROLS),
+        control=pd.choose("control", control, pd.CONTROLS),
         conditions=[
             pd.Displacement(pd.region.Slab("x", high=0.9 * dx), x=0.0),
             pd.Traction(last, x=TRACTION, normal=(1.0,)),

@@ -25,11 +25,11 @@ METHODS = {
     "bond-associated": {"scheme": pd.BondAssociated()},
     "corrected, order 4": {"scheme": pd.Corrected(4)},
     "higher order 3": {"scheme": pd.HigherOrder(3)},
-    "Silling": {"scheme": pd.Correspondence(), "stabilisation": pd.Silling()},
-    "Littlewood": {"scheme": pd.Correspondence(), "stabilisation": pd.Littlewood()},
-    "Wan": {"scheme": pd.Correspondence(), "stabilisation": pd.Wan()},
-    "relative springs": {"scheme": pd.Correspondence(), "stabilisation": pd.RelativeSprings()},
-    "relative average": {"scheme": pd.Correspondence(), "stabilisation": pd.RelativeAverage()},
+    "Silling": {"scheme": pd.Correspondence(), "control": pd.Silling()},
+    "Littlewood": {"scheme": pd.Correspondence(), "control": pd.Littlewood()},
+    "Wan": {"scheme": pd.Correspondence(), "control": pd.Wan()},
+    "relative springs": {"scheme": pd.Correspondence(), "control": pd.RelativeSprings()},
+    "relative average": {"scheme": pd.Correspondence(), "control": pd.RelativeAverage()},
     "smoothed displacement": {"scheme": pd.SmoothedDisplacement()},
 }
 WAVES = 120

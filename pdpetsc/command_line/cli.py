@@ -1,0 +1,414 @@
+"""The command line: argument split, PETSc start, run, exit code."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import dataclasses
+import errno
+import importlib.util
+import inspect
+import io
+import os
+import re
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import petsc4py
+
+from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
+
+if TYPE_CHECKING:
+    from pdpetsc.case import Case
+
+USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE]]
+
+  CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
+  NAME=VALUE      a parameter of that function
+  -o DIR          folder for the results (default: out/CASE)
+  --restart FILE  go on from a checkpoint, or from the one in a folder
+  --restart-anyway  go on from it also where material, loads or cracks of the case have changed
+  --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
+  --quiet         print errors only
+  --version       print the version
+  -h              print this, and the parameters of CASE.py if it is given
+Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
+
+python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
+python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture"""
+
+# PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
+PETSC = ["pdpetsc", "-skip_petscrc"]
+# How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
+LONGEST_END = 120
+_ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
+_OPTION = re.compile(r"-{1,2}[A-Za-z]")
+
+
+@dataclass
+class Arguments:
+    """The command line, split."""
+
+    path: Path | None = None
+    parameters: dict[str, str] = field(default_factory=dict)
+    output: Path | None = None
+    restart: Path | None = None
+    restart_anyway: bool = False
+    solver: str | None = None
+    quiet: bool = False
+    version: bool = False
+    help: bool = False
+    petsc: list[str] = field(default_factory=list)
+
+
+def split(argv: Sequence[str]) -> Arguments:
+    """Split the command line into case, parameters, pdpetsc's own options and PETSc's.
+
+    A PETSc option takes the next word as its value unless that is an option or ``name=value``.
+
+    Raises
+    ------
+    CaseError
+        A value is missing or a word is not understood.
+    """
+    found = Arguments()
+    words = list(argv)
+    while words:
+        word = words.pop(0)
+        if word in ("-o", "--restart"):
+            if not words:
+                raise CaseError(f"{word} needs a path after it.")
+            path = Path(words.pop(0))
+            found.output, found.restart = (path, found.restart) if word == "-o" else (found.output, path)
+        elif word == "--solver":
+            if not words:
+                raise CaseError("--solver needs a name after it.")
+            found.solver = words.pop(0)
+        elif word in ("--quiet", "--version", "--restart-anyway"):
+            setattr(found, word[2:].replace("-", "_"), True)
+        elif word in ("-h", "--help"):
+            found.help = True
+        elif word.startswith("--"):
+            raise CaseError(
+                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --quiet, --version, -h."
+            )
+        elif _OPTION.match(word):
+            found.petsc.append(word)
+            if words and not _OPTION.match(words[0]) and not _ASSIGNMENT.match(words[0]):
+                found.petsc.append(words.pop(0))
+        elif _ASSIGNMENT.match(word):
+            name, value = word.split("=", 1)
+            if name in found.parameters:
+                raise CaseError(f"Parameter {name} is given twice.")
+            found.parameters[name] = value
+        elif found.path is None:
+            found.path = Path(word)
+        else:
+            raise CaseError(f"{word!r} is neither NAME=VALUE nor an option; the case file is {found.path}.")
+    return found
+
+
+def load_case(path: Path) -> Callable[..., Case]:
+    """Return the function ``case`` of a case file.
+
+    Raises
+    ------
+    CaseError
+        The file is missing, fails, or defines no such function.
+    """
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name that is too long
+        raise CaseError(f"Cannot read the case file {path}: {error.strerror or error}.") from None
+    if not there:
+        raise CaseError(f"Cannot read the case file {path}: file not found.")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise CaseError(f"The case file {path} must end in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent.resolve()))
+    _guarded(path, lambda: spec.loader.exec_module(module))  # type: ignore[union-attr]
+    function = getattr(module, "case", None)
+    if not callable(function):
+        raise CaseError(f"The case file {path} defines no function case(...).")
+    return function  # type: ignore[no-any-return]
+
+
+def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict[str, Any]:
+    """Return the keywords of a case function with the given values converted to their defaults' types.
+
+    Raises
+    ------
+    CaseError
+        A name is unknown, a value cannot be converted, or a parameter has no default.
+    """
+    parameters = inspect.signature(function).parameters
+    for name, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty:
+            raise CaseError(f"Parameter {name} of the case function needs a default.")
+    for name in given:
+        if name not in parameters:
+            known = ", ".join(parameters) or "none"
+            raise CaseError(f"The case has no parameter {name!r}; it has {known}.")
+    values = {name: parameter.default for name, parameter in parameters.items()}
+    return values | {name: _convert(name, text, values[name]) for name, text in given.items()}
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave with its exit status; a rank that fails alone aborts all."""
+    _keep_going_without_readers()
+    _take_signals()
+    failure: BaseException | None = None
+    try:
+        status = _run(sys.argv[1:] if argv is None else list(argv))
+    except BaseException as error:
+        failure, status = error, _failed(error)
+    with contextlib.suppress(ValueError):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    if of_petsc(failure):  # its own end can crash or hang then
+        _leave_petsc(status)
+    if "mpi4py.MPI" in sys.modules:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(LONGEST_END)
+    sys.exit(status)
+
+
+def _leave_petsc(status: int) -> NoReturn:
+    """Leave without PETSc's own end, where it has been started."""
+    if "petsc4py.PETSc" not in sys.modules:
+        sys.exit(status)
+    from pdpetsc.discrete.failure import leave
+
+    sys.stderr.flush()
+    leave(status)
+
+
+def _take_signals() -> None:
+    """Let signals raise KeyboardInterrupt, except those that are ignored, as under nohup."""
+    with contextlib.suppress(ValueError):  # they are the main thread's
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _failed(error: BaseException) -> int:
+    """Say what ended the command in one sentence and return its exit status; abort where this rank is alone."""
+    failure = described(error)
+    try:
+        from pdpetsc.discrete.communicator import is_root, world
+        from pdpetsc.discrete.failure import all_failed, give_up
+    except Exception as missing:  # without MPI there are no other ranks to think of
+        print(f"pdpetsc: {described(missing)}", file=sys.stderr, flush=True)
+        return 1
+    if isinstance(error, KeyboardInterrupt):
+        failure = Interrupted("Stopped by a signal.")
+    elif isinstance(failure, RunError) and failure is not error:
+        if failure.bug:
+            traceback.print_exception(error)
+        if getattr(error, "ierr", None) is not None:
+            failure = CaseError(f"PETSc refused its options; check their names and values: {failure.what}.")
+    if not all_failed(error, failure):
+        give_up(failure)
+    if is_root(world()):
+        with contextlib.suppress(OSError):
+            print(f"pdpetsc: {failure}", file=sys.stderr, flush=True)
+    return failure.exit_status
+
+
+class _WithoutReader(io.FileIO):
+    """A stream whose reader may go away, like ``| head``: what is written then is dropped."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())  # PETSc writes there too
+            os.close(null)
+            if error.errno not in (errno.EPIPE, errno.EIO) and self.fileno() == 1:
+                with contextlib.suppress(OSError):
+                    print(f"pdpetsc: Cannot write to stdout: {error.strerror}.", file=sys.stderr, flush=True)
+            return memoryview(data).nbytes
+
+
+def _keep_going_without_readers() -> None:
+    """Let a run go on whose stdout or stderr nobody reads any more; its results are in its folder."""
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            if stream.fileno() == number and not isinstance(getattr(stream.buffer, "raw", None), _WithoutReader):
+                stream.flush()
+                setattr(sys, name, _reopened(stream, number))
+
+
+def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
+    buffer = io.BufferedWriter(_WithoutReader(number, "w", closefd=False))
+    # An unbuffered stream, as with PYTHONUNBUFFERED, has no buffer below the text.
+    by_line = stream.line_buffering or number == 2 or isinstance(stream.buffer, io.FileIO)
+    return io.TextIOWrapper(buffer, stream.encoding, stream.errors, line_buffering=by_line)
+
+
+def _run(argv: list[str]) -> int:
+    if argv[:1] == ["plot"]:
+        return _plot(argv[1:])
+    if argv[:1] == ["compare"]:
+        return _compare(argv[1:])
+    arguments = split(argv)
+    petsc4py.init([*PETSC, *arguments.petsc])
+    from pdpetsc.discrete.communicator import world
+    from pdpetsc.running.signals import watched
+
+    comm = world()
+    with watched(comm, _stuck):  # PETSc has put its own handlers of signals in place of Python's
+        return _run_case(argv, arguments)
+
+
+def _stuck() -> None:
+    """End a rank that a signal should have ended and that waits for others in MPI."""
+    from pdpetsc.discrete.communicator import world
+    from pdpetsc.discrete.failure import give_up
+
+    if world().size > 1:
+        give_up(Interrupted("Stopped by a signal."))
+
+
+def _run_case(argv: list[str], arguments: Arguments) -> int:
+    from pdpetsc import __version__
+    from pdpetsc.declare.choice import choose
+    from pdpetsc.declare.solvers import SOLVERS
+    from pdpetsc.discrete.communicator import agreed, is_root, world
+    from pdpetsc.running.runner import run
+
+    comm = world()
+    if arguments.version or (arguments.help and arguments.path is None) or not argv:
+        if is_root(comm):
+            print(f"pdpetsc {__version__}" if arguments.version else USAGE)
+        return 0 if argv else 2
+    with agreed(comm):
+        if arguments.path is None:
+            raise CaseError("No case file is given; python -m pdpetsc -h shows the usage.")
+        function = load_case(arguments.path)
+        parameters = arguments_of(function, {} if arguments.help else arguments.parameters)
+    if arguments.help:
+        if is_root(comm):
+            print(USAGE, "", inspect.getdoc(sys.modules.get(function.__module__)) or "", "parameters:", sep="\n")
+            print("\n".join(f"  {name}={value!r}" for name, value in parameters.items()))
+        return 0
+    with agreed(comm):
+        case = _make_case(arguments.path, function, parameters)
+        if arguments.solver is not None:
+            case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
+    output = arguments.output or Path("out") / arguments.path.stem
+    run(case, output, None, arguments.restart, arguments.quiet, parameters, arguments.restart_anyway)
+    return 0
+
+
+def _plot(argv: list[str]) -> int:
+    from pdpetsc.command_line import plot
+
+    arguments = split(argv)
+    if arguments.help or not argv:
+        print(plot.USAGE)
+        return 0 if argv else 2
+    if arguments.path is None:
+        raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver:
+        raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
+    for path in plot.plot(arguments.path, arguments.parameters):
+        print(path)
+    return 0
+
+
+def _compare(argv: list[str]) -> int:
+    from pdpetsc.command_line import compare
+
+    arguments = split(argv)
+    if arguments.help or not argv:
+        print(compare.USAGE)
+        return 0 if argv else 2
+    if arguments.path is None:
+        raise CaseError("No case file is given; python -m pdpetsc compare -h shows the usage.")
+    if arguments.restart is not None:
+        raise CaseError("compare takes no --restart; every run starts from the beginning.")
+    ranks, petsc = 1, list(arguments.petsc)
+    if arguments.solver is not None:
+        petsc += ["--solver", arguments.solver]
+    if "-ranks" in petsc:
+        at = petsc.index("-ranks")
+        if at + 1 == len(petsc) or not petsc[at + 1].isdigit() or int(petsc[at + 1]) < 1:
+            raise CaseError("-ranks takes a positive number.")
+        ranks = int(petsc[at + 1])
+        del petsc[at : at + 2]
+    petsc4py.init(PETSC)
+    _take_signals()  # PETSc has taken some of them
+    choices = {name: text.split(",") for name, text in arguments.parameters.items()}
+    function = load_case(arguments.path)
+    for name, values in choices.items():
+        for value in values:
+            arguments_of(function, {name: value})
+    output = arguments.output or Path("out") / f"compare_{arguments.path.stem}"
+    try:
+        compare.refuse_failed(compare.compare(arguments.path, choices, output, ranks, petsc), output)
+    except KeyboardInterrupt:
+        raise Interrupted(f"Stopped; the same command goes on with what {output} holds.") from None
+    return 0
+
+
+def _make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
+    from pdpetsc.case import Case
+
+    case = _guarded(path, lambda: function(**parameters))
+    if not isinstance(case, Case):
+        raise CaseError(f"case(...) of {path} must return a pdpetsc.Case, not {type(case).__name__}.")
+    return case
+
+
+def _guarded(path: Path, call: Callable[[], Any]) -> Any:
+    """Call what the case file defines and turn its errors into one sentence with the line."""
+    try:
+        return call()
+    except PdpetscError:
+        raise
+    except SystemExit as error:
+        raise CaseError(
+            f"The case file {path} called sys.exit{_line_of(path, error)}; it must not end the run."
+        ) from error
+    except SyntaxError as error:
+        inside = error.filename is None or Path(error.filename).name == path.name
+        where = f"The case file {path}" if inside else f"{error.filename}, which the case file {path} imports,"
+        raise CaseError(f"{where} has a syntax error in line {error.lineno}: {error.msg}.") from error
+    except Exception as error:
+        where = _line_of(path, error) or " somewhere below it"
+        words = " ".join(str(error).split()).rstrip(".")
+        said = f"{type(error).__name__}: {words}" if words else type(error).__name__
+        raise CaseError(f"The case file {path} failed{where}: {said}.") from error
+
+
+def _line_of(path: Path, error: BaseException) -> str:
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == path.name]
+    return f" in line {lines[-1]}" if lines else ""
+
+
+def _convert(name: str, text: str, default: Any) -> Any:
+    kind = type(default)
+    try:
+        if kind is bool:
+            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+        if kind in (int, float, str):
+            return kind(text)
+        value = ast.literal_eval(text)
+        return value if default is None else kind(value)
+    except (ValueError, KeyError, SyntaxError, TypeError):
+        raise CaseError(f"Parameter {name} takes {kind.__name__} like {default!r}, not {text!r}.") from None

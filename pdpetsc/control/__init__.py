@@ -1,0 +1,34 @@
+"""Zero-energy controls: forces linear in the displacement, one file per published control."""
+
+from pdpetsc.control.averaged_displacement import AveragedDisplacement, RelativeAverage
+from pdpetsc.control.base import Control, ZeroEnergyControl
+from pdpetsc.control.littlewood import Littlewood
+from pdpetsc.control.penalty import Penalty
+from pdpetsc.control.silling import Silling, SillingMicromodulus
+from pdpetsc.control.springs import RelativeSprings, Springs
+from pdpetsc.control.wan import Wan
+
+__all__ = [
+    "CONTROLS",
+    "AveragedDisplacement",
+    "Control",
+    "Littlewood",
+    "Penalty",
+    "RelativeAverage",
+    "RelativeSprings",
+    "Silling",
+    "SillingMicromodulus",
+    "Springs",
+    "Wan",
+    "ZeroEnergyControl",
+]
+
+# Every control whose strength does not depend on units or spacing, by the word that cases and the command line use.
+CONTROLS: dict[str, ZeroEnergyControl | None] = {
+    "none": None,
+    "silling": Silling(),
+    "littlewood": Littlewood(),
+    "wan": Wan(),
+    "springs": RelativeSprings(),
+    "averaged_displacement": RelativeAverage(),
+}

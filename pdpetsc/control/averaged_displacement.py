@@ -1,0 +1,117 @@
+"""Averaged displacement states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.control.base import (
+    Control,
+    ControlMatrix,
+    IsotropicMatrix,
+    Stencil,
+    Stiffness,
+    ZeroEnergyControl,
+    fill,
+    refuse_negative,
+    relative_factor,
+)
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.gradient.base import whole_families
+from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.kernels.control import average_force_kernel
+
+
+@dataclass(frozen=True)
+class RelativeAverage(ZeroEnergyControl):
+    """Averaged displacement states of a share of the stiffness of the material.
+
+    ``T_a = C kappa / (sum_j omega |xi|^2 V_j sum_j omega V_j) omega a_i`` with ``a_i = sum_j omega eta_ij V_j``.
+    ``C`` is a pure number, the same in all units and at all spacings. On whole families of a lattice ``a`` vanishes for
+    affine displacements; where families are cut it does not, and the patch test fails at free surfaces.
+
+    Parameters
+    ----------
+    C : float
+        Strength [-], not negative.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8). The factor is ours.
+    """
+
+    C: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_negative("Relative averages need C", self.C)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective)."""
+        weight = omega * cloud.volume[families.neighbours]
+        total = np.bincount(families.centres, weight, minlength=cloud.n_owned)
+        c = self.C * relative_factor(cloud, families, omega, stiffness)
+        np.divide(c, total, out=c, where=total > 0.0)
+        return _Averaged(cloud, families, omega, c * cloud.volume[: cloud.n_owned])
+
+
+@dataclass(frozen=True)
+class AveragedDisplacement(ZeroEnergyControl):
+    """Averaged displacement states with the constant of the papers, ``T_a = C2 omega a_i``.
+
+    ``a_i = sum_j omega eta_ij V_j``. The factor omega, which the paper leaves out, makes the force derive from the
+    energy ``1/2 C2 sum_i V_i |a_i|^2``; with constant influence it makes no difference. ``C2`` carries a unit and its
+    best value depends on the spacing: it is here to compare with papers, ``RelativeAverage`` is the same in all units.
+    The constants of Luo's Table 1 belong to an average without volumes: in a bar of unit cross-section they are
+    ``C2 / dx`` here.
+
+    Parameters
+    ----------
+    C2 : float
+        Constant [force / length^10; force / length^4 for a bar], not negative.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8) and Table 1.
+    """
+
+    C2: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_negative("Averaged displacement needs C2", self.C2)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective)."""
+        return _Averaged(cloud, families, omega, self.C2 * cloud.volume[: cloud.n_owned])
+
+
+class _Averaged(Control):
+    """Energy ``1/2 sum_i c_i |a_i|^2``."""
+
+    def __init__(self, cloud: Cloud, families: Families, omega: Float, c: Float) -> None:
+        stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
+        self._cloud = cloud
+        self._c = c
+        self._stencils = stencils.point_ptr, stencils.members
+        self._b = stencils.weight
+        self._b[stencils.point_ptr[:-1]] = -np.add.reduceat(self._b, stencils.point_ptr[:-1])
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first."""
+        return self._stencils
+
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add ``c_i a_i b_ik`` to every member ``k`` of ``i``; return the energy."""
+        kernel = average_force_kernel(self._cloud.dim)
+        return float(kernel(particles, *self._stencils, self._b, self._c, u, f))
+
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
+        data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
+        return IsotropicMatrix(pattern, *fill(pattern, 1, assemble_kernel(1), self._stencils, *data))

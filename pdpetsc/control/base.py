@@ -1,0 +1,208 @@
+"""What a zero-energy control declares and what the model asks of it."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.declared import Declared
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.kernels.assembly import add_isotropic_kernel
+from pdpetsc.kernels.sparsity import transpose
+
+Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
+_NO_DAMAGE = "This zero-energy control cannot take bond damage; take Silling, springs, the penalty or none."
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """Small-strain stiffness of the own particles, which scales a control.
+
+    Attributes
+    ----------
+    kappa : (n_owned,) float64
+        ``lambda + 2 mu / dim`` [stress].
+    moduli : (n_materials, dim, dim, dim, dim) float64
+        ``dP/dF`` at F = I of each material [stress].
+    material_of : (n_owned,) int32
+        Index into ``moduli``.
+    factor : (n_owned,) float64
+        What grading multiplies the moduli by [-]; already in ``kappa``.
+    """
+
+    kappa: Float
+    moduli: Float
+    material_of: LocalIndex
+    factor: Float
+
+
+def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Float:
+    """Return ``kappa_i / sum_j omega |xi|^2 V_j`` (n_owned,) [force / length^7], 0 for a particle without family.
+
+    A bond force ``C`` times it times ``omega eta`` is a share ``C`` of the stiffness of the material whatever the
+    units, the spacing and the horizon (not collective).
+    """
+    xi = families.bonds(cloud.x)
+    moment = omega * np.einsum("bm,bm->b", xi, xi) * cloud.volume[families.neighbours]
+    trace = np.bincount(families.centres, moment, minlength=cloud.n_owned)
+    return np.divide(stiffness.kappa, trace, out=np.zeros(cloud.n_owned), where=trace > 0.0)
+
+
+def refuse_negative(what: str, value: float) -> None:
+    """Raise CaseError where the coefficient of a control is negative or not finite."""
+    if not (math.isfinite(value) and value >= 0.0):
+        raise CaseError(f"{what} >= 0, not {value}.")
+
+
+class ControlMatrix(ABC):
+    """The constant matrix of a control in the layout of a pattern."""
+
+    @abstractmethod
+    def add(self, dim: int, diag: Float, off: Float) -> None:
+        """Add it to the values of the own rows."""
+
+
+@dataclass(frozen=True)
+class IsotropicMatrix(ControlMatrix):
+    """One scalar per block, times the identity."""
+
+    pattern: Pattern
+    diag: Float
+    off: Float
+
+    def add(self, dim: int, diag: Float, off: Float) -> None:
+        """Add it to the values of the own rows."""
+        kernel = add_isotropic_kernel(dim)
+        kernel(self.pattern.owned.diag_ptr, self.diag, diag)
+        kernel(self.pattern.owned.off_ptr, self.off, off)
+
+
+@dataclass(frozen=True)
+class BlockMatrix(ControlMatrix):
+    """Full blocks, in scalar CSR layout."""
+
+    diag: Float
+    off: Float
+
+    def add(self, dim: int, diag: Float, off: Float) -> None:
+        """Add it to the values of the own rows."""
+        diag += self.diag
+        off += self.off
+
+
+def fill(
+    pattern: Pattern, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float
+) -> tuple[Float, Float]:
+    """Return the values of the own rows, own columns and others, of a matrix with ``dim x dim`` values per block.
+
+    Parameters
+    ----------
+    pattern : Pattern
+        Where its blocks are.
+    dim : int
+        Block size: the dimension, or 1 for a matrix of one scalar per block.
+    kernel : callable
+        Row-wise loop with the arguments of ``kernels.assembly.assemble_kernel``.
+    stencils : (point_ptr, members)
+        What the matrix couples.
+    data
+        What the kernel reads after the stencils.
+
+    Notes
+    -----
+    Collective.
+    """
+    transposed = transpose(*stencils, pattern.cloud.n_local)
+    values = []
+    for rows in (pattern.owned, pattern.ghost):
+        diag, off = np.zeros(dim * dim * rows.diag_ptr[-1]), np.zeros(dim * dim * rows.off_ptr[-1])
+        kernel(
+            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *transposed,
+            *stencils, *data, diag, off,
+        )  # fmt: skip
+        values.append((diag, off))
+    diag, off = values[0]
+    pattern.complete(values[1][0], diag, off, dim)
+    return diag, off
+
+
+class Control(ABC):
+    """A control built for one cloud: forces linear in u, so that its matrix is constant."""
+
+    @property
+    @abstractmethod
+    def stencils(self) -> Stencil:
+        """Return what its matrix couples: the families with their centre first."""
+
+    @abstractmethod
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
+
+    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return bond stiffness (n_bonds,) and shape tensors with which H is the gradient of a scheme, if it is.
+
+        Then one pass over the families serves both (not collective).
+        """
+        return None
+
+    @abstractmethod
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the matrix for ``pattern`` (collective)."""
+
+    def damaged(self, integrity: Float) -> Control:
+        """Return the control with the stiffness of every bond times its integrity (n_bonds,).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
+
+    def faded(self, integrity: Float) -> Control:
+        """Return the control with the force of every bond times its integrity (n_bonds,); its gradient stays.
+
+        Its matrix is that of a constant integrity.
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
+
+    def bond_forces(self, u: Float) -> Float:
+        """Return the force of every bond on its second end (n_bonds, dim) [force] for displacements with ghosts.
+
+        Without what ``faded`` multiplies it with (not collective).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NO_DAMAGE)
+
+
+@dataclass(frozen=True)
+class ZeroEnergyControl(Declared, ABC):
+    """A zero-energy control as a case declares it."""
+
+    @abstractmethod
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control for influence ``omega`` (n_bonds,) and the stiffness of the own particles.
+
+        Notes
+        -----
+        Collective.
+        """

@@ -1,0 +1,54 @@
+"""Littlewood's penalty on what a bond's length and a uniform gradient disagree about."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
+from pdpetsc.control.non_uniform import Directed
+from pdpetsc.control.projection import gradient_weights
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class Littlewood(ZeroEnergyControl):
+    """Littlewood's penalty, ``T_h = C c_i omega (n . z) n / |xi|`` with ``z = eta - (F - I) xi``, ``n = xi / |xi|``.
+
+    ``c_i = 2 dim^2 kappa / sum_j omega |xi| V_j`` is the micromodulus of a bond-based solid on the family at hand
+    (``18 kappa / pi horizon^4`` in 3D with many neighbours), so ``C`` is a pure number. The direction of the bond is
+    that of the reference configuration and the forces derive from an energy, which makes the matrix constant and
+    symmetric; the original turns with the bond and acts on its two ends alone.
+
+    Parameters
+    ----------
+    C : float
+        Strength [-], not negative.
+
+    References
+    ----------
+    Littlewood (2010), IMECE2010-40621; Tupek and Radovitzky (2014).
+    """
+
+    C: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.C) and self.C >= 0.0):
+            raise CaseError(f"Littlewood's penalty needs C >= 0, not {self.C}.")
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        g, _ = gradient_weights(cloud, families, omega, "Littlewood's penalty")
+        xi = families.bonds(cloud.x)
+        length = np.linalg.norm(xi, axis=1)
+        n = xi / length[:, None]
+        centres, volume = families.centres, omega * cloud.volume[families.neighbours]
+        c = 2.0 * cloud.dim**2 * stiffness.kappa / np.bincount(centres, volume * length, minlength=cloud.n_owned)
+        s = self.C * c[centres] * volume * cloud.volume[centres] / length
+        return Directed(cloud, families, s[:, None, None] * n[:, :, None] * n[:, None, :], g)

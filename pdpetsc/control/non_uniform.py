@@ -1,0 +1,141 @@
+"""Controls on ``z = eta - H xi``, what a gradient of the whole family leaves unexplained."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, Stencil, fill
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.gradient.base import FLAT, GradientOperator, whole_families
+from pdpetsc.kernels.control import (
+    directed_force_kernel,
+    directed_matrix_kernel,
+    non_uniform_force_kernel,
+    non_uniform_matrix_kernel,
+)
+from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.kernels.tangent import same_gradient_kernel
+
+# Weights of two gradients are the same up to this share of the largest.
+SAME = 1e-12
+
+
+class NonUniform(Control):
+    """Energy ``1/2 sum_i sum_j s_ij |z_ij|^2`` with scalar bond stiffness, forces ``T_ij s_ij z_ij``.
+
+    Parameters
+    ----------
+    cloud, families
+        The bonds.
+    stiffness : (n_bonds,) float64
+        ``s_ij`` [force / length].
+    K_inverse : (n_owned, dim, dim) float64
+        Inverse of ``sum_j s_ij xi (x) xi``, which makes H the gradient that fits the family best; zero for H = 0.
+    integrity : (n_bonds,) float64, optional
+        ``T_ij`` [-], which H does not know of; 1 where absent. The forces have no potential then.
+    """
+
+    def __init__(
+        self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float, integrity: Float | None = None
+    ) -> None:
+        self._cloud = cloud
+        self._families = families
+        self._stiffness = stiffness
+        self._K_inverse = K_inverse
+        self._forces = stiffness if integrity is None else stiffness * integrity
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first."""
+        with_centre = whole_families(self._cloud, self._families, self._stiffness)
+        return with_centre.point_ptr, with_centre.members
+
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add ``T_ij s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum T s |z|^2``."""
+        kernel, family = non_uniform_force_kernel(self._cloud.dim), self._families
+        data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
+        return float(kernel(particles, *data, u, f))
+
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the scalar matrix of the control (collective)."""
+        kernel = non_uniform_matrix_kernel(self._cloud.dim)
+        with_centre = whole_families(self._cloud, self._families, self._stiffness)
+        forces = np.insert(self._forces, self._families.indptr[:-1], 0.0)
+        data = forces, with_centre.weight, self._K_inverse, self._cloud.x
+        return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (with_centre.point_ptr, with_centre.members), *data))
+
+    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+        """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
+        if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self._stiffness) + len(
+            self._K_inverse
+        ):
+            return None
+        deviation = same_gradient_kernel(self._cloud.dim)
+        data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
+        if deviation(*data) > SAME:
+            return None
+        return self._stiffness, np.linalg.inv(self._K_inverse)
+
+    def damaged(self, integrity: Float) -> Control:
+        """Return the control with ``s_ij`` times the integrity; a family left flat gives no gradient across it."""
+        stiffness = self._stiffness * integrity
+        K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
+        held = self._K_inverse.any(axis=(1, 2))
+        K_inverse = np.where(held[:, None, None], np.linalg.pinv(K, rcond=FLAT, hermitian=True), 0.0)
+        return NonUniform(self._cloud, self._families, stiffness, K_inverse)
+
+    def faded(self, integrity: Float) -> Control:
+        """Return the control with ``T_ij``."""
+        return NonUniform(self._cloud, self._families, self._stiffness, self._K_inverse, integrity)
+
+    def bond_forces(self, u: Float) -> Float:
+        """Return ``s_ij z_ij``."""
+        family = self._families
+        xi, eta = family.bonds(self._cloud.x), family.bonds(u)
+        weighted = np.einsum("b,bi,bj->bij", self._stiffness, eta, xi)
+        H = sum_by(family.centres, weighted, self._cloud.n_owned) @ self._K_inverse
+        return np.asarray(self._stiffness[:, None] * (eta - np.einsum("bij,bj->bi", H[family.centres], xi)))
+
+
+class Directed(Control):
+    """Energy ``1/2 sum_i sum_j z_ij . S_ij z_ij`` with a tensor ``S_ij`` per bond.
+
+    Parameters
+    ----------
+    cloud, families
+        The bonds.
+    S : (n_bonds, dim, dim) float64
+        Symmetric stiffness of the bonds [force / length].
+    g : (n_bonds, dim) float64
+        Weights of the gradient, ``H_i = sum_j eta_ij (x) g_ij`` [1 / length].
+    """
+
+    def __init__(self, cloud: Cloud, families: Families, S: Float, g: Float) -> None:
+        self._cloud = cloud
+        self._families = families
+        self._S = S
+        self._g = g
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first."""
+        with_centre = whole_families(self._cloud, self._families, np.zeros(len(self._g)))
+        return with_centre.point_ptr, with_centre.members
+
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add the forces and return the energy."""
+        family = self._families
+        kernel = directed_force_kernel(self._cloud.dim)
+        return float(kernel(particles, family.indptr, family.neighbours, self._S, self._g, self._cloud.x, u, f))
+
+    def matrix(self, pattern: Pattern) -> ControlMatrix:
+        """Return the block matrix of the control (collective)."""
+        dim, cloud = self._cloud.dim, self._cloud
+        xi = self._families.bonds(cloud.x)
+        T = np.zeros((cloud.n_owned, dim, dim, dim, dim))
+        np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
+        data = self._S, self._g, T, cloud.x
+        return BlockMatrix(*fill(pattern, dim, directed_matrix_kernel(dim), self.stencils, *data))

@@ -1,0 +1,48 @@
+"""The penalty on what a uniform gradient leaves unexplained, with the constant of the papers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl, refuse_negative
+from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.gradient.base import regular_shape_tensors
+
+
+@dataclass(frozen=True)
+class Penalty(ZeroEnergyControl):
+    """Penalty of one constant for the whole body, ``T_a = C3 omega z`` with ``z = eta - (F - I) xi``.
+
+    It leaves affine displacements alone. ``C3`` carries a unit and its best value depends on the spacing and the
+    material: it is here to compare with papers. Scaled with the modulus and the family of each particle it is
+    ``Silling``, ``G kappa = C3 sum_j omega |xi|^2 V_j``.
+
+    Parameters
+    ----------
+    C3 : float
+        Constant [force / length^7; force / length^3 for a bar], not negative.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014), third method, as Luo, Sundararaghavan (2018), section 5.1, and
+    Silling (2017), section 5, describe it.
+    """
+
+    C3: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_negative("The penalty needs C3", self.C3)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        weight = omega * cloud.volume[families.neighbours]
+        K = regular_shape_tensors(cloud, families, weight, "the penalty")
+        factor = self.C3 * cloud.volume[: cloud.n_owned]
+        K_inverse = np.linalg.inv(K * factor[:, None, None]) if self.C3 > 0.0 else np.zeros_like(K)
+        return NonUniform(cloud, families, factor[families.centres] * weight, K_inverse)

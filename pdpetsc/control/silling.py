@@ -1,0 +1,170 @@
+"""Silling's control of the non-uniform part of the deformation of a family."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
+from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.declare.influence import Constant, Influence, evaluate
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import regular_shape_tensors
+
+# Micromodulus of a bond-based solid times horizon^4 over its stiffness, with a thickness of one in the plane.
+MICROMODULUS = {2: 12.0 / math.pi, 3: 18.0 / math.pi}
+
+
+@dataclass(frozen=True)
+class Silling(ZeroEnergyControl):
+    """Silling's control, ``T_z = G kappa / (sum_j omega |xi|^2 V_j) omega z`` with ``z = eta - (F - I) xi``.
+
+    ``kappa = lambda + 2 mu / dim`` is the modulus of the material, so ``G`` is a pure number: the same case in other
+    units has the same answer. It acts on what a uniform gradient of the whole family leaves unexplained and leaves
+    every affine displacement alone.
+
+    Parameters
+    ----------
+    G : float
+        Strength [-], not negative; about 0.5 suppresses zero-energy modes and costs little stiffness.
+
+    Raises
+    ------
+    CaseError
+        ``G`` is negative or not finite.
+
+    References
+    ----------
+    Silling (2017), section 5; Hashim et al., Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
+    """
+
+    G: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_negative(self.G)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective); raises CaseError where a family is too small or flat."""
+        weight = omega * cloud.volume[families.neighbours]
+        K = regular_shape_tensors(cloud, families, weight, "Silling's control")
+        return _proportional(cloud, families, weight, K, self.G * stiffness.kappa / np.einsum("pii->p", K))
+
+
+@dataclass(frozen=True)
+class SillingMicromodulus(ZeroEnergyControl):
+    """Silling's control as Hashim et al. print it, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
+
+    ``C = 12 k' / (pi h horizon^4)`` is the micromodulus of a bond-based solid with ``k' = lambda + mu`` in plane strain
+    or stress; the thickness h is one unit of length. In 3D ``C = 18 k / (pi horizon^4)`` with the bulk modulus k.
+    ``C / omega_0`` times a length is not a force density: another unit of length multiplies ``G`` by the square of the
+    ratio of the units, and the ``G`` of a paper means something with its unit alone. It is here to reproduce such
+    papers; ``Silling`` has a ``G`` without a unit.
+
+    Parameters
+    ----------
+    G : float
+        Strength, not negative: a number for one unit of length.
+    unit_length : float
+        That unit in the unit of the case [length]: 1 where the case is in the paper's units, 1000 where the paper
+        computes in m and the case in mm. The same ``G`` and unit give the same answer in every unit of the case.
+
+    Raises
+    ------
+    CaseError
+        ``G`` is negative or not finite, or ``unit_length`` not positive; when built, of a body in 1D.
+
+    References
+    ----------
+    Hashim, Coombs, Augarde, Hattori, Eq. (37)-(44); Silling (2017), section 5.
+    """
+
+    G: float
+    unit_length: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_negative(self.G)
+        if not (math.isfinite(self.unit_length) and self.unit_length > 0.0):
+            raise CaseError(f"SillingMicromodulus needs a positive unit_length, not {self.unit_length}.")
+
+    def unit_free(
+        self,
+        spacing: float,
+        horizon: float,
+        dim: int = 2,
+        influence: Influence = Constant(),  # noqa: B008 (frozen)
+    ) -> float:
+        """Return the ``G`` of ``Silling`` that is the same control on whole families of a square or cubic lattice.
+
+        It is ``G (unit_length / horizon)^2 c sum omega |xi|^2 / (horizon^2 sum omega)`` with c = 12 / pi in 2D and
+        18 / pi in 3D, sums over the lattice; families that a boundary cuts have other sums and differ from it. It is
+        proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` leads back.
+
+        Parameters
+        ----------
+        spacing, horizon : float
+            Of the lattice [length].
+        dim : int
+            2 or 3.
+        influence : Influence
+            As in the case.
+
+        Raises
+        ------
+        CaseError
+            There is no such control in this dimension, or the horizon holds no neighbour.
+        """
+        c = _micromodulus(dim)
+        if not (0.0 < spacing <= horizon * (1.0 + HORIZON_TOLERANCE) and math.isfinite(horizon)):
+            raise CaseError(f"A lattice needs 0 < spacing <= horizon, not {spacing} and {horizon}.")
+        reach = horizon * (1.0 + HORIZON_TOLERANCE) / spacing
+        steps = range(-int(reach), int(reach) + 1)
+        s = np.array([math.hypot(*n) for n in itertools.product(steps, repeat=dim) if 0.0 < math.hypot(*n) <= reach])
+        s = np.minimum(s * spacing / horizon, 1.0)
+        omega = evaluate(influence, s)
+        return float(self.G * (self.unit_length / horizon) ** 2 * c * (omega @ s**2) / omega.sum())
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective); raises CaseError in 1D and where a family is too small or flat."""
+        c = _micromodulus(cloud.dim)
+        weight = omega * cloud.volume[families.neighbours]
+        K = regular_shape_tensors(cloud, families, weight, "Silling's control")
+        omega_0 = np.bincount(families.centres, weight, minlength=cloud.n_owned)
+        modulus = c * (self.unit_length / cloud.horizon) ** 2 * stiffness.kappa
+        return _proportional(cloud, families, weight, K, self.G * modulus / (cloud.horizon**2 * omega_0))
+
+
+def _refuse_negative(G: float) -> None:
+    if not (math.isfinite(G) and G >= 0.0):
+        raise CaseError(f"Silling's control needs G >= 0, not {G}.")
+
+
+def _micromodulus(dim: int) -> float:
+    """Return the micromodulus times horizon^4 over the stiffness."""
+    if dim not in MICROMODULUS:
+        raise CaseError(f"No paper gives the micromodulus of SillingMicromodulus in {dim}D; take Silling there.")
+    return MICROMODULUS[dim]
+
+
+def _proportional(cloud: Cloud, families: Families, weight: Float, K: Float, coefficient: Float) -> Control:
+    """Return the control ``T_z = coefficient omega z``.
+
+    Parameters
+    ----------
+    weight : (n_bonds,) float64
+        ``omega V_j`` [volume].
+    K : (n_owned, dim, dim) float64
+        Shape tensors for these weights.
+    coefficient : (n_owned,) float64
+        [force / length^(2 dim + 1), thickness counted as a length]; all zero or all positive.
+    """
+    factor = coefficient * cloud.volume[: cloud.n_owned]
+    K_inverse = np.linalg.inv(K * factor[:, None, None]) if np.any(factor) else np.zeros_like(K)
+    return NonUniform(cloud, families, factor[families.centres] * weight, K_inverse)

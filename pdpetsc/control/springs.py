@@ -1,0 +1,77 @@
+"""Springs on the bonds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl, refuse_negative, relative_factor
+from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+
+
+@dataclass(frozen=True)
+class RelativeSprings(ZeroEnergyControl):
+    """Linear springs of a share of the stiffness of the material.
+
+    ``T_a = C kappa / (sum_j omega |xi|^2 V_j) omega eta`` with the factor of ``Silling``: ``C`` is a pure number,
+    the same in all units and at all spacings. Springs resist affine deformation and rotation as well: a bar is stiffer
+    by the factor ``1 + C`` in every uniform state, the patch test fails and rotations must stay small.
+
+    Parameters
+    ----------
+    C : float
+        Strength [-], not negative; about the relative error that the springs add.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (7). The factor is ours.
+    """
+
+    C: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_negative("Relative springs need C", self.C)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective)."""
+        return springs(cloud, families, omega, self.C * relative_factor(cloud, families, omega, stiffness))
+
+
+@dataclass(frozen=True)
+class Springs(ZeroEnergyControl):
+    """Linear springs with the constant of the papers, ``T_a = C1 omega eta``.
+
+    ``C1`` carries a unit and its best value depends on the spacing and on the softest material: it is here to compare
+    with papers, ``RelativeSprings`` is the same in all units. The constants of Luo's Table 1 belong to sums without the
+    volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
+
+    Parameters
+    ----------
+    C1 : float
+        Spring constant [force / length^7; force / length^3 for a bar], not negative.
+
+    References
+    ----------
+    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (7) and Table 1.
+    """
+
+    C1: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_negative("Springs need C1", self.C1)
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the control (collective)."""
+        return springs(cloud, families, omega, np.full(cloud.n_owned, self.C1))
+
+
+def springs(cloud: Cloud, families: Families, omega: Float, c: Float) -> Control:
+    """Return springs with ``c_i`` (n_owned,) [force / length^7] of the centre of each bond (not collective)."""
+    s = c[families.centres] * omega * cloud.volume[families.centres] * cloud.volume[families.neighbours]
+    return NonUniform(cloud, families, s, np.zeros((cloud.n_owned, cloud.dim, cloud.dim)))

@@ -1,0 +1,310 @@
+"""How a bond loses its force beyond its critical stretch."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import roots_legendre
+
+from pdpetsc.arrays import Float
+from pdpetsc.damage.critical import CriticalStretch
+from pdpetsc.damage.effect import DamageEffect, LargestStretch
+from pdpetsc.declare.region import Region
+from pdpetsc.declared import Declared, shown
+from pdpetsc.errors import CaseError
+
+# Points of the quadrature of the dissipated energy.
+QUADRATURE = 40
+
+
+@dataclass(frozen=True)
+class BondDamage(Declared, ABC):
+    """A bond keeps its force up to its critical stretch and loses it beyond; what it has lost it does not regain.
+
+    Its state is the integrity ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the largest
+    stretch over the critical one that the bond has had, ``x = s / s_c``, unless ``effect`` says otherwise. Compression
+    does no damage. Derive from it for another law.
+
+    Parameters
+    ----------
+    critical : CriticalStretch
+        What stretches are measured by.
+    protected : Region, optional
+        Bonds with an end in it do not fail.
+    effect : DamageEffect
+        How the integrity enters the force states of deformation gradients; ``PresentStretch()`` as published by Hashim
+        et al. Bodies of bonds take the default alone.
+    """
+
+    critical: CriticalStretch
+    protected: Region | None = field(default=None, kw_only=True)
+    effect: DamageEffect = field(default_factory=LargestStretch, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.critical, CriticalStretch):
+            raise CaseError(
+                f"{type(self).__name__} needs a critical stretch such as ConstantCritical(0.01), "
+                f"not {shown(self.critical)}."
+            )
+        super().__post_init__()
+
+    @property
+    def onset(self) -> float:
+        """Return x where the integrity begins to fall [-]: at the critical stretch."""
+        return 1.0
+
+    @property
+    @abstractmethod
+    def final(self) -> float:
+        """Return x where the bond breaks [-]."""
+
+    @abstractmethod
+    def integrity(self, x: Float) -> Float:
+        """Return ``T`` (n,) [-] for x between onset and final."""
+
+    @abstractmethod
+    def slope(self, x: Float) -> Float:
+        """Return ``dT/dx`` (n,) [-] for x between onset and final."""
+
+    def dissipated(self, integrity: Float, x: Float, k: Float, limit: Float) -> Float:
+        """Return what linear bonds that have reached x have dissipated (n,) [energy].
+
+        ``-int 1/2 k l^2 y^2 dT(y)`` up to x, with the jumps of T at its ends.
+
+        Parameters
+        ----------
+        integrity, x, k, limit : (n,) float64
+            Integrity [-], largest stretch over the critical one [-], stiffness [force / length], critical elongation
+            [length].
+        """
+        points, weights = roots_legendre(QUADRATURE)
+        one, last = np.array([self.onset]), np.array([self.final])
+        lost = np.where(x > self.onset, self.onset**2 * (1.0 - self.integrity(one)[0]), 0.0)
+        lost += np.where(x >= self.final, self.final**2 * self.integrity(last)[0], 0.0)
+        for begin, end in zip(self.pieces[:-1], self.pieces[1:], strict=True):
+            half = 0.5 * (np.clip(x, begin, end) - begin)
+            y = begin + (points[:, None] + 1.0) * half
+            slope = self.slope(y.ravel()).reshape(y.shape)
+            lost -= half * (weights[:, None] * slope * y**2).sum(axis=0)
+        return np.asarray(0.5 * k * limit**2 * lost)
+
+    @property
+    def pieces(self) -> list[float]:
+        """Return the ends of the parts of the law that are smooth, from onset to final [-]."""
+        return [self.onset, self.final]
+
+
+@dataclass(frozen=True)
+class PiecewiseLinear(BondDamage):
+    """A law whose force falls linearly from the critical stretch to zero, which events can follow."""
+
+    @property
+    @abstractmethod
+    def final_ratio(self) -> float:
+        """Return the stretch without force over the critical one [-]: 1 for a bond that snaps."""
+
+    @property
+    def final(self) -> float:
+        """Return the ratio of final to critical stretch."""
+        return self.final_ratio
+
+    def integrity(self, x: Float) -> Float:
+        """Return ``(r - x) / ((r - 1) x)``, 1 for a bond that snaps."""
+        r = self.final_ratio
+        return np.ones_like(x) if r == 1.0 else np.asarray((r - x) / ((r - 1.0) * x))
+
+    def slope(self, x: Float) -> Float:
+        """Return ``-r / ((r - 1) x^2)``, 0 for a bond that snaps."""
+        r = self.final_ratio
+        return np.zeros_like(x) if r == 1.0 else np.asarray(-r / ((r - 1.0) * x**2))
+
+    def reached(self, integrity: Float) -> Float:
+        """Return x at which bonds of this integrity fail further (n,) [-].
+
+        On the envelope ``q = k l (r - x) / (r - 1)``, with the final ratio ``r``, ``q = T k l x``.
+        """
+        r = self.final_ratio
+        return np.asarray(r / (1.0 + integrity * (r - 1.0)))
+
+    def dissipated(self, integrity: Float, x: Float, k: Float, limit: Float) -> Float:
+        """Return what linear bonds have dissipated, from their integrity alone (n,) [energy]."""
+        y = self.reached(integrity)
+        force = integrity * y
+        return np.asarray(0.5 * k * limit**2 * (1.0 + (1.0 + force) * (y - 1.0) - force * y))
+
+
+@dataclass(frozen=True)
+class Brittle(PiecewiseLinear):
+    """The force drops to zero at the critical stretch.
+
+    References
+    ----------
+    Silling, Askari (2005), Eq. (24); Mikes, Jirasek, Zeman, Rokos, Peerlings, Eq. (7).
+    """
+
+    @property
+    def final_ratio(self) -> float:
+        """Return 1."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class LinearSoftening(PiecewiseLinear):
+    """The force falls linearly from the critical stretch to zero at ``ratio`` times that.
+
+    Parameters
+    ----------
+    ratio : float
+        Above 1.
+    """
+
+    ratio: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_ratio(self.ratio)
+
+    @property
+    def final_ratio(self) -> float:
+        """Return the ratio."""
+        return self.ratio
+
+
+@dataclass(frozen=True)
+class ExponentialSoftening(BondDamage):
+    """The force falls as ``exp(-rate (x - 1))``, shifted to be zero at ``ratio`` times the critical stretch.
+
+    Parameters
+    ----------
+    ratio : float
+        Above 1.
+    rate : float
+        Positive.
+    """
+
+    ratio: float = 5.0
+    rate: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_ratio(self.ratio)
+        if not (math.isfinite(self.rate) and self.rate > 0.0):
+            raise CaseError(f"Exponential softening needs a positive rate, not {self.rate}.")
+
+    @property
+    def final(self) -> float:
+        """Return the ratio."""
+        return self.ratio
+
+    def integrity(self, x: Float) -> Float:
+        """Return force over elastic force."""
+        rest = math.exp(-self.rate * (self.ratio - 1.0))
+        return np.asarray((np.exp(-self.rate * (x - 1.0)) - rest) / (1.0 - rest) / x)
+
+    def slope(self, x: Float) -> Float:
+        """Return its derivative."""
+        rest = math.exp(-self.rate * (self.ratio - 1.0))
+        falling = np.exp(-self.rate * (x - 1.0))
+        return np.asarray(-(self.rate * falling + (falling - rest) / x) / (1.0 - rest) / x)
+
+
+@dataclass(frozen=True)
+class BilinearSoftening(BondDamage):
+    """The force falls linearly to ``share`` of its largest value at ``kink``, then linearly to zero at ``ratio``.
+
+    Parameters
+    ----------
+    kink, share, ratio : float
+        Stretches over the critical one, ``1 < kink < ratio``, and the share of the force, between 0 and 1.
+    """
+
+    kink: float = 2.0
+    share: float = 0.3
+    ratio: float = 6.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_ratio(self.ratio)
+        if not (1.0 < self.kink < self.ratio and 0.0 < self.share < 1.0):
+            raise CaseError(
+                f"Bilinear softening needs 1 < kink < ratio and 0 < share < 1, "
+                f"not {self.kink}, {self.ratio} and {self.share}."
+            )
+
+    @property
+    def final(self) -> float:
+        """Return the ratio."""
+        return self.ratio
+
+    def integrity(self, x: Float) -> Float:
+        """Return force over elastic force."""
+        return np.asarray(np.interp(x, [1.0, self.kink, self.ratio], [1.0, self.share, 0.0]) / x)
+
+    def slope(self, x: Float) -> Float:
+        """Return its derivative."""
+        first, second = (self.share - 1.0) / (self.kink - 1.0), -self.share / (self.ratio - self.kink)
+        return np.asarray((np.where(x < self.kink, first, second) - self.integrity(x)) / x)
+
+    @property
+    def pieces(self) -> list[float]:
+        """Return onset, kink and final [-]."""
+        return [1.0, self.kink, self.ratio]
+
+
+@dataclass(frozen=True)
+class SmoothDegradation(BondDamage):
+    """The factor ``T_s = 1/2 (1 - tanh n)``, ``n = beta (s_min + s_cr - 2 s) / (s_min - s_cr)``, from s_min to s_cr.
+
+    Parameters
+    ----------
+    start : float
+        ``s_min / s_cr``, between 0 and 1.
+    beta : float
+        Positive.
+    continuous : bool
+        Rescale it to go from 1 to 0; as published it jumps by ``1/2 (1 - tanh beta)`` at both ends, 0.0025 for beta 3.
+
+    References
+    ----------
+    Hashim et al., Eq. (48)-(54).
+    """
+
+    start: float = 0.75
+    beta: float = 3.0
+    continuous: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (0.0 < self.start < 1.0 and math.isfinite(self.beta) and self.beta > 0.0):
+            raise CaseError(f"Smooth degradation needs 0 < start < 1 and beta > 0, not {self.start} and {self.beta}.")
+
+    @property
+    def onset(self) -> float:
+        """Return ``s_min / s_cr``."""
+        return self.start
+
+    @property
+    def final(self) -> float:
+        """Return 1."""
+        return 1.0
+
+    def integrity(self, x: Float) -> Float:
+        """Return ``T_s``."""
+        T = 0.5 * (1.0 - np.tanh(self._n(x)))
+        return np.asarray(0.5 + (T - 0.5) / math.tanh(self.beta) if self.continuous else T)
+
+    def slope(self, x: Float) -> Float:
+        """Return ``dT_s/dx``."""
+        slope = (np.tanh(self._n(x)) ** 2 - 1.0) * self.beta / (1.0 - self.start)
+        return np.asarray(slope / math.tanh(self.beta) if self.continuous else slope)
+
+    def _n(self, x: Float) -> Float:
+        return self.beta * (self.start + 1.0 - 2.0 * x) / (self.start - 1.0)
+
+
+def _refuse_ratio(ratio: float) -> None:
+    if not (math.isfinite(ratio) and ratio > 1.0):
+        raise CaseError(f"Softening bonds need a ratio of final to critical stretch above 1, not {ratio}.")

@@ -1,0 +1,238 @@
+"""Conditions: prescribed displacements and dead loads on regions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.region import Region
+from pdpetsc.declare.schedule import Hold, Ramp, Schedule
+from pdpetsc.declared import Declared, name_of, numbers_from
+from pdpetsc.errors import CaseError, SolveError
+
+# A number, multiplied with the schedule, or a function of positions (n, dim) and step time that returns (n,) values,
+# multiplied with the schedule where one is given.
+Value: TypeAlias = float | Callable[[Float, float], Float]
+
+
+@dataclass(frozen=True)
+class _Vector(Declared):
+    region: Region
+    x: Value | None = None
+    y: Value | None = None
+    z: Value | None = None
+    schedule: Schedule | None = None
+
+    def components(self, dim: int) -> list[tuple[int, Value]]:
+        """Return the declared components as (axis, value).
+
+        Raises
+        ------
+        CaseError
+            None is declared, one lies outside the dimension, or a number is not finite.
+        """
+        given = [(axis, value) for axis, value in enumerate((self.x, self.y, self.z)) if value is not None]
+        name = type(self).__name__
+        if not given:
+            raise CaseError(f"A {name} condition needs at least one of its components x, y, z.")
+        if given[-1][0] >= dim:
+            raise CaseError(f"A {name} condition gives component {'xyz'[given[-1][0]]} of a {dim}-dimensional body.")
+        for axis, value in given:
+            if not callable(value) and not math.isfinite(value):
+                raise CaseError(f"Component {'xyz'[axis]} of a {name} condition is {value}.")
+        return given
+
+    def value(self, component: Value, x: Float, t: float) -> Float:
+        """Return the values of one component at positions ``x`` and step time ``t``, (n,).
+
+        Numbers follow the schedule, by default the ramp; functions are taken as they are, times the schedule where one
+        is given.
+
+        Raises
+        ------
+        SolveError
+            A function or the schedule fails or does not return numbers.
+        """
+        if len(x) == 0:  # a function need not know what to do with no particles
+            return np.zeros(0)
+        name = type(self).__name__
+        schedule = self.schedule or (Hold() if callable(component) else Ramp())
+        factor = evaluated(f"schedule of a {name} condition", schedule, (), t, t)
+        if not callable(component):
+            return np.full(len(x), component * factor)
+        return np.asarray(factor * evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
+
+
+def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...], t: float, *arguments: Any) -> Float:
+    """Return what a function of the case gives at step time ``t``, as finite numbers of a shape.
+
+    Raises
+    ------
+    SolveError
+        It fails, or gives something else.
+    """
+    when = f"At step time {t:.6g}: "
+    try:
+        values = numbers_from(what, function, *arguments)
+    except CaseError as error:
+        raise SolveError(f"{when}{error}") from error
+    try:
+        values = np.broadcast_to(values, shape)
+    except ValueError:
+        raise SolveError(
+            f"{when}The {what} {name_of(function)} must return {shape or 'one'} numbers, not {values.shape}."
+        ) from None
+    bad = np.flatnonzero(~np.isfinite(values.ravel()))
+    if len(bad):
+        raise SolveError(
+            f"{when}The {what} {name_of(function)} is {values.ravel()[bad[0]]} for {len(bad)} of {values.size} "
+            f"particles; it must return a number for each."
+        )
+    return values
+
+
+@dataclass(frozen=True)
+class Displacement(_Vector):
+    """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free."""
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.displacement(self, name)
+
+
+@dataclass(frozen=True)
+class Force(_Vector):
+    """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume."""
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.force(self, name)
+
+
+@dataclass(frozen=True)
+class BodyForce(_Vector):
+    """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume]."""
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.body_force(self, name)
+
+
+@dataclass(frozen=True)
+class Traction(_Vector):
+    """Dead traction ``x``, ``y``, ``z`` [stress] on the face whose outer particles the region selects.
+
+    Parameters
+    ----------
+    normal : sequence of float
+        Outward normal of the face; its length does not matter.
+    distribution : {"layer", "consistent"}
+        ``layer`` puts ``t`` times the free face of the particle on every particle of the region; particles without a
+        free face get none. ``consistent`` applies ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform
+        stress ``t (x) n`` in equilibrium: a uniform traction then gives a uniform gradient. It reaches two horizons
+        into the body. Both add up to the traction times the area of the face.
+    area : float, optional
+        Area of the face [area; length times thickness in 2D, cross-section in 1D], for particles that do not know their
+        faces: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
+    """
+
+    normal: Sequence[float] = ()
+    distribution: Literal["layer", "consistent"] = "layer"
+    area: float | None = field(default=None, kw_only=True)
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.traction(self, name)
+
+    def unit_normal(self, dim: int) -> Float:
+        """Return the outward unit normal (dim,)."""
+        normal = np.asarray(self.normal, dtype=float)
+        length = float(np.linalg.norm(normal)) if normal.shape == (dim,) else 0.0
+        if not (math.isfinite(length) and length > 0.0):
+            raise CaseError(f"A Traction needs an outward normal of {dim} numbers, not {list(np.ravel(normal))}.")
+        if self.distribution not in ("layer", "consistent"):
+            raise CaseError(f'A Traction takes distribution="layer" or "consistent", not {self.distribution!r}.')
+        if self.area is not None and not (math.isfinite(self.area) and self.area > 0.0):
+            raise CaseError(f"The area of the face of a Traction is positive, not {self.area}.")
+        return normal / length
+
+
+def Pressure(
+    region: Region,
+    value: float,
+    normal: Sequence[float],
+    distribution: Literal["layer", "consistent"] = "layer",
+    schedule: Schedule | None = None,
+    area: float | None = None,
+) -> Traction:
+    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``."""
+    n = np.asarray(normal, dtype=float)
+    length = float(np.linalg.norm(n))
+    if not (length > 0.0 and math.isfinite(length)):
+        raise CaseError(f"A Pressure needs an outward normal, not {list(np.ravel(n))}.")
+    x, y, z = [float(-value * c / length) for c in n] + [None] * (3 - len(n))
+    return Traction(region, x, y, z, schedule, normal=tuple(normal), distribution=distribution, area=area)
+
+
+@dataclass(frozen=True)
+class _Tensor(Declared):
+    xx: float | None = None
+    yy: float | None = None
+    zz: float | None = None
+    xy: float | None = None
+    yz: float | None = None
+    xz: float | None = None
+    schedule: Schedule = field(default_factory=Ramp)
+
+    def components(self, available: Sequence[tuple[int, int]]) -> list[tuple[int, float]]:
+        """Return the declared components as (position in ``available``, value).
+
+        Raises
+        ------
+        CaseError
+            None is declared, the cell lacks one, or a number is not finite.
+        """
+        name = type(self).__name__
+        letters = ["xyz"[a] + "xyz"[b] for a, b in available]
+        declared = {key: getattr(self, key) for key in ("xx", "yy", "zz", "xy", "yz", "xz")}
+        given = {key: value for key, value in declared.items() if value is not None}
+        if not given:
+            raise CaseError(f"A {name} condition needs at least one of the components {', '.join(letters)}.")
+        for key, value in given.items():
+            if key not in letters:
+                raise CaseError(f"A {name} condition gives {key}; the periodic cell has {', '.join(letters)}.")
+            if not math.isfinite(value):
+                raise CaseError(f"Component {key} of a {name} condition is {value}.")
+        return [(letters.index(key), value) for key, value in given.items()]
+
+
+@dataclass(frozen=True)
+class MeanStrain(_Tensor):
+    """Prescribed components of the mean strain of a periodic cell [-], ``u(x + n L) = u(x) + strain n L``.
+
+    At finite deformation it is the mean stretch less one, ``U - I``, in axes that do not rotate.
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.mean_strain(self, name)
+
+
+@dataclass(frozen=True)
+class MeanStress(_Tensor):
+    """Mean stress of a periodic cell [stress], per reference volume; 0 where neither it nor the strain is given.
+
+    At finite deformation it is the symmetric part of the mean first Piola-Kirchhoff stress.
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Let what takes conditions in take it, under a name for messages (collective)."""
+        onto.mean_stress(self, name)
+
+
+Condition: TypeAlias = Displacement | Force | BodyForce | Traction | MeanStrain | MeanStress

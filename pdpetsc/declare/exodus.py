@@ -1,0 +1,108 @@
+"""Exodus II meshes: element blocks, node sets and side sets with their names or numbers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.declare.cells import CORNERS, Block, MeshData
+from pdpetsc.errors import CaseError
+
+# Kinds by the letters that an element type begins with; the corners come first whatever its order.
+_KINDS = {
+    "HEX": "hexahedron", "TET": "tetra", "WED": "wedge", "PYR": "pyramid", "TRI": "triangle", "QUA": "quad",
+    "SHE": "quad", "BAR": "line", "BEA": "line", "TRU": "line", "ROD": "line", "EDG": "line", "SPH": "vertex",
+    "NOD": "vertex", "POI": "vertex", "CIR": "vertex",
+}  # fmt: skip
+
+
+def read(path: Path) -> MeshData:
+    """Return what an Exodus file holds.
+
+    Unnamed blocks become ``group_n``, unnamed node sets ``node_set_n`` and side sets ``side_set_n`` with their numbers.
+
+    Raises
+    ------
+    CaseError
+        It lacks what such a file has, or netCDF4 is not installed.
+    """
+    try:
+        import netCDF4
+    except ImportError:
+        raise CaseError("reading Exodus needs netCDF4; install pdpetsc[exodus]") from None
+    with netCDF4.Dataset(str(path)) as file:
+        file.set_auto_mask(False)
+        variables = file.variables
+        blocks, groups, start = [], {}, 0
+        for number, name in _listed(file, "num_el_blk", "eb", "group"):
+            if f"connect{number}" not in variables:
+                continue
+            connect = variables[f"connect{number}"]
+            block = _block(str(getattr(connect, "elem_type", "")).upper(), np.asarray(connect[:]))
+            groups[name] = start + np.arange(len(block.nodes))
+            start += len(block.nodes)
+            blocks.append(block)
+        return MeshData(
+            _points(variables), blocks, groups,
+            _sets(file, "num_side_sets", "ss", "side_set", "elem_ss"),
+            _sets(file, "num_node_sets", "ns", "node_set", "node_ns"),
+        )  # fmt: skip
+
+
+def _points(variables: Any) -> Float:
+    if "coord" in variables:
+        return np.asarray(variables["coord"][:], dtype=float).T
+    axes = [axis for axis in "xyz" if f"coord{axis}" in variables]
+    if not axes:
+        raise CaseError("it has no coordinates")
+    return np.stack([np.asarray(variables[f"coord{axis}"][:], dtype=float) for axis in axes], axis=1)
+
+
+def _block(word: str, nodes: NDArray[Any]) -> Block:
+    kind = _KINDS.get(word[:3])
+    if kind is None or nodes.ndim != 2 or nodes.dtype.kind not in "iu":
+        raise CaseError(f"it has elements of type {word!r}, which particles cannot be made of")
+    if kind == "quad" and nodes.shape[1] in (3, 6, 7):
+        kind = "triangle"
+    if nodes.shape[1] < CORNERS[kind]:
+        raise CaseError(f"elements of type {word!r} have {nodes.shape[1]} nodes")
+    return Block(kind, nodes.astype(np.int64) - 1)
+
+
+def _sets(file: Any, dimension: str, short: str, word: str, variable: str) -> dict[str, GlobalIndex]:
+    """Return sets by name, members from 0 on."""
+    found = {}
+    for number, name in _listed(file, dimension, short, word):
+        if f"{variable}{number}" in file.variables:
+            found[name] = np.unique(np.asarray(file.variables[f"{variable}{number}"][:]).astype(np.int64) - 1)
+    return found
+
+
+def _listed(file: Any, dimension: str, short: str, word: str) -> list[tuple[int, str]]:
+    """Return (place from 1 on, name) of the blocks or sets, which no two share."""
+    count = len(file.dimensions[dimension]) if dimension in file.dimensions else 0
+    ids = [*np.ravel(file.variables[f"{short}_prop1"][:])] if f"{short}_prop1" in file.variables else []
+    texts = file.variables[f"{short}_names"][:] if f"{short}_names" in file.variables else []
+    listed: list[tuple[int, str]] = []
+    taken: set[str] = set()
+    for k in range(count):
+        # Numbers start at 1; some writers leave 0.
+        number = int(ids[k]) if k < len(ids) and ids[k] > 0 else k + 1
+        name = _text(texts[k]) if k < len(texts) else ""
+        if not name or name in taken:
+            name = f"{name or word}_{number}"
+        if name in taken:
+            raise CaseError(f"two of its sets or blocks have the name {name!r}")
+        taken.add(name)
+        listed.append((k + 1, name))
+    return listed
+
+
+def _text(characters: Any) -> str:
+    raw = b"".join(np.ravel(np.asarray(characters, dtype="S1")).tolist())
+    return re.sub(r"[^\x20-\x7e]", "", raw.split(b"\0")[0].decode("latin-1")).strip()

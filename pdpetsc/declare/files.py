@@ -1,0 +1,317 @@
+"""Particles from files: text clouds and finite element meshes.
+
+Every rank reads the file and keeps its own part; only while reading does it hold more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.cells import Block, MeshData, facet_keys, facets, owners, volumes_and_moments
+from pdpetsc.declare.choice import choose
+from pdpetsc.declare.formats import FORMATS, read_mesh
+from pdpetsc.declare.particles import Arrays, Chunk, Particles
+from pdpetsc.errors import CaseError
+
+# What the columns of a text cloud are called; PeriLab says block_id.
+_COLUMNS = {"x": "x", "y": "y", "z": "z", "block": "block", "block_id": "block", "volume": "volume"}
+# A cell whose volume is below this share of that of the box around it has none.
+NO_VOLUME = 1e-10
+
+
+@dataclass(frozen=True)
+class TextFile(Particles):
+    """Particles from a text file with lines ``x y z block volume``, as Peridigm and PeriLab use it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. A first line such
+        as ``header: x y block_id volume``, or a comment of these words, says what the columns are: they may then stand
+        in any order, and there may be others in a ``header:``, which are left out. A plane cloud may have three
+        coordinates, of which the last is constant. Block ``b`` becomes the set ``block_b``.
+    node_sets : mapping of str to str or Path
+        Files with particle numbers, counted from 1 in the order of the file; each becomes a set.
+    thickness : float
+        Out-of-plane thickness [length] already contained in the volumes.
+    """
+
+    path: str | Path
+    node_sets: Mapping[str, str | Path] = field(default_factory=dict)
+    thickness: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_thickness("TextFile", self.thickness)
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return part ``part`` of ``parts`` of the file."""
+        return self._arrays().chunk(part, parts)
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return what Arrays of the same particles return."""
+        return self._arrays().faces(part, parts, normal)
+
+    def _arrays(self) -> Arrays:
+        path = Path(self.path)
+        lines = _lines(path)
+        names, start = _header(path, lines)
+        table = _table(path, lines[start:])
+        x, block, volume = _columns(path, names, table)
+        wrong = np.flatnonzero(~(np.isfinite(block) & (block == np.round(block))))
+        if len(wrong):
+            raise CaseError(
+                f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, and blocks are whole numbers; if the "
+                f"columns are not x y z block volume, name them in a first line 'header: x y z block_id volume'."
+            )
+        sets = {f"block_{int(b)}": block == b for b in np.unique(block)}
+        for name, file in self.node_sets.items():
+            rows = _lines(Path(file))
+            first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
+            members = np.ravel(_table(Path(file), rows[first:]))
+            if not (members == np.round(members)).all():
+                raise CaseError(f"{file} holds particle numbers that are not whole.")
+            if members.min() < 1 or members.max() > len(table):
+                raise CaseError(f"{file} names particles outside 1 to {len(table)}.")
+            flags = np.zeros(len(table), dtype=bool)
+            flags[members.astype(np.int64) - 1] = True
+            sets[name] = flags
+        return Arrays(_without_constant(x), volume, sets, self.thickness)
+
+
+@dataclass(frozen=True)
+class Mesh(Particles):
+    """One particle per cell of a mesh, at the cell's centroid and with its volume between straight edges.
+
+    The cells of the highest dimension count. What the file names becomes named sets:
+
+    - cell sets, element blocks and physical groups, unnamed ones as ``group_n``;
+    - side sets, surfaces, and groups of boundary lines and faces: the cells that own these facets, unnamed ones as
+      ``side_set_n`` or ``facets_n``; ``name facets`` where cells have the name;
+    - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``; ``name nodes`` where cells or facets
+      have the name.
+
+    Parameters
+    ----------
+    path : str or Path
+        A mesh of Gmsh (``.msh``), Abaqus (``.inp``), Exodus (``.e``, ``.exo``, ``.ex2``, ``.g``, ``.gen``), VTK
+        (``.vtk``, ``.vtu``), Nastran (``.bdf``, ``.nas``, ``.fem``), XDMF (``.xdmf``) or MED (``.med``).
+    thickness : float
+        Out-of-plane thickness of a plane mesh [length], or cross-section of a line mesh [length^2].
+    format : str, optional
+        ``"gmsh"``, ``"abaqus"``, ``"exodus"``, ``"vtk"``, ``"vtu"``, ``"nastran"``, ``"xdmf"`` or ``"med"``; by the
+        ending of the file where absent.
+    """
+
+    path: str | Path
+    thickness: float = 1.0
+    format: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_thickness("Mesh", self.thickness)
+        if self.format is not None:
+            choose("The format of a Mesh", self.format, FORMATS)
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return part ``part`` of ``parts`` of the cells."""
+        mesh, points, blocks = self._cells()
+        volume, x = _volumes_and_centroids(Path(self.path), points, blocks)
+        volume *= self._depth(points)
+        return Arrays(x, volume, _sets(mesh, points, blocks), self.thickness).chunk(part, parts)
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
+        count, cell, area = _surface(self, _version(Path(self.path)))
+        rows = slice(part * count // parts, (part + 1) * count // parts)
+        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
+        return np.bincount(cell, along, count).astype(float)[rows]
+
+    def _cells(self) -> tuple[MeshData, Float, list[Block]]:
+        """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
+        mesh = read_mesh(Path(self.path), self.format)
+        dim = max((block.dim for block in mesh.blocks if len(block.nodes)), default=0)
+        if dim == 0:
+            raise CaseError(f"{self.path} has no cells that particles can be made of.")
+        points = _without_constant(mesh.points, dim)
+        if points.shape[1] != dim:
+            raise CaseError(f"{self.path} has cells of {dim} dimensions that do not lie along the coordinate axes.")
+        return mesh, points, [block for block in mesh.blocks if block.dim == dim]
+
+    def _depth(self, points: Float) -> float:
+        return self.thickness if points.shape[1] < 3 else 1.0
+
+
+@lru_cache(maxsize=4)
+def _surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, GlobalIndex, Float]:
+    """Return the number of cells, the cell of every free facet and its outward vector area.
+
+    It is kept, since every traction asks for it, as long as the file stays the same ``version``.
+    """
+    _, points, blocks = mesh._cells()
+    surface = facets(points, blocks)
+    free = surface.free
+    return sum(len(block.nodes) for block in blocks), surface.cell[free], surface.area[free] * mesh._depth(points)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
+
+
+def _refuse_thickness(what: str, thickness: float) -> None:
+    if not (math.isfinite(thickness) and thickness > 0.0):
+        raise CaseError(f"A {what} needs a positive thickness, not {thickness}.")
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text().splitlines()
+    except OSError as error:
+        raise CaseError(f"Cannot read {path}: {error.strerror or 'file not found'}.") from None
+    except ValueError:
+        raise CaseError(f"{path} is not a table of numbers: it is not text.") from None
+
+
+def _header(path: Path, lines: list[str]) -> tuple[list[str] | None, int]:
+    """Return what the columns are called, None where nothing says so, and where the table starts."""
+    start = 0
+    while start < len(lines) and (not lines[start].strip() or lines[start].lstrip().startswith("#")):
+        words = lines[start].lstrip("# \t").lower().split()
+        if len(words) >= 3 and set(words) <= set(_COLUMNS):
+            return _known(path, words), start + 1
+        start += 1
+    if start < len(lines) and lines[start].lstrip().lower().startswith("header:"):
+        return _known(path, lines[start].split(":", 1)[1].lower().split()), start + 1
+    return None, start
+
+
+def _known(path: Path, words: list[str]) -> list[str]:
+    names = [_COLUMNS.get(word, word) for word in words]
+    dim = sum(axis in names for axis in "xyz")
+    twice = [name for name in _COLUMNS.values() if names.count(name) > 1]
+    if twice or dim == 0 or not {*"xyz"[:dim], "block", "volume"} <= set(names):
+        raise CaseError(f"The header of {path} needs x, y and z as far as there are, block_id and volume, each once.")
+    return names
+
+
+def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, Float, Float]:
+    """Return coordinates (n, dim), blocks and volumes (n,)."""
+    width = table.shape[1]
+    if names is None:
+        if not 3 <= width <= 5:
+            raise CaseError(
+                f"{path} has {width} columns; it needs 1 to 3 coordinates, a block number and a volume, or a first "
+                f"line such as 'header: x y z block_id volume' that names them."
+            )
+        names = [*"xyz"[: width - 2], "block", "volume"]
+    if len(names) != width:
+        raise CaseError(f"{path} has {width} columns, and its header names {len(names)}.")
+    x = table[:, [names.index(axis) for axis in "xyz" if axis in names]]
+    return x, table[:, names.index("block")], table[:, names.index("volume")]
+
+
+def _table(path: Path, lines: list[str]) -> Float:
+    rows = [line for line in lines if line.split("#", 1)[0].strip()]
+    if not rows:
+        raise CaseError(f"{path} has no lines of numbers.")
+    try:
+        return np.asarray(np.loadtxt(rows, ndmin=2))
+    except (ValueError, OverflowError) as error:
+        raise CaseError(f"{path} is not a table of numbers: {' '.join(str(error).split()).rstrip('.')}.") from None
+
+
+def _without_constant(x: Float, at_least: int = 1) -> Float:
+    """Drop trailing coordinates that are the same for all points."""
+    dim = x.shape[1]
+    while dim > at_least and np.ptp(x[:, dim - 1]) <= 1e-12 * max(float(np.ptp(x)), 1e-300):
+        dim -= 1
+    return x[:, :dim]
+
+
+def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tuple[Float, Float]:
+    volumes, centroids = [], []
+    for block in blocks:
+        with np.errstate(all="ignore"):
+            volume, moment = volumes_and_moments(points, block)
+            box = np.prod(np.ptp(points[block.corners], axis=1), axis=1)
+            x = moment / volume[:, None]
+            none = np.flatnonzero(~((np.abs(volume) > NO_VOLUME * box) & np.isfinite(x).all(axis=1)))
+        if len(none):
+            raise CaseError(
+                f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "
+                f"{points[block.corners[none[0]]].mean(axis=0)}."
+            )
+        volumes.append(np.abs(volume))
+        centroids.append(x)
+    return np.concatenate(volumes), np.concatenate(centroids)
+
+
+def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]:
+    """Return the sets of particles: by cells, by facets and by nodes."""
+    number = _particles(mesh, blocks)
+    count, dim = int(number.max()) + 1, points.shape[1]
+    sets: dict[str, Mask] = {}
+
+    def add(name: str, particles: GlobalIndex) -> None:
+        if len(particles):
+            flags = np.zeros(count, dtype=bool)
+            flags[particles] = True
+            sets[name] = sets.get(name, False) | flags
+
+    for name, cells in mesh.cell_sets.items():
+        add(name, number[cells][number[cells] >= 0])
+    by_cells = set(sets)
+
+    def add_facets(name: str, particles: GlobalIndex) -> None:
+        add(f"{name} facets" if name in by_cells else name, particles)
+
+    surface = None
+    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
+    nodes_of: dict[str, list[GlobalIndex]] = {name: [nodes] for name, nodes in mesh.node_sets.items()}
+    for name, cells in mesh.cell_sets.items():
+        for block, start in zip(mesh.blocks, starts, strict=False):
+            mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
+            if not len(mine) or block.dim == dim:
+                continue
+            if block.dim < dim - 1:
+                nodes_of.setdefault(name, []).append(np.ravel(block.nodes[mine]))
+                continue
+            surface = surface or facets(points, blocks)
+            add_facets(name, owners(facet_keys(block.corners[mine]), surface))
+    for name, cells in mesh.side_sets.items():
+        add_facets(name, number[cells][number[cells] >= 0])
+    if not by_cells:
+        belongs = np.repeat(np.arange(len(blocks)), [len(block.nodes) for block in blocks])
+        for b in range(len(blocks)):
+            if f"group_{b + 1}" not in sets:
+                add(f"group_{b + 1}", np.flatnonzero(belongs == b))
+    taken = set(sets)
+    for name, members in nodes_of.items():
+        inside = np.zeros(len(points), dtype=bool)
+        inside[np.concatenate(members)] = True
+        touched = np.concatenate([inside[block.nodes].any(axis=1) for block in blocks])
+        add(f"{name} nodes" if name in taken else name, np.flatnonzero(touched))
+    return sets
+
+
+def _particles(mesh: MeshData, blocks: list[Block]) -> GlobalIndex:
+    """Return the particle of every cell of the file, -1 for cells of lower dimension."""
+    numbers, before = [], 0
+    for block in mesh.blocks:
+        if any(block is chosen for chosen in blocks):
+            numbers.append(before + np.arange(len(block.nodes)))
+            before += len(block.nodes)
+        else:
+            numbers.append(np.full(len(block.nodes), -1))
+    return np.concatenate(numbers)

@@ -1,0 +1,275 @@
+"""Reading finite element meshes: each format by its own reader, each within a time that grows with the file.
+
+No format is tried where another was meant: a reader that takes a damaged file for one of its own may read it for ever.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.arrays import GlobalIndex
+from pdpetsc.declare import abaqus, exodus
+from pdpetsc.declare.cells import CORNERS, Block, MeshData
+from pdpetsc.errors import CaseError
+
+# A reader may take this long, and this much longer for every byte [s].
+START, PER_BYTE = 60.0, 2e-5
+# It may take this much memory, and this much more for every byte: one damaged number asks for more than there is.
+ROOM, ROOM_PER_BYTE = 2**30, 100
+# Nodes of cells that are hexahedra and quadrilaterals in another order.
+_REORDERED = {"pixel": ("quad", [0, 1, 3, 2]), "voxel": ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
+
+
+def read_mesh(path: Path, name: str | None) -> MeshData:
+    """Return what a mesh file holds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str, optional
+        The format, a key of ``FORMATS``; by the ending of the file where absent.
+
+    Raises
+    ------
+    CaseError
+        The format is unknown, or the file is missing, damaged or not of that format.
+    """
+    known = {ending: word for word, (endings, _) in FORMATS.items() for ending in endings}
+    word = known.get(path.suffix.lower()) if name is None else name
+    if word is None:
+        raise CaseError(
+            f"Cannot tell the format of the mesh {path}: its ending is none of {', '.join(known)}; give the Mesh a "
+            f"format, one of {', '.join(FORMATS)}."
+        )
+    if not path.is_file():
+        raise CaseError(f"Cannot read the mesh {path}: file not found.")
+    size = path.stat().st_size
+    seconds = START + PER_BYTE * size
+    try:
+        # meshio ends the process on some files that it cannot read, and prints its warnings.
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+            warnings.catch_warnings(),
+            room(ROOM + ROOM_PER_BYTE * size),
+            within(seconds),
+        ):
+            # What numpy warns of it leaves out, and a mesh without its last numbers is another mesh.
+            warnings.filterwarnings("error", message="string or file could not be read to its end")
+            mesh = FORMATS[word][1](path)
+            _check(mesh)
+            return mesh
+    except _TooLong:
+        raise CaseError(f"Cannot read the mesh {path} as {word}: it took more than {seconds:.0f} s.") from None
+    except MemoryError:
+        raise CaseError(
+            f"Cannot read the mesh {path} as {word}: its {size} bytes ask for far more memory than a mesh of that size."
+        ) from None
+    except RecursionError:
+        raise CaseError(f"Cannot read the mesh {path} as {word}: it is nested too deeply.") from None
+    except (Exception, SystemExit) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise CaseError(f"Cannot read the mesh {path} as {word}: {why.rstrip('.')}.") from None
+
+
+class _TooLong(BaseException):
+    """A reader did not end; not an Exception, which readers catch."""
+
+
+@contextlib.contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Interrupt what runs longer than this; without effect outside the main thread, which alone gets signals."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def late(number: int, frame: object) -> None:
+        raise _TooLong
+
+    handler = signal.signal(signal.SIGALRM, late)
+    # It strikes again, should a reader have caught the first one.
+    timer = signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_REAL, *timer)
+
+
+@contextlib.contextmanager
+def room(size: int) -> Iterator[None]:
+    """Refuse memory beyond what the process has and ``size`` bytes more; without effect where that is not known."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        limit = pages * resource.getpagesize() + size
+    except (ImportError, OSError, ValueError):
+        yield
+        return
+    if soft != resource.RLIM_INFINITY and soft <= limit:
+        yield
+        return
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def _check(mesh: MeshData) -> None:
+    """Refuse what no mesh has: nodes that are not there, and coordinates that are not numbers."""
+    points = mesh.points
+    if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
+        raise CaseError(f"points have shape {points.shape}")
+    for block in mesh.blocks:
+        least = CORNERS[block.kind]
+        if block.nodes.ndim != 2 or block.nodes.shape[1] < least:
+            raise CaseError(f"cells of kind {block.kind} have less than {least} nodes")
+        wrong = np.flatnonzero(((block.nodes < 0) | (block.nodes >= len(points))).any(axis=1))
+        if len(wrong):
+            raise CaseError(f"{len(wrong)} cells of kind {block.kind} name nodes that are not among the {len(points)}")
+        bad = np.flatnonzero(~np.isfinite(points[block.nodes]).all(axis=(1, 2)))
+        if len(bad):
+            raise CaseError(f"{len(bad)} cells of kind {block.kind} have corners that are not numbers")
+    n_cells = sum(len(block.nodes) for block in mesh.blocks)
+    for sets, most, what in (
+        (mesh.cell_sets, n_cells, "cells"), (mesh.side_sets, n_cells, "cells"), (mesh.node_sets, len(points), "nodes"),
+    ):  # fmt: skip
+        for name, members in sets.items():
+            if len(members) and (members.min() < 0 or members.max() >= most):
+                raise CaseError(f"set {name!r} names {what} that are not among the {most}")
+
+
+def block_of(kind: str, nodes: Any) -> Block:
+    """Return cells of a kind as files call it: ``hexahedron20`` is a hexahedron whose corners come first.
+
+    Raises
+    ------
+    CaseError
+        Nothing is known of that kind.
+    """
+    nodes = np.asarray(nodes)
+    if nodes.dtype.kind not in "iu" and nodes.size:
+        raise CaseError(f"nodes of cells of kind {kind} are not whole numbers")
+    nodes = nodes.astype(np.int64)
+    if kind in _REORDERED:
+        kind, order = _REORDERED[kind]
+        nodes = nodes[:, order]
+    word = kind.rstrip("0123456789")
+    if word not in CORNERS:
+        raise CaseError(f"it has cells of kind {kind}, which particles cannot be made of")
+    return Block(word, nodes)
+
+
+def _read_gmsh(path: Path) -> MeshData:
+    import meshio
+
+    return _of_meshio(meshio.gmsh.read(path))
+
+
+def _read_vtk(path: Path) -> MeshData:
+    import meshio
+
+    return _of_meshio(meshio.vtk.read(path))
+
+
+def _read_vtu(path: Path) -> MeshData:
+    import meshio
+
+    return _of_meshio(meshio.vtu.read(path))
+
+
+def _read_xdmf(path: Path) -> MeshData:
+    import meshio
+
+    return _of_meshio(meshio.xdmf.read(path))
+
+
+def _read_med(path: Path) -> MeshData:
+    import meshio
+
+    return _of_meshio(meshio.med.read(path))
+
+
+def _read_nastran(path: Path) -> MeshData:
+    import meshio
+
+    with path.open(errors="replace") as file:
+        lines = iter(file)
+        bulk = any(line.strip().startswith("BEGIN BULK") for line in lines)
+        if not (bulk and any(line.startswith("ENDDATA") for line in lines)):
+            raise CaseError("it has no bulk data between BEGIN BULK and ENDDATA")
+    mesh = meshio.nastran.read(path)
+    if np.any(mesh.point_data.get("nastran:ref", 0)):
+        raise CaseError("some grid points are given in a coordinate system of their own")
+    return _of_meshio(mesh)
+
+
+# The formats of meshes of solids: endings and reader.
+FORMATS: dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]] = {
+    "gmsh": ((".msh",), _read_gmsh),
+    "abaqus": ((".inp",), abaqus.read),
+    "exodus": ((".e", ".exo", ".ex2", ".g", ".gen"), exodus.read),
+    "vtk": ((".vtk",), _read_vtk),
+    "vtu": ((".vtu",), _read_vtu),
+    "nastran": ((".bdf", ".nas", ".fem"), _read_nastran),
+    "xdmf": ((".xdmf", ".xmf"), _read_xdmf),
+    "med": ((".med",), _read_med),
+}
+
+
+def _of_meshio(mesh: Any) -> MeshData:
+    blocks = [block_of(block.type, block.data) for block in mesh.cells]
+    starts = np.concatenate([[0], np.cumsum([len(block.nodes) for block in blocks])]).astype(np.int64)
+    found: dict[str, list[GlobalIndex]] = {}
+
+    def add(name: str, b: int, members: Any) -> None:
+        found.setdefault(name, []).append(starts[b] + np.asarray(members, dtype=np.int64))
+
+    for name, parts in mesh.cell_sets.items():
+        for b, members in enumerate(() if name.startswith("gmsh:") else parts):
+            if members is not None and len(members):
+                add(name, b, members)
+    for b, members, label in _groups(mesh, blocks):
+        add(label, b, members)
+    node_sets = {name: np.ravel(np.asarray(nodes, dtype=np.int64)) for name, nodes in mesh.point_sets.items()}
+    families = getattr(mesh, "point_tags", {})
+    tags = np.ravel(mesh.point_data.get("point_tags", []))
+    for tag, names in families.items():
+        for name in names:
+            nodes = np.flatnonzero(tags == tag)
+            node_sets[name] = np.concatenate([node_sets.get(name, nodes[:0]), nodes])
+    cell_sets = {name: np.unique(np.concatenate(parts)) for name, parts in found.items()}
+    return MeshData(np.asarray(mesh.points, dtype=float), blocks, cell_sets, {}, node_sets)
+
+
+def _groups(mesh: Any, blocks: Sequence[Block]) -> Iterator[tuple[int, GlobalIndex, str]]:
+    """Yield (block, cells, name) of the groups that files mark cells with by numbers; 0 marks none."""
+    top = max((block.dim for block in blocks), default=0)
+    for key in ("gmsh:physical", "nastran:ref", "cell_tags"):
+        for b, tags in enumerate(mesh.cell_data.get(key, ())):
+            tags = np.ravel(tags)
+            for tag in np.unique(tags):
+                if tag == 0 or len(tags) != len(blocks[b].nodes):
+                    continue
+                if key == "cell_tags":
+                    names = list(getattr(mesh, "cell_tags", {}).get(tag, ()))
+                else:
+                    dim = blocks[b].dim
+                    names = [n for n, (number, of) in mesh.field_data.items() if number == tag and of == dim]
+                    names = names or [f"group_{tag}" if dim == top else f"facets_{tag}"]
+                for name in names:
+                    yield b, np.flatnonzero(tags == tag), name

@@ -1,0 +1,328 @@
+"""Where particles come from: lattices, arrays, text files and meshes."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.declare.region import Region, View
+from pdpetsc.declared import Declared, real_numbers, shown
+from pdpetsc.errors import CaseError
+
+WHOLE_CELLS = 1e-6
+# Numbers of a lattice that differ by less, relatively, are the same.
+ALONG = 1e-6
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A contiguous part of the particles: positions, volumes and named sets."""
+
+    x: Float
+    volume: Float
+    sets: Mapping[str, Mask]
+
+
+class Particles(Declared, ABC):
+    """A cloud of particles that can be created in parts."""
+
+    thickness: float
+
+    @abstractmethod
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return the ``part``-th of ``parts`` contiguous parts in the order of creation.
+
+        Raises
+        ------
+        CaseError
+            The source is missing or malformed.
+        """
+
+    def estimate(self) -> int:
+        """Return how many particles are made at most, before any is; 0 where that is not known."""
+        return 0
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the area of the free faces of each particle of the part, projected along an outward unit normal.
+
+        The sum over the free facets f of ``max(0, a_f . n)`` with their outward vector areas ``a_f``.
+
+        Parameters
+        ----------
+        part, parts : int
+            As for ``chunk``.
+        normal : (dim,) float64
+            Outward unit normal.
+
+        Returns
+        -------
+        (n,) float64
+            [area; length times thickness in the plane; the cross-section on a line].
+
+        Raises
+        ------
+        CaseError
+            The particles do not know their faces.
+        """
+        raise CaseError(
+            f"Particles of {type(self).__name__} do not know their faces; give the Traction the area of its face."
+        )
+
+
+@dataclass(frozen=True)
+class Lattice(Particles):
+    """A line, rectangle or box filled with equal cells, one particle in the middle of each.
+
+    Parameters
+    ----------
+    low, high : float or sequence of float
+        Corners of the real body [length]; their number of coordinates is the dimension.
+    spacing : float
+        Cell size [length]; every side must be a whole number of cells.
+    thickness : float
+        Out-of-plane thickness of a plane body [length], or cross-section of a bar [length^2].
+    cut : Region, optional
+        Particles to leave out.
+    keep : Region, optional
+        Particles to take; all others are left out.
+    fictitious : mapping of {"-x", "+x", "-y", "+y", "-z", "+z"} to float
+        Depth [length] of a layer of further particles beyond a side, as many as fit. They form the sets
+        ``fictitious`` and ``fictitious -x`` (and so on); the others form the set ``real``.
+    """
+
+    low: float | Sequence[float]
+    high: float | Sequence[float]
+    spacing: float
+    thickness: float = 1.0
+    cut: Region | None = None
+    keep: Region | None = None
+    fictitious: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
+            raise CaseError("The corners low and high of a Lattice need the same 1, 2 or 3 coordinates.")
+        if not (math.isfinite(self.spacing) and self.spacing > 0.0):
+            raise CaseError(f"A Lattice needs a positive spacing, not {self.spacing}.")
+        if not (math.isfinite(self.thickness) and self.thickness > 0.0):
+            raise CaseError(f"A Lattice needs a positive thickness, not {self.thickness}.")
+        for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
+            if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
+                raise CaseError(
+                    f"Side {axis} of the Lattice is {cells:.6g} cells of {self.spacing:g} long, not a whole number."
+                )
+        sides = [sign + axis for axis in "xyz"[: len(low)] for sign in "-+"]
+        for side, depth in self.fictitious.items():
+            if side not in sides:
+                raise CaseError(f"A Lattice of {len(low)} dimensions has the sides {sides}, not {side!r}.")
+            if not (math.isfinite(depth) and depth >= self.spacing * (1.0 - WHOLE_CELLS)):
+                raise CaseError(f"The fictitious layer {side} is {depth:g} deep, less than one spacing.")
+
+    @property
+    def dim(self) -> int:
+        """Return the number of coordinates."""
+        return len(np.atleast_1d(np.asarray(self.low, float)))
+
+    def estimate(self) -> int:
+        """Return the number of cells, cut out or not."""
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        real = ((high - low) / self.spacing).tolist()
+        return math.prod(
+            round(n) + self._layers("-" + axis) + self._layers("+" + axis) for axis, n in zip("xyz", real, strict=False)
+        )
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        real = np.round((high - low) / self.spacing).astype(np.int64)
+        before = np.array([self._layers("-" + axis) for axis in "xyz"[: self.dim]])
+        after = np.array([self._layers("+" + axis) for axis in "xyz"[: self.dim]])
+        counts = real + before + after
+        total = int(np.prod(counts))
+        index = np.arange(part * total // parts, (part + 1) * total // parts)
+        cell = np.stack(np.unravel_index(index, counts), axis=1) - before
+        x = low + (cell + 0.5) * self.spacing
+        sets = self._sets(x, np.all((cell >= 0) & (cell < real), axis=1))
+        kept = self._kept(x, sets)
+        volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
+        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()})
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the free face of each particle of a part, seen along a normal: cells without a neighbour there."""
+        x = self.chunk(part, parts).x
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
+        last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
+        side = _cell_sides(np.full(self.dim, self.spacing), self.thickness)
+        area = np.zeros(len(x))
+        for axis in np.flatnonzero(np.abs(normal) > ALONG):
+            beyond = x + np.sign(normal[axis]) * self.spacing * np.eye(self.dim)[axis]
+            inside = np.all((beyond > first) & (beyond < last), axis=1)
+            real = np.all((beyond > low) & (beyond < high), axis=1)
+            inside[inside] = self._kept(beyond[inside], self._sets(beyond[inside], real[inside]))
+            area += np.where(inside, 0.0, abs(normal[axis]) * side[axis])
+        return area
+
+    def _kept(self, x: Float, sets: Mapping[str, Mask]) -> Mask:
+        """Return which cells have a particle."""
+        view = View(x, sets, minimum=_refuse_nearest)
+        kept = np.ones(len(x), dtype=bool)
+        if self.keep is not None:
+            kept &= self.keep.mask(view)
+        if self.cut is not None:
+            kept &= ~self.cut.mask(view)
+        return kept
+
+    def _sets(self, x: Float, real: Mask) -> dict[str, Mask]:
+        """Return the named sets of cells at ``x``, of which some are ``real``."""
+        sets = {"real": real, "fictitious": ~real}
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        for side in self.fictitious:
+            axis = "xyz".index(side[1])
+            sets[f"fictitious {side}"] = x[:, axis] < low[axis] if side[0] == "-" else x[:, axis] > high[axis]
+        return sets
+
+    def _layers(self, side: str) -> int:
+        return int(self.fictitious.get(side, 0.0) / self.spacing * (1.0 + WHOLE_CELLS))
+
+
+@dataclass(frozen=True)
+class Arrays(Particles):
+    """Particles from numpy arrays.
+
+    Parameters
+    ----------
+    x : (n, dim) array_like
+        Positions [length].
+    volume : (n,) array_like or float
+        Volumes [length^dim times thickness].
+    sets : mapping of str to (n,) bool or index arrays
+        Named sets.
+    thickness : float
+        Out-of-plane thickness [length] already contained in the volumes.
+    """
+
+    x: ArrayLike
+    volume: ArrayLike
+    sets: Mapping[str, ArrayLike] = field(default_factory=dict)
+    thickness: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        x, volume = _numbers("positions", self.x), _numbers("volumes", self.volume)
+        if x.ndim != 2 or not 1 <= x.shape[1] <= 3 or len(x) == 0:
+            raise CaseError(f"Particle positions must be (n, 1), (n, 2) or (n, 3), not {x.shape}.")
+        if volume.shape not in ((), (len(x),)):
+            raise CaseError(f"Particle volumes must be one number or ({len(x)},), not {np.shape(self.volume)}.")
+        if not (math.isfinite(self.thickness) and self.thickness > 0.0):
+            raise CaseError(f"Arrays need a positive thickness, not {self.thickness}.")
+        for name, members in self.sets.items():
+            _refuse_members(name, members, len(x))
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return rows ``part`` of ``parts`` of the arrays."""
+        x = np.asarray(self.x, dtype=float)
+        rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
+        sets = {}
+        for name, members in self.sets.items():
+            flags = np.zeros(len(x), dtype=bool)
+            found = np.asarray(members)
+            flags[found if found.dtype == bool else found.astype(np.int64)] = True
+            sets[name] = flags[rows]
+        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
+        return Chunk(x[rows], np.array(volume[rows]), sets)
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the free face of each particle of a part, seen along a normal, where they fill the cells of a lattice.
+
+        Raises
+        ------
+        CaseError
+            The positions or the volumes are not those of equal cells.
+        """
+        x = np.asarray(self.x, dtype=float)
+        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
+        cell, sizes = _cells(x, volume, self.thickness)
+        # One number for each cell, with room for a neighbour on every side.
+        width = cell.max(axis=0) + 3
+        weights = np.concatenate([[1], np.cumprod(width[:-1])])
+        taken = np.sort((cell + 1) @ weights)
+        side = _cell_sides(sizes, self.thickness)
+        rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
+        area = np.zeros(len(cell[rows]))
+        for axis in np.flatnonzero(np.abs(normal) > ALONG):
+            step = (np.sign(normal[axis]) * np.eye(x.shape[1])[axis]).astype(np.int64)
+            sought = (cell[rows] + step + 1) @ weights
+            place = np.minimum(np.searchsorted(taken, sought), len(taken) - 1)
+            free = taken[place] != sought
+            area += np.where(free, abs(normal[axis]) * side[axis], 0.0)
+        return area
+
+
+def _numbers(what: str, values: ArrayLike) -> Float:
+    """Return what a case gives as an array of numbers."""
+    found = real_numbers(values)
+    if found is None:
+        raise CaseError(f"The {what} of Arrays are an array of numbers, not {shown(values)}.")
+    return found
+
+
+def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
+    """Raise CaseError unless the members of a set are a flag for each of n particles, or indices of some."""
+    found = np.asarray(members)
+    if found.dtype == bool and found.shape == (n,):
+        return
+    whole = np.issubdtype(found.dtype, np.integer) or found.size == 0
+    if found.dtype == bool or found.ndim != 1 or not whole:
+        raise CaseError(f"Set {name!r} of Arrays is ({n},) bool or a list of indices, not {shown(members)}.")
+    if found.size and not (found.min() >= 0 and found.max() < n):
+        raise CaseError(f"Set {name!r} of Arrays has indices from {found.min()} to {found.max()} of {n} particles.")
+
+
+def _cell_sides(sizes: Float, thickness: float) -> Float:
+    """Return the areas of the sides of a box cell across each axis (dim,) [area]."""
+    whole = float(np.prod(sizes)) * (thickness if len(sizes) < 3 else 1.0)
+    return np.asarray(whole / sizes)
+
+
+def _cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np.int64], Float]:
+    """Return the cell of each particle (n, dim) and the sizes of the equal cells (dim,) [length] of a lattice.
+
+    Raises
+    ------
+    CaseError
+        The particles are not a lattice.
+    """
+    n, dim = x.shape
+    cell, sizes = np.zeros((n, dim), dtype=np.int64), np.full(dim, np.nan)
+    regular = bool(np.all(np.abs(volume - volume[0]) <= ALONG * volume[0]))
+    for axis in range(dim):
+        offsets = x[:, axis] - x[:, axis].min()
+        levels = np.unique(offsets)
+        gaps = np.diff(levels)
+        apart = gaps[gaps > ALONG * offsets.max(initial=0.0)]
+        if len(apart):
+            sizes[axis] = apart.min()
+            cell[:, axis] = np.round(offsets / sizes[axis])
+            regular &= bool(np.all(np.abs(offsets - cell[:, axis] * sizes[axis]) <= ALONG * offsets.max()))
+    whole = volume[0] / (thickness if dim < 3 else 1.0)
+    flat = np.flatnonzero(np.isnan(sizes))
+    if len(flat) == 1:  # one layer of cells, whose depth follows from their volume
+        sizes[flat] = whole / np.nanprod(sizes)
+    if not regular or len(flat) > 1 or abs(np.prod(sizes) - whole) > ALONG * whole:
+        raise CaseError(
+            "The particles do not fill the cells of a lattice, so the area of their faces is not known; give the "
+            "Traction the area of its face."
+        )
+    return cell, sizes
+
+
+def _refuse_nearest(_: float) -> float:
+    raise CaseError("Nearest cannot choose the particles of a Lattice; use Box, Slab, Sphere or Where in cut and keep.")

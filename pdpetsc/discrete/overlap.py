@@ -1,0 +1,86 @@
+"""Forces that families put on their particles, with the exchange of ghosts behind the work on families without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.halo import Finish
+from pdpetsc.kernels.sparsity import families_with_ghosts
+
+# Adds the forces of the families of some own particles: displacements (n_local, dim), forces (n_local, dim), particles.
+Work: TypeAlias = Callable[[Float, Float, LocalIndex], None]
+
+
+class Overlap:
+    """Applies work on families to displacements and gathers the forces.
+
+    While ghosts arrive half of the families without ghosts are done, while forces on ghosts are sent home the other
+    half; those with ghosts are done in between.
+
+    Parameters
+    ----------
+    cloud, families
+        Particles of this rank and their bonds.
+
+    Notes
+    -----
+    Applying it is collective.
+    """
+
+    def __init__(self, cloud: Cloud, families: Families) -> None:
+        self._cloud = cloud
+        with_ghosts = np.empty(cloud.n_owned, dtype=bool)
+        families_with_ghosts(families.indptr, families.neighbours, cloud.n_owned, with_ghosts)
+        inside = np.flatnonzero(~with_ghosts).astype(np.int32)
+        self._first, self._last = inside[: len(inside) // 2], inside[len(inside) // 2 :]
+        self._border = np.flatnonzero(with_ghosts).astype(np.int32)
+        self._u = np.empty((cloud.n_local, cloud.dim))
+        self._f = np.empty((cloud.n_local, cloud.dim))
+
+    def __call__(self, u: Float, work: Work) -> Float:
+        """Return the forces on the unknowns (n_rows, dim) for the unknowns ``u``; the next call may overwrite them."""
+        v, f = self._u, self._f
+        arrived = start_displacements(self._cloud, u, v)
+        f[:] = 0.0
+        work(v, f, self._first)
+        arrived()
+        work(v, f, self._border)
+        home = start_forces(self._cloud, f)
+        work(v, f, self._last)
+        return home()
+
+
+def start_displacements(cloud: Cloud, u: Float, v: Float) -> Finish:
+    """Write unknowns (n_rows, dim) into own rows of ``v`` (n_local, dim); what is returned completes the others."""
+    n = cloud.n_owned
+    v[:n] = u[:n]
+    arrived = cloud.halo.start_forward(v)
+
+    def finish() -> None:
+        arrived()
+        if cloud.images is not None:
+            v[n:] += cloud.offset @ cloud.images.strain(u[n:])
+
+    return finish
+
+
+def start_forces(cloud: Cloud, f: Float) -> Callable[[], Float]:
+    """Send forces on ghosts home; what is returned adds them and returns those on the unknowns (n_rows, dim).
+
+    ``f`` (n_local, dim) is complete on ghosts, may still grow on own rows, and is overwritten.
+    """
+    n = cloud.n_owned
+    virtual = None if cloud.images is None else cloud.images.force(cloud.offset, f[n:])
+    home = cloud.halo.start_reverse(f)
+
+    def finish() -> Float:
+        home()
+        return f[:n] if virtual is None else np.concatenate([f[:n], virtual])
+
+    return finish

@@ -1,0 +1,284 @@
+"""Block pattern of the tangent and the exchange that completes rows other ranks contribute to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import Comm, exchange
+from pdpetsc.kernels.assembly import add_blocks_kernel
+from pdpetsc.kernels.sparsity import merge_rows, product_pattern, transpose
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A set of block rows, the own columns of each row before the others.
+
+    Attributes
+    ----------
+    first : int
+        Local particle of the first row.
+    diag_ptr, off_ptr : (n_rows + 1,) int64
+        Blocks in own and in other columns.
+    columns : (n_blocks,) int64
+        Column of every block, own ones of a row first: below ``n_owned`` own particles, from there on the sorted
+        other columns.
+    """
+
+    first: int
+    diag_ptr: GlobalIndex
+    off_ptr: GlobalIndex
+    columns: GlobalIndex
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Where the blocks go that other ranks assembled for this rank's rows.
+
+    Attributes
+    ----------
+    row_blocks : (n_rows,) int64
+        Blocks of each received row.
+    start, slot, width : (n_blocks,) int64
+        Of the receiving row: blocks before it, position of this block in it, and its number of blocks.
+    in_diag : (n_blocks,) bool
+        Whether these count in the own columns or in the others.
+    """
+
+    row_blocks: GlobalIndex
+    start: GlobalIndex
+    slot: GlobalIndex
+    width: GlobalIndex
+    in_diag: Mask
+
+
+@dataclass(frozen=True)
+class Border:
+    """Own particles whose forces depend on the virtual unknowns, and those of all ranks where the unknowns are.
+
+    Attributes
+    ----------
+    particles : (n,) int64
+        Own particles with blocks in the virtual columns.
+    columns : (n_virtual_global,) int64
+        Number of the virtual columns on this rank.
+    arrived : (n_all,) int64
+        Number of the column of every such particle of all ranks, in the order that ``gather`` brings them; empty where
+        the unknowns are not.
+    """
+
+    comm: Comm
+    particles: GlobalIndex
+    columns: GlobalIndex
+    arrived: GlobalIndex
+
+    def gather(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return ``values`` (n, ...) of all ranks' particles on the last rank, none elsewhere (collective)."""
+        return _to_last(self.comm, values)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Block pattern of a matrix ``G^T D G`` distributed by rows.
+
+    Columns are numbered: own particles, own virtual rows, then the others in the order of their global rows.
+
+    Attributes
+    ----------
+    owned, ghost : Rows
+        Rows of the own particles, complete; and this rank's share of the rows of its ghosts.
+    virtual : Rows
+        Rows of the virtual unknowns that this rank holds; their own columns are of particles and virtual.
+    other_columns : (n_other,) int64
+        Global row number of the columns that this rank does not own, ascending.
+    locals_of_columns : (n_columns + 1,) int64, (n_local,) int32
+        Where the local particles of each column start in the second array: several where there are images, none for a
+        column that only other ranks add to.
+    border : Border or None
+        Where the rows meet the virtual unknowns of a periodic cell.
+    arrivals : Arrivals
+        Destination of the received ghost rows.
+    """
+
+    cloud: Cloud
+    owned: Rows
+    ghost: Rows
+    virtual: Rows
+    other_columns: GlobalIndex
+    locals_of_columns: tuple[GlobalIndex, LocalIndex]
+    arrivals: Arrivals
+    border: Border | None
+
+    @property
+    def n_own_columns(self) -> int:
+        """Return the columns that this rank owns."""
+        return self.cloud.n_rows
+
+    @property
+    def rows(self) -> Rows:
+        """Return all rows that this rank holds: those of particles, then virtual ones."""
+        one, two = self.owned, self.virtual
+        return Rows(
+            0,
+            np.concatenate([one.diag_ptr, one.diag_ptr[-1] + two.diag_ptr[1:]]),
+            np.concatenate([one.off_ptr, one.off_ptr[-1] + two.off_ptr[1:]]),
+            np.concatenate([one.columns, two.columns]),
+        )
+
+    @property
+    def n_blocks(self) -> int:
+        """Return the number of blocks in this rank's rows."""
+        return len(self.owned.columns) + len(self.virtual.columns)
+
+    def of_other_columns(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the owners' rows of ``values`` (n_owned, ...) for the columns this rank does not own (collective)."""
+        comm, cloud = self.cloud.comm, self.cloud
+        firsts = np.array(comm.allgather(cloud.first), dtype=np.int64)
+        owner = np.searchsorted(firsts, self.other_columns, side="right") - 1
+        (asked,), counts = exchange(comm, owner, [self.other_columns])
+        asker = np.repeat(np.arange(comm.size), counts)
+        (answer,), _ = exchange(comm, asker, [values[asked - cloud.first]])
+        return answer
+
+    def complete(self, ghost_values: Float, diag: Float, off: Float, dim: int) -> None:
+        """Send assembled ghost rows to their owners and add what arrives to ``diag`` and ``off``.
+
+        Parameters
+        ----------
+        ghost_values : (dim * dim * ghost blocks,) float64
+            This rank's share of the ghost rows, in scalar CSR layout.
+        diag, off : float64
+            Values of the own rows, in scalar CSR layout.
+        dim : int
+            Block size: the dimension, or 1 for a matrix of one scalar per block.
+
+        Notes
+        -----
+        Collective.
+        """
+        size = dim * dim
+        lengths = size * np.diff(self.ghost.diag_ptr)
+        received = self.cloud.halo.reverse_rows(ghost_values, lengths, size * self.arrivals.row_blocks)
+        to = self.arrivals
+        add_blocks_kernel(dim)(to.row_blocks, received, to.start, to.slot, to.width, to.in_diag, diag, off)
+
+
+def build_pattern(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> Pattern:
+    """Return the block pattern of ``G^T D G`` for the stencils ``members[point_ptr[p]:point_ptr[p + 1]]``.
+
+    Notes
+    -----
+    Collective: rows of ghosts are sent to their owners.
+    """
+    n_owned, n_own, halo = cloud.n_owned, cloud.n_rows, cloud.halo
+    entry_ptr, _, entry_point = transpose(point_ptr, members, cloud.n_local)
+    row_ptr, local_columns = product_pattern(
+        entry_ptr, entry_point, point_ptr, _one_of_each(cloud)[members], np.arange(cloud.n_local, dtype=np.int64)
+    )
+    ghost_begin = row_ptr[n_owned]
+    ghost_blocks = np.diff(row_ptr[n_owned:])
+    arriving_blocks = np.zeros(cloud.n_local, dtype=np.int64)[halo.send_index]
+    arriving_blocks = halo.reverse_rows(ghost_blocks, np.ones_like(ghost_blocks), np.ones_like(arriving_blocks))
+    arriving = halo.reverse_rows(cloud.row[local_columns[ghost_begin:]], ghost_blocks, arriving_blocks)
+    reached = _bordering(cloud, point_ptr, members)
+    virtual = cloud.n_global + np.arange(cloud.n_virtual_global, dtype=np.int64)
+    reached_rows = _to_last(cloud.comm, cloud.row[reached])
+
+    own_columns = cloud.row[local_columns[:ghost_begin]]
+    others = np.concatenate([cloud.row[n_owned:], arriving, virtual, reached_rows])
+    other_columns = np.unique(others[(others < cloud.first) | (others >= cloud.first + n_own)])
+
+    def number(rows: GlobalIndex) -> GlobalIndex:
+        own = (rows >= cloud.first) & (rows < cloud.first + n_own)
+        return np.where(own, rows - cloud.first, n_own + np.searchsorted(other_columns, rows))
+
+    arriving_ptr = np.concatenate([[0], np.cumsum(arriving_blocks)])
+    virtual_ptr = arriving_ptr[-1] + len(virtual) * np.arange(1, len(reached) + 1)
+    merged_ptr, merged = merge_rows(
+        row_ptr[: n_owned + 1], number(own_columns),
+        np.concatenate([halo.send_index, reached]), np.concatenate([arriving_ptr, virtual_ptr]),
+        number(np.concatenate([arriving, np.tile(virtual, len(reached))])), n_owned, n_own + len(other_columns),
+    )  # fmt: skip
+    owned = _split(0, merged_ptr, merged, n_own)
+    ghost_ptr = row_ptr[n_owned:] - ghost_begin
+    ghost = Rows(n_owned, ghost_ptr, np.zeros_like(ghost_ptr), number(cloud.row[local_columns[ghost_begin:]]))
+    arrivals = _arrivals(owned, merged_ptr, merged, halo.send_index, arriving_blocks, number(arriving), n_own)
+    border_columns = np.sort(number(np.concatenate([reached_rows, virtual]))) if cloud.n_virtual else virtual[:0]
+    held = _split(
+        n_owned, len(border_columns) * np.arange(cloud.n_virtual + 1), np.tile(border_columns, cloud.n_virtual), n_own
+    )
+    border = None
+    if cloud.images is not None:
+        border = Border(cloud.comm, reached, number(virtual), number(reached_rows))
+    locals_of_columns = _locals(number(cloud.row), n_own + len(other_columns))
+    return Pattern(cloud, owned, ghost, held, other_columns, locals_of_columns, arrivals, border)
+
+
+def _one_of_each(cloud: Cloud) -> LocalIndex:
+    """Return for every local particle the first local one with the same row: images share the columns of a particle."""
+    _, first, inverse = np.unique(cloud.row, return_index=True, return_inverse=True)
+    return first[inverse].astype(np.int32)
+
+
+def _locals(columns: GlobalIndex, n_columns: int) -> tuple[GlobalIndex, LocalIndex]:
+    """Return the inverse of the map from local particles to columns."""
+    counts = np.bincount(columns, minlength=n_columns)
+    return np.concatenate([[0], np.cumsum(counts)]), np.argsort(columns, kind="stable").astype(np.int32)
+
+
+def _bordering(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> GlobalIndex:
+    """Return the own particles that share a stencil with an image, or have an image that does (collective)."""
+    if cloud.images is None:
+        return np.empty(0, dtype=np.int64)
+    image = np.zeros(cloud.n_local)
+    image[cloud.n_owned :] = cloud.offset.any(axis=1)
+    reached = sharing_stencil(cloud, point_ptr, members, image)
+    return np.flatnonzero(reached)
+
+
+def sharing_stencil(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex, marked: Float) -> Mask:
+    """Return the own particles that are in a stencil with a local particle that is marked (n_local,) (collective)."""
+    n_points = len(point_ptr) - 1
+    point_of = np.repeat(np.arange(n_points), np.diff(point_ptr))
+    touched = np.bincount(point_of, marked[members], n_points) > 0.0
+    reached = np.bincount(members, touched[point_of].astype(float), cloud.n_local)
+    cloud.halo.reverse(reached)
+    return np.asarray(reached[: cloud.n_owned] > 0.0)
+
+
+def _to_last(comm: Comm, values: NDArray[Any]) -> NDArray[Any]:
+    (arrived,), _ = exchange(comm, np.full(len(values), comm.size - 1), [values])
+    return arrived
+
+
+def _split(first: int, row_ptr: GlobalIndex, columns: GlobalIndex, n_own: int) -> Rows:
+    own_before = np.concatenate([[0], np.cumsum(columns < n_own)])
+    diag_ptr = own_before[row_ptr]
+    return Rows(first, diag_ptr, row_ptr - diag_ptr, columns)
+
+
+def _arrivals(
+    owned: Rows,
+    row_ptr: GlobalIndex,
+    columns: GlobalIndex,
+    rows: LocalIndex,
+    row_blocks: GlobalIndex,
+    arriving: GlobalIndex,
+    n_own: int,
+) -> Arrivals:
+    """Locate each arriving block in the sorted rows: by (row, column) keys, which both lists are ordered by."""
+    width = int(columns.max(initial=0)) + 1
+    row = np.repeat(rows, row_blocks).astype(np.int64)
+    keys = np.repeat(np.arange(len(row_ptr) - 1, dtype=np.int64), np.diff(row_ptr)) * width + columns
+    found = np.searchsorted(keys, row * width + arriving)
+    in_diag = arriving < n_own
+    n_diag = np.diff(owned.diag_ptr)
+    slot = found - row_ptr[row]
+    start = np.asarray(np.where(in_diag, owned.diag_ptr[row], owned.off_ptr[row]))
+    blocks = np.where(in_diag, n_diag[row], np.diff(owned.off_ptr)[row])
+    return Arrivals(np.asarray(row_blocks), start, np.where(in_diag, slot, slot - n_diag[row]), blocks, in_diag)

@@ -1,0 +1,14 @@
+"""What PETSc holds: matrices, options, preconditioners, and the calls that petsc4py does not offer."""
+
+import contextlib
+import signal
+
+import petsc4py
+
+# Where PETSc has not been started yet, by the command line or a script: its .petscrc files, of the home folder and of
+# wherever one stands, can load any library and change any tolerance, so they are not read.
+petsc4py.init(["pdpetsc", "-skip_petscrc"])
+
+# PETSc ends a process whose reader has gone away, as with `| head`; Python gets an error instead, as it had asked for.
+with contextlib.suppress(ValueError):
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)

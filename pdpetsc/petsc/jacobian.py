@@ -1,0 +1,119 @@
+"""Whether the tangent is assembled or applied without a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Mask
+from pdpetsc.declare.solvers import DeclaredSolver
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
+from pdpetsc.petsc.matrix import TangentMatrix
+from pdpetsc.petsc.matrix_free import MatrixFreeTangent
+from pdpetsc.petsc.tangent import PetscTangent
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.nearest_neighbours import NearAssembler
+from pdpetsc.problem.problem import Problem
+
+# Largest number of unknowns for which the direct solver is the default, by dimension.
+DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
+# Blocks of a row of nearest neighbours on a lattice, by dimension; wider matrices than this many times as wide are not
+# assembled.
+NEAR_BLOCKS, WIDE = {1: 5, 2: 13, 3: 25}, 1.5
+# Particles of each rank whose neighbours at two horizons are counted.
+SAMPLE = 300
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How the tangent is represented.
+
+    Attributes
+    ----------
+    pc : str
+        The preconditioner that options name, empty where none.
+    direct : bool
+        Whether a factorisation is the solver.
+    matrix_free : bool
+        Whether the tangent is applied without a matrix.
+    estimate : int
+        About what its assembled matrix takes, over all ranks [bytes]; 0 where nothing was to choose.
+    """
+
+    pc: str
+    direct: bool
+    matrix_free: bool
+    estimate: int
+
+
+def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver) -> Choice:
+    """Choose by ``-pd_jacobian``, else by size: direct where that is quick, assembled where rows are narrow.
+
+    Parameters
+    ----------
+    chosen : mapping
+        PETSc options of the case; those of the command line win.
+
+    Raises
+    ------
+    CaseError
+        The word is unknown, or the solver needs a matrix.
+
+    Notes
+    -----
+    Collective.
+    """
+    database = PETSc.Options()
+    word = database.getString("pd_jacobian", str(chosen.get("pd_jacobian", "auto")))
+    pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
+    if word not in ("assembled", "matfree", "auto"):
+        raise CaseError(f"-pd_jacobian takes assembled, matfree or auto, not {word!r}.")
+    if word == "matfree" and solver.needs.tangent == "assembled":
+        raise CaseError(f"{solver.title} factors its matrix; leave -pd_jacobian at assembled or auto.")
+    cloud, dim = problem.body.cloud, problem.dim
+    small = cloud.n_global * dim <= DIRECT_UNKNOWNS[dim]
+    direct = pc in ("lu", "cholesky") or (not pc and small)
+    if word == "assembled" or solver.needs.tangent != "any" or (word == "auto" and direct):
+        return Choice(pc, direct, False, 0)
+    blocks = _blocks(problem)
+    narrow = blocks <= WIDE * NEAR_BLOCKS[dim] * cloud.n_global
+    matrix_free = word == "matfree" or not narrow
+    size = dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
+    return Choice(pc, direct and not matrix_free, matrix_free, int(blocks * size))
+
+
+def assembler(problem: Problem, choice: Choice) -> Assembler:
+    """Return what fills the matrix that the choice asks for (collective)."""
+    return NearAssembler(problem) if choice.matrix_free else Assembler(problem)
+
+
+def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> PetscTangent:
+    """Return the tangent over ``scale`` [force / length] whose matrix an assembler fills (collective)."""
+    if isinstance(filled, NearAssembler):
+        return MatrixFreeTangent(filled, fixed, scale)
+    return TangentMatrix(filled, fixed, scale)
+
+
+def words(choice: Choice, predicted: int) -> str:
+    """Return what is about to be allocated, of which the matrix takes ``predicted`` bytes (not collective)."""
+    if choice.matrix_free:
+        return (
+            f"tangent: without a matrix, preconditioned by nearest neighbours, {predicted / 2**20:.1f} MiB predicted "
+            f"(assembled about {choice.estimate / 2**20:.0f} MiB)"
+        )
+    return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted"
+
+
+def _blocks(problem: Problem) -> float:
+    """Return about how many blocks the assembled tangent has, from a sample of particles (collective)."""
+    cloud = problem.body.cloud
+    reach = cloud.horizon * problem.horizons * (1.0 + 1e-9)
+    sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
+    found = cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
+    return float(total(cloud.comm, float(np.mean(found)) * cloud.n_owned))

@@ -1,0 +1,155 @@
+"""What petsc4py does not offer: raw arrays of values, domain errors, counts of pivots, options that were used.
+
+The functions called here have had the same C signature since PETSc 3.18.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+
+
+@lru_cache
+def _library() -> ctypes.CDLL:
+    return ctypes.CDLL(PETSc.__file__)
+
+
+def _check(code: int) -> None:
+    if code:
+        raise PETSc.Error(code)
+
+
+def seq_blocks(mat: PETSc.Mat) -> tuple[int, int | None]:
+    """Return the handles of the sequential matrices of own and of other columns of an AIJ matrix."""
+    if mat.getType() == "seqaij":
+        return int(mat.handle), None
+    diag, off = ctypes.c_void_p(), ctypes.c_void_p()
+    _check(_library().MatMPIAIJGetSeqAIJ(ctypes.c_void_p(mat.handle), ctypes.byref(diag), ctypes.byref(off), None))
+    assert diag.value is not None
+    return diag.value, off.value
+
+
+@contextlib.contextmanager
+def values_of(handle: int | None, count: int) -> Iterator[Float]:
+    """Give write access to the ``count`` values of a sequential AIJ matrix, without a copy."""
+    if handle is None or count == 0:
+        yield np.empty(0)
+        return
+    pointer = ctypes.POINTER(ctypes.c_double)()
+    mat = ctypes.c_void_p(handle)
+    _check(_library().MatSeqAIJGetArray(mat, ctypes.byref(pointer)))
+    try:
+        yield np.ctypeslib.as_array(pointer, shape=(count,))
+    finally:
+        _check(_library().MatSeqAIJRestoreArray(mat, ctypes.byref(pointer)))
+
+
+def set_domain_error(snes: PETSc.SNES) -> None:
+    """Tell SNES that the residual is not defined at the point it asked for."""
+    _check(_library().SNESSetFunctionDomainError(ctypes.c_void_p(snes.handle)))
+
+
+def forces_iteration(snes: PETSc.SNES) -> bool:
+    """Return whether -snes_force_iteration asks for an iteration of every solve (not collective)."""
+    forced = ctypes.c_int(0)
+    _check(_library().SNESGetForceIteration(ctypes.c_void_p(snes.handle), ctypes.byref(forced)))
+    return bool(forced.value)
+
+
+@contextlib.contextmanager
+def full_steps(snes: PETSc.SNES) -> Iterator[None]:
+    """Let Newton take full steps in the body, whatever line search the options name."""
+    search = _line_search(snes)
+    _check(_library().SNESLineSearchSetType(search, b"basic"))
+    try:
+        yield
+    finally:
+        # A new type has its own numbers of iterations; all are back with the options.
+        _check(_library().SNESLineSearchSetFromOptions(search))
+
+
+def line_search(snes: PETSc.SNES) -> str:
+    """Return the type of line search."""
+    name = ctypes.c_char_p()
+    _check(_library().SNESLineSearchGetType(_line_search(snes), ctypes.byref(name)))
+    return (name.value or b"").decode()
+
+
+def _line_search(snes: PETSc.SNES) -> ctypes.c_void_p:
+    search = ctypes.c_void_p()
+    _check(_library().SNESGetLineSearch(ctypes.c_void_p(snes.handle), ctypes.byref(search)))
+    return search
+
+
+def set_up_failed(ksp: PETSc.KSP) -> bool:
+    """Set up a linear solver; return whether its preconditioner could not be, as of a singular matrix (collective)."""
+    ksp.setUp()
+    failed = ctypes.c_int(0)
+    _check(_library().PCGetFailedReason(ctypes.c_void_p(ksp.getPC().handle), ctypes.byref(failed)))
+    return failed.value != 0
+
+
+def negative_pivots(ksp: PETSc.KSP) -> int | None:
+    """Return how many pivots of a factorised symmetric matrix are negative: as many as it has negative eigenvalues.
+
+    None where there is no such factor, or its package does not count them (collective).
+    """
+    pc = ksp.getPC()
+    if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0:
+        return None
+    factor = pc.getFactorMatrix()
+    if pc.getFactorSolverType() == "mumps":
+        # PETSc's own question also wants to know the zero ones, for which MUMPS would have to look for null pivots.
+        whole = factor.getComm().size == 1 or factor.getMumpsIcntl(13) == 1
+        return int(factor.getMumpsInfog(12)) if whole else None
+    try:
+        negative, _, _ = factor.getInertia()
+    except PETSc.Error:
+        return None
+    return int(negative)
+
+
+def start_anew(ksp: PETSc.KSP) -> None:
+    """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective).
+
+    Others are made anew for every matrix; GAMG cannot be reset, it keeps the solvers of its levels with their sizes.
+    """
+    if ksp.getPC().getType() not in ("lu", "cholesky"):
+        return
+    mat, preconditioner = ksp.getOperators()
+    ksp.getPC().reset()
+    ksp.setOperators(mat, preconditioner)
+
+
+def effort(ksp: PETSc.KSP) -> float | None:
+    """Return the iterations per digit of the last linear solve, None without one or where it failed."""
+    rtol = float(ksp.getTolerances()[0])
+    if ksp.getConvergedReason() <= 0 or not 0.0 < rtol < 1.0:
+        return None
+    return float(ksp.getIterationNumber() / -np.log10(rtol))
+
+
+def linear_solver(ksp: PETSc.KSP) -> str:
+    """Return a linear solver in a few words."""
+    pc = ksp.getPC()
+    package = pc.getFactorSolverType() if pc.getType() in ("lu", "cholesky", "ilu", "icc") else None
+    return f"ksp {ksp.getType()}, pc {f'{pc.getType()} ({package})' if package else pc.getType()}"
+
+
+def petsc_version() -> str:
+    """Return PETSc's version."""
+    return ".".join(str(part) for part in PETSc.Sys.getVersion())
+
+
+def option_used(name: str) -> bool:
+    """Return whether any PETSc object looked up an option, given without its dash."""
+    used = ctypes.c_int(0)
+    _check(_library().PetscOptionsUsed(None, name.encode(), ctypes.byref(used)))
+    return bool(used.value)

@@ -1,0 +1,181 @@
+"""The tangent matrix in PETSc: allocation, values in place, prescribed degrees of freedom."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import GlobalIndex, Mask
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.components import rigid_modes
+from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.kernels.sparsity import scalar_rows
+from pdpetsc.petsc.library import seq_blocks, values_of
+from pdpetsc.petsc.tangent import PetscTangent
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+
+
+def predicted_bytes(pattern: Pattern, dim: int) -> int:
+    """Return the memory of the matrix over all ranks, from its pattern: values, columns and rows [bytes].
+
+    Notes
+    -----
+    Collective.
+    """
+    index = np.dtype(PETSc.IntType).itemsize
+    per_rank = pattern.n_blocks * dim * dim * (8 + index) + pattern.cloud.n_rows * dim * 6 * index
+    return int(total(pattern.cloud.comm, per_rank))
+
+
+class TangentMatrix(PetscTangent):
+    """An AIJ matrix of block size ``dim`` that an assembler fills in place.
+
+    It holds ``K / scale``. Rows and columns of prescribed degrees of freedom hold only 1 on the diagonal, so that the
+    matrix stays symmetric.
+
+    Parameters
+    ----------
+    assembler : Assembler
+        Fills the matrix of a body.
+    fixed : (n_rows, dim) bool
+        Prescribed degrees of freedom.
+    scale : float
+        The stiffness that is 1 in the matrix [force / length].
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    def __init__(self, assembler: Assembler, fixed: Mask, scale: float) -> None:
+        self._assembler = assembler
+        self._scale = scale
+        self._fixed = fixed.ravel()
+        problem, pattern = assembler.problem, assembler.pattern
+        dim, n = problem.dim, problem.body.cloud.n_rows
+        self.mat = _allocate(problem, pattern)
+        self.preconditioner = self.mat
+        rows = pattern.rows
+        self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
+        self._n_off = int(rows.off_ptr[-1]) * dim * dim
+        other = pattern.of_other_columns(fixed.astype(np.int8)).astype(bool)
+        is_diag = rows.columns < n
+        self._zero_diag = _constrained(rows.diag_ptr, rows.columns[is_diag], fixed, fixed)
+        self._zero_off = _constrained(rows.off_ptr, rows.columns[~is_diag] - n, fixed, other)
+        self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
+        self._handles = seq_blocks(self.mat)
+        self._filled = -1
+        self.diagonal = np.zeros(n * dim)
+
+    def update(self, state: State, effort: float | None = None) -> None:
+        """Fill the matrix with K; that of a linear problem only where it has changed since."""
+        version = self._assembler.problem.version
+        if self._filled == version and self._assembler.problem.linear:
+            return
+        with values_of(self._handles[0], self._n_diag) as diag, values_of(self._handles[1], self._n_off) as off:
+            self._assembler.assemble(state, diag, off)
+            self.diagonal = diag[self._diagonal]
+            diag *= 1.0 / self._scale
+            off *= 1.0 / self._scale
+            diag[self._zero_diag] = 0.0
+            off[self._zero_off] = 0.0
+            diag[self._diagonal[self._fixed]] = 1.0
+        self.mat.assemble()
+        self.mat.stateIncrease()
+        self._filled = version
+
+    def renew(self) -> bool:
+        """Return False: the pattern is that of the whole families."""
+        return False
+
+    def holds(self) -> bool:
+        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        return self._filled == self._assembler.problem.version
+
+    def forget(self) -> None:
+        """Let the next ``update`` fill it anew: its displacement was given up (not collective)."""
+        self._filled = -1
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+        entries = self.mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_allocated"]
+        return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
+
+    def destroy(self) -> None:
+        """Free the PETSc object."""
+        self.mat.destroy()
+
+
+def _allocate(problem: Problem, pattern: Pattern) -> PETSc.Mat:
+    dim, cloud = problem.dim, problem.body.cloud
+    columns = _global_columns(pattern)
+    rows = pattern.rows
+    block_ptr = rows.diag_ptr + rows.off_ptr
+    row_ptr = np.empty(cloud.n_rows * dim + 1, dtype=PETSc.IntType)
+    scalar = np.empty(len(columns) * dim * dim, dtype=PETSc.IntType)
+    scalar_rows(block_ptr, columns, dim, row_ptr, scalar)
+    size = (cloud.n_rows * dim, (cloud.n_global + cloud.n_virtual_global) * dim)
+    mat = PETSc.Mat().create(comm=cloud.comm)
+    mat.setSizes((size, size), bsize=dim)
+    mat.setType("aij")
+    mat.setPreallocationCSR((row_ptr, scalar))
+    if problem.symmetric:
+        mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+    _attach_rigid_modes(mat, problem)
+    return mat
+
+
+def _global_columns(pattern: Pattern) -> GlobalIndex:
+    """Return the global row of every block's column, in the order of the rows of a distributed matrix."""
+    n, first = pattern.n_own_columns, pattern.cloud.first
+    columns = pattern.rows.columns
+    other = np.concatenate([pattern.other_columns, [0]])
+    return np.where(columns < n, columns + first, other[np.maximum(columns - n, 0)])
+
+
+def _constrained(ptr: GlobalIndex, columns: GlobalIndex, fixed_rows: Mask, fixed_columns: Mask) -> GlobalIndex:
+    """Return the positions of values in rows or columns of prescribed degrees of freedom."""
+    dim = fixed_rows.shape[1]
+    row = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+    touched = fixed_rows.any(axis=1)[row] | fixed_columns.any(axis=1)[columns]
+    block = np.flatnonzero(touched)
+    row, column = row[block], columns[block]
+    width = np.diff(ptr)[row]
+    i, k = np.arange(dim)[:, None], np.arange(dim)[None, :]
+    start = dim * dim * ptr[row] + dim * (block - ptr[row])
+    position = start[:, None, None] + (dim * width)[:, None, None] * i + k
+    hit = fixed_rows[row][:, :, None] | fixed_columns[column][:, None, :]
+    return np.asarray(position[hit])
+
+
+def _diagonal(ptr: GlobalIndex, columns: GlobalIndex, dim: int) -> GlobalIndex:
+    """Return the position of every diagonal value, (n_owned * dim,)."""
+    row = np.repeat(np.arange(len(ptr) - 1), np.diff(ptr))
+    block = np.flatnonzero(columns == row)
+    start = dim * dim * ptr[:-1] + dim * (block - ptr[:-1])
+    i = np.arange(dim)
+    return np.asarray(start[:, None] + (dim * np.diff(ptr))[:, None] * i + i).ravel()
+
+
+def _attach_rigid_modes(mat: PETSc.Mat, problem: Problem) -> None:
+    """Give the matrix its near-null space, which algebraic multigrid coarsens with."""
+    cloud = problem.body.cloud
+    modes = rigid_modes(cloud)
+    basis = []
+    for m in range(modes.shape[2]):
+        vec = mat.createVecLeft()
+        vec.array = np.concatenate([modes[:, :, m], np.zeros((cloud.n_virtual, problem.dim))]).ravel()
+        basis.append(vec)
+    for m, vec in enumerate(basis):
+        for earlier in basis[:m]:
+            vec.axpy(-vec.dot(earlier), earlier)
+        vec.normalize()
+    space = PETSc.NullSpace().create(vectors=basis, comm=cloud.comm)
+    mat.setNearNullSpace(space)
+    space.destroy()
+    for vec in basis:
+        vec.destroy()

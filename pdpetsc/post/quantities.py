@@ -1,0 +1,399 @@
+"""Quantities of interest: one number per step, evaluated in parallel."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.declare.region import All, Nearest, Region
+from pdpetsc.declared import Declared, name_of, numbers_from, shown
+from pdpetsc.discrete.communicator import agreed
+from pdpetsc.errors import CaseError
+from pdpetsc.post.solution import (
+    Field,
+    Solution,
+    deformation_gradient,
+    displacement,
+    energy_density,
+    first_piola_stress,
+    local_damage,
+    lost_bonds,
+    plastic_strain,
+    reaction,
+    stress,
+)
+
+EVERYWHERE = All()
+# How many letters a component of the fields of pdpetsc has; those of a user's field are known when it is evaluated.
+_LETTERS: dict[Field, int] = {
+    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain), 0),
+    **dict.fromkeys((displacement, reaction), 1),
+    **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
+}
+
+
+class Quantity(Declared, ABC):
+    """A number that follows from a converged step."""
+
+    @abstractmethod
+    def evaluate(self, solution: Solution) -> float:
+        """Return the value (collective)."""
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where a body of ``dim`` dimensions lacks what is asked for; nothing is computed."""
+
+
+@dataclass(frozen=True)
+class Mean(Quantity):
+    """Volume-weighted mean of a field component over a region.
+
+    Parameters
+    ----------
+    field : Field
+        ``displacement``, ``stress``, or any function of the solution.
+    component : str
+        ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
+    region : Region
+        Where; everywhere by default.
+    """
+
+    field: Field
+    component: str = ""
+    region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A Mean", self.field, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A Mean", self.field, self.component, dim)
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the mean."""
+        mask = solution.select(self.region)
+        values = _component_of(solution, self.field, self.component)[mask]
+        weight = solution.volume[mask]
+        moment, volume = solution.sum([weight @ values, weight.sum()])
+        return float(moment / volume)
+
+
+def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:
+    """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones)."""
+    return Mean(field, component, Nearest(point))
+
+
+@dataclass(frozen=True)
+class Reaction(Quantity):
+    """Sum of one component of the support forces in a region [force]."""
+
+    component: str
+    region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A Reaction", reaction, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A Reaction", reaction, self.component, dim)
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the sum."""
+        mask = solution.select(self.region)
+        return float(solution.sum(component(reaction(solution), self.component)[mask].sum()))
+
+
+@dataclass(frozen=True)
+class CellStrain(Quantity):
+    """Component of the mean strain of a periodic cell [-]."""
+
+    component: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A CellStrain", stress, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A CellStrain", stress, self.component, dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the component."""
+        a, b = _axes(solution, self.component)
+        return float(solution.cell_strain[a, b])
+
+
+@dataclass(frozen=True)
+class CellStress(Quantity):
+    """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress]."""
+
+    component: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A CellStress", stress, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A CellStress", stress, self.component, dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the component."""
+        a, b = _axes(solution, self.component)
+        return float(solution.cell_stress[a, b])
+
+
+@dataclass(frozen=True)
+class StrainEnergy(Quantity):
+    """Strain energy of the body without that of its zero-energy control [energy]."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        return solution.energies["strain"]
+
+
+@dataclass(frozen=True)
+class ControlEnergy(Quantity):
+    """Energy of the zero-energy control [energy]: how much it interferes."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        return solution.energies["control"]
+
+
+@dataclass(frozen=True)
+class ExternalWork(Quantity):
+    """What loads and supports have done [energy], by the trapezoidal rule over the steps."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the work."""
+        return solution.work
+
+
+@dataclass(frozen=True)
+class DissipatedEnergy(Quantity):
+    """What the body has dissipated [energy].
+
+    Of bonds with forces of their own it is what their laws have dissipated, whatever the steps: external work less the
+    energy stored is larger by what jumps of a load step have set free, and by the error of the work between steps. In
+    other bodies, and where a term of the case has a history, it is that difference.
+    """
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the energy."""
+        problem = solution.problem
+        known = problem.matter.dissipated_energy()
+        others = any(term.has_history for term in problem.terms if term is not problem.matter)
+        return solution.work - sum(solution.energies.values()) if known is None or others else known
+
+
+@dataclass(frozen=True)
+class CrackTip(Quantity):
+    """Furthest place along a direction where bonds have broken, of particles that have lost more than a share of them.
+
+    Parameters
+    ----------
+    direction : tuple of float
+        In which the crack grows.
+    damage : float
+        Local damage above which a particle is cracked [-]; a straight crack beside it cuts about a third.
+    region : Region
+        Where the crack is.
+    """
+
+    direction: tuple[float, ...]
+    damage: float = 0.3
+    region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        size = np.linalg.norm(np.asarray(self.direction, dtype=float))
+        if not (np.isfinite(size) and size > 0.0):
+            raise CaseError(f"A CrackTip needs a direction that is not zero, not {self.direction}.")
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the direction is one of another body."""
+        if len(self.direction) != dim:
+            raise CaseError(f"The direction of a CrackTip has {dim} numbers, not {self.direction}.")
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the coordinate along the direction [length]; that of the end behind where nothing has cracked."""
+        self.check(solution.x.shape[1])
+        axis = np.asarray(self.direction, dtype=float)
+        along = solution.x @ (axis / np.linalg.norm(axis))
+        cracked = solution.select(self.region) & (local_damage(solution) > self.damage)
+        behind = -solution.largest(float((-along).max(initial=-np.inf)))
+        return max(solution.largest(float(along[cracked].max(initial=-np.inf))), behind)
+
+
+@dataclass(frozen=True)
+class BrokenBonds(Quantity):
+    """How many pairs of particles have lost their bond."""
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the number."""
+        return float(solution.broken_bonds)
+
+
+@dataclass(frozen=True)
+class Largest(Quantity):
+    """Largest value of a field component over a region."""
+
+    field: Field
+    component: str = ""
+    region: Region = EVERYWHERE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A Largest", self.field, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("A Largest", self.field, self.component, dim)
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the maximum."""
+        values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
+        return solution.largest(float(values.max(initial=-np.inf)))
+
+
+@dataclass(frozen=True)
+class RelativeError(Quantity):
+    """Volume-weighted mean of ``|a - b| / |b|`` between a field and a reference function of position.
+
+    References
+    ----------
+    Hashim et al., Eq. (56).
+
+    Parameters
+    ----------
+    field : Field
+        What is compared.
+    reference : callable
+        ``reference(x, t)`` with (n, dim) positions returns values of the field's shape.
+    region : Region
+        Where; particles with zero reference are left out. NaN where it is zero everywhere.
+    """
+
+    field: Field
+    reference: Callable[[Float, float], Float]
+    region: Region = EVERYWHERE
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of other bodies."""
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the error."""
+        mask = solution.select(self.region)
+        found = _values(solution, self.field)[mask]
+        width = math.prod(found.shape[1:])
+        exact = _reference(solution, self.reference, mask, found.shape).reshape(len(found), width)
+        found = found.reshape(exact.shape)
+        size = np.linalg.norm(exact, axis=1)
+        weight = np.where(size > 0.0, solution.volume[mask], 0.0)
+        error = np.linalg.norm(found - exact, axis=1) / np.where(size > 0.0, size, 1.0)
+        moment, volume = solution.sum([weight @ error, weight.sum()])
+        # The reference of a body at rest is often zero everywhere.
+        return float(moment / volume) if volume > 0.0 else math.nan
+
+
+@dataclass(frozen=True)
+class LargestError(Quantity):
+    """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region."""
+
+    field: Field
+    reference: Callable[[Float, float], Float]
+    region: Region = EVERYWHERE
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the region is one of other bodies."""
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the error."""
+        mask = solution.select(self.region)
+        found = _values(solution, self.field)[mask]
+        difference = np.abs(found - _reference(solution, self.reference, mask, found.shape))
+        return solution.largest(float(difference.max(initial=0.0)))
+
+
+def _reference(
+    solution: Solution, function: Callable[[Float, float], Float], mask: Mask, shape: tuple[int, ...]
+) -> Float:
+    """Return the values of a reference function in the shape of the field where the mask is true (collective)."""
+    with agreed(solution.cloud.comm):
+        if not mask.any():
+            return np.zeros(shape)
+        values = numbers_from("reference", function, solution.x[mask], solution.t)
+        try:
+            return values.reshape(shape) if values.size == math.prod(shape) else np.broadcast_to(values, shape)
+        except ValueError:
+            raise CaseError(
+                f"The reference {name_of(function)} must return values of the shape of the field, {shape}, "
+                f"not {values.shape}."
+            ) from None
+
+
+def _values(solution: Solution, field: Field) -> Float:
+    """Return a field, which is one value, vector or tensor per own particle on every rank (collective)."""
+    values = field(solution)
+    with agreed(solution.cloud.comm):
+        if np.shape(values)[:1] != (len(solution.x),) or np.asarray(values).dtype.kind not in "biuf":
+            raise CaseError(
+                f"The field {name_of(field)} must return numbers for each of {len(solution.x)} particles, "
+                f"not {shown(values)}."
+            )
+        return np.asarray(values, dtype=float)
+
+
+def _component_of(solution: Solution, field: Field, name: str) -> Float:
+    """Return a component of a field (collective)."""
+    values = _values(solution, field)
+    with agreed(solution.cloud.comm):
+        return component(values, name)
+
+
+def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:
+    """Raise CaseError where a field of a body of ``dim`` dimensions has no such component."""
+    letters = "xyz"[:dim]
+    # A field may be an object that cannot be looked up by its hash.
+    ours = [number for known, number in _LETTERS.items() if known is field]
+    wanted = ours[0] if ours else min(len(component), 2)
+    if len(component) == wanted and set(component) <= set(letters):
+        return
+    known = f"{wanted} of {', '.join(letters)}" if wanted else "none"
+    if not ours:
+        known = f"none, one or two of {', '.join(letters)}"
+    raise CaseError(f"{who} of {name_of(field)} in {dim}D takes {known} as component, not {component!r}.")
+
+
+def _axes(solution: Solution, name: str) -> tuple[int, int]:
+    """Return the pair of directions of a component that the cell has."""
+    images = solution.cloud.images
+    if images is None:
+        raise CaseError("The mean strain and stress are those of a periodic cell; give the Case a cell.")
+    letters = ["xyz"[a] + "xyz"[b] for a, b in images.cell.components]
+    if name not in letters:
+        raise CaseError(f"The periodic cell has the components {', '.join(letters)}, not {name!r}.")
+    return images.cell.components[letters.index(name)]
+
+
+def component(values: Float, name: str) -> Float:
+    """Return one component of a field: ``""`` of a scalar, ``"x"`` of a vector, ``"xy"`` of a tensor."""
+    axes = ["xyz".find(letter) for letter in name]
+    if len(axes) != values.ndim - 1 or any(not 0 <= a < values.shape[1] for a in axes):
+        dim = values.shape[-1] if values.ndim > 1 else 0
+        raise CaseError(f"A field of rank {values.ndim - 1} in {dim} dimensions has no component {name!r}.")
+    index: tuple[slice | int, ...] = (slice(None), *axes)
+    return np.asarray(values[index])

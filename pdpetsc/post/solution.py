@@ -1,0 +1,250 @@
+"""The state after a converged step, as outputs and quantities of interest see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.region import Region
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.selection import select
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+
+
+class Solution:
+    """Displacements of the own particles and what follows from them.
+
+    Parameters
+    ----------
+    problem : Problem
+        Terms and supports.
+    unknowns : (n_rows, dim) float64
+        Converged displacements [length], then the virtual rows of a periodic cell.
+    t : float
+        Step time [-].
+    step : int
+        Number of the step, 0 for the undeformed state.
+    work : float
+        What loads and supports have done since the undeformed state [energy].
+    resume : mapping of str to float
+        Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
+    tangent_at : (n_rows, dim) float64, optional
+        Where the tangent is of that the next step begins with [length], if it is not of here.
+
+    Notes
+    -----
+    Every property that is computed, ``sum`` and ``select`` are collective.
+    """
+
+    def __init__(
+        self, problem: Problem, unknowns: Float, t: float, step: int, work: float = 0.0,
+        resume: Mapping[str, float] | None = None, tangent_at: Float | None = None,
+    ) -> None:  # fmt: skip
+        self.problem = problem
+        self.unknowns = unknowns
+        self.t = t
+        self.step = step
+        self.work = work
+        self.resume = {name: float(value) for name, value in (resume or {}).items()}
+        self.tangent_at = tangent_at
+
+    @property
+    def cloud(self) -> Cloud:
+        """Return the particles of this rank with their ghosts."""
+        return self.problem.body.cloud
+
+    @cached_property
+    def state(self) -> State:
+        """Return the state of the problem (collective)."""
+        return self.problem.state(self.unknowns, self.t)
+
+    def forget(self) -> None:
+        """Free what was computed for outputs and would be computed again."""
+        self.state.forget()
+
+    @property
+    def x(self) -> Float:
+        """Return the reference positions of the own particles (n_owned, dim) [length]."""
+        return self.cloud.x[: self.cloud.n_owned]
+
+    @property
+    def volume(self) -> Float:
+        """Return the volumes of the own particles (n_owned,)."""
+        return self.cloud.volume[: self.cloud.n_owned]
+
+    @property
+    def u(self) -> Float:
+        """Return the displacements of the own particles (n_owned, dim) [length]."""
+        return self.unknowns[: self.cloud.n_owned]
+
+    @cached_property
+    def internal_force(self) -> Float:
+        """Return the internal forces (n_rows, dim) [force]."""
+        force = self.problem.internal_force(self.state, of_solver=False)
+        if force is None:
+            raise FloatingPointError("a converged state has det F <= 0")
+        return force
+
+    @cached_property
+    def reaction(self) -> Float:
+        """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
+        return np.where(self.problem.supports.fixed, self.internal_force - self._loads, 0.0)
+
+    def follow(self, before: Solution) -> None:
+        """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
+
+        Without inertia it is that of the internal forces too; where forces are not linear between the steps it has the
+        error of the trapezoidal rule.
+        """
+        forces = self._acting + before._acting
+        self.work = before.work + float(self.sum(0.5 * float((forces * (self.unknowns - before.unknowns)).sum())))
+
+    @cached_property
+    def _loads(self) -> Float:
+        """Return the external forces (n_rows, dim) [force]."""
+        return self.problem.external_force(self.state)
+
+    @cached_property
+    def _acting(self) -> Float:
+        """Return the forces of loads and supports (n_rows, dim) [force]."""
+        return np.where(self.problem.supports.fixed, self.internal_force, self._loads)
+
+    @cached_property
+    def energies(self) -> dict[str, float]:
+        """Return the energies by what they are the energy of: ``strain``, ``control``, ... [energy]."""
+        return self.problem.energies(self.state)
+
+    @property
+    def broken_bonds(self) -> int:
+        """Return how many pairs of particles have lost their bond (collective)."""
+        damage = self.problem.damage
+        return 0 if damage is None else damage.bonds.count_broken()
+
+    @cached_property
+    def cell_strain(self) -> Float:
+        """Return the mean strain of the periodic cell (dim, dim) [-]."""
+        cloud = self.cloud
+        assert cloud.images is not None
+        return cloud.images.strain(self.unknowns[cloud.n_owned :])
+
+    @cached_property
+    def cell_stress(self) -> Float:
+        """Return the mean stress of the periodic cell (dim, dim) [stress]."""
+        cell = self.problem.supports.cell
+        assert cell is not None
+        stress = np.zeros((self.problem.dim, self.problem.dim))
+        for (a, b), value in zip(cell.components, cell.mean_stress(self.internal_force), strict=True):
+            stress[a, b] = stress[b, a] = value
+        return stress
+
+    @cached_property
+    def out_of_plane(self) -> tuple[Float, Float, Float]:
+        """Return stretch [-], P and Cauchy stress [stress] across a line or plane body, each (n_owned,)."""
+        return self.problem.matter.out_of_plane(self.state)
+
+    def select(self, region: Region) -> Any:
+        """Return which own particles a region selects (n_owned,) bool."""
+        return select(self.cloud, region, "a quantity of interest")
+
+    def sum(self, values: Any) -> Any:
+        """Return the sum over all ranks of numbers summed on each."""
+        return total(self.cloud.comm, values)
+
+    def largest(self, value: float) -> float:
+        """Return the maximum over all ranks."""
+        return largest(self.cloud.comm, value)
+
+
+# A field of the own particles, (n_owned,) or (n_owned, dim) or (n_owned, dim, dim); its name is the function's.
+Field: TypeAlias = Callable[[Solution], Float]
+
+
+def displacement(solution: Solution) -> Float:
+    """Return u (n_owned, dim) [length]."""
+    return solution.u
+
+
+def deformation_gradient(solution: Solution) -> Float:
+    """Return F, the mean over the points of each particle (n_owned, dim, dim) [-]."""
+    return solution.problem.matter.deformation_gradient(solution.state)
+
+
+def stress(solution: Solution) -> Float:
+    """Return the Cauchy stress, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
+    return solution.problem.matter.cauchy_stress(solution.state)
+
+
+def first_piola_stress(solution: Solution) -> Float:
+    """Return P, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
+    return solution.problem.matter.first_piola_stress(solution.state)
+
+
+def in_space(field: Field) -> Field:
+    """Return a field as files hold it: tensors of a line or plane body with what they are across it (n, 3, 3).
+
+    Others are as they are.
+    """
+    across = _ACROSS.get(getattr(field, "__wrapped__", field))
+    if across is None:
+        return field
+
+    def whole(solution: Solution) -> Float:
+        inside = field(solution)
+        dim = solution.problem.dim
+        if dim == 3:
+            return inside
+        tensor = np.zeros((len(inside), 3, 3))
+        tensor[:, :dim, :dim] = inside
+        for axis in range(dim, 3):
+            tensor[:, axis, axis] = solution.out_of_plane[across]
+        return tensor
+
+    return whole
+
+
+def energy_density(solution: Solution) -> Float:
+    """Return the strain energy density, the mean over the points of each particle (n_owned,) [energy / volume]."""
+    return solution.problem.matter.energy_density(solution.state)
+
+
+def reaction(solution: Solution) -> Float:
+    """Return the support forces (n_owned, dim) [force]."""
+    return solution.reaction[: len(solution.u)]
+
+
+def plastic_strain(solution: Solution) -> Float:
+    """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
+    return solution.problem.matter.plastic_strain()
+
+
+def local_damage(solution: Solution) -> Float:
+    """Return the lost share of the stiffness of each particle's bonds (n_owned,) [-]; 0 where bonds do not fail.
+
+    References
+    ----------
+    Silling, Askari (2005), Eq. (29), with the bonds weighted by their stiffness.
+    """
+    return solution.problem.matter.local_damage()
+
+
+def lost_bonds(solution: Solution) -> Float:
+    """Return the share of the volume around each particle whose bonds are broken (n_owned,) [-].
+
+    Bonds that have lost part of their force count as whole; 0 where bonds do not fail.
+
+    References
+    ----------
+    Hashim et al., Eq. (46).
+    """
+    damage = solution.problem.damage
+    return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()
+
+
+# Which of the numbers across a line or plane body completes a tensor.
+_ACROSS: dict[Field, int] = {deformation_gradient: 0, first_piola_stress: 1, stress: 2}

@@ -1,0 +1,237 @@
+"""From a case to its distributed model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex, Mask
+from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
+from pdpetsc.bond_based.fracture import resolve
+from pdpetsc.case import Case, ungraded
+from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
+from pdpetsc.damage.state import FailingBonds
+from pdpetsc.declare.influence import evaluate
+from pdpetsc.declare.particles import Chunk
+from pdpetsc.declared import called, numbers_from
+from pdpetsc.discrete.cloud import Cloud, distribute
+from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
+from pdpetsc.discrete.families import Families, find_families
+from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
+from pdpetsc.discrete.selection import select
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.compile import cache_lock
+from pdpetsc.material import Graded, Material
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.extra import build_extra
+from pdpetsc.problem.loose_springs import LooseSprings
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.nearest_neighbours import NearAssembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import nearest_distances, scales_of
+from pdpetsc.problem.term import Term
+from pdpetsc.solvers.table import implementation
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.conditions import apply
+from pdpetsc.terms.control import ControlForces, stiffness_of
+from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.material_points import MaterialPoints
+
+# Positions and horizons beyond these overflow where they are raised to powers.
+FAR = 1e60
+
+
+def make_cloud(comm: Comm, case: Case) -> Cloud:
+    """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
+    refuse_beyond_memory(comm, case.particles.estimate() / comm.size * PER_PARTICLE, "Making the particles")
+    with agreed(comm):
+        chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
+        _refuse_bad_particles(chunk)
+    count = int(total(comm, len(chunk.x)))
+    if count == 0:
+        raise CaseError("The case has no particles.")
+    _refuse_large_families(comm, case, chunk.x, count)
+    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell)
+
+
+def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None:
+    """Raise on all ranks where families are so large that they cannot be held (collective)."""
+    bonds = predicted_bonds(comm, x, case.horizon, case.cell)
+    family, dim = bonds / count, x.shape[1]
+    each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
+    what = f"A horizon of {case.horizon:g} gives {count} particles about {family:.4g} neighbours each, which"
+    refuse_beyond_memory(comm, bonds * each / comm.size, what)
+
+
+def make_problem(case: Case, cloud: Cloud, families: Families) -> Problem:
+    """Return the problem of a case on a distributed cloud (collective)."""
+    if int(total(cloud.comm, len(families.neighbours))) == 0:
+        raise CaseError(
+            f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
+            f"the cracks cut less."
+        )
+    materials, material_of, factor = _materials(case, cloud)
+    return _problem(case, Body(cloud, families), materials, material_of, factor)
+
+
+def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
+    """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
+
+    The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
+    nor write its cache at once. With ``near`` these are the kernels of the matrix of nearest neighbours.
+
+    Notes
+    -----
+    Collective.
+    """
+    with agreed(comm):
+        if is_root(comm):
+            x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+            materials = [ungraded(material) for _, material in case.materials]
+            with cache_lock():
+                cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
+                alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
+                # The case's critical stretches are those of another body, its conditions and terms know that body only.
+                damage = None
+                if case.damage is not None:
+                    damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
+                bare = replace(case, damage=damage, conditions=[], cell=None, terms=())
+                problem = _problem(bare, Body(cloud, find_families(cloud)), materials, alternating, None)
+                assembler = NearAssembler(problem) if near else Assembler(problem)
+                state = problem.state(np.zeros_like(x))
+                size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
+                assembler.assemble(state, np.empty(size[0]), np.empty(size[1]))
+                problem.internal_force(state)
+                problem.linearised(state)(state.u)
+                problem.energies(state)
+                problem.commit(state)
+                problem.matter.out_of_plane(state)
+                nearest_distances(problem.body)
+                problem.supports.held_at_cut_families()
+                implementation(case.solver).rehearse(problem)
+
+
+def _problem(
+    case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None
+) -> Problem:
+    cloud, families = body.cloud, body.families
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    with agreed(cloud.comm):
+        omega = evaluate(case.influence, length / cloud.horizon)
+    bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+    make = _bonds if case.of_bonds else _points
+    matter, others, damage = make(case, body, bonds, materials, material_of, factor)
+    supports, loads = apply(body, matter, case.conditions, case.particles)
+    extra = []
+    for number, declared in enumerate(case.terms, 1):
+        extra.append(build_extra(declared, number, body))
+    problem = Problem(body, matter, [*others, loads, *extra], supports, damage)
+    if damage is not None:
+        problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
+        problem.terms.append(problem.springs)
+    return problem
+
+
+def _bonds(
+    case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
+    """Return the terms of a body whose forces act along bonds (collective)."""
+    matter = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
+    if case.damage is None:
+        return matter, [], None
+    damage = _failing(case.damage, body, bonds, matter.k, matter.finite)
+    matter.take_damage(damage)
+    return matter, [], damage
+
+
+def _points(
+    case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
+    """Return the terms of a body with deformation gradients (collective)."""
+    continuum = cast(Sequence[Material], materials)
+    damage: Damage | None = None
+    matter: Matter
+    if case.damage is not None:
+        alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in continuum]
+        k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
+        damage = _failing(case.damage, body, bonds, k, finite=True)
+        matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage)
+    else:
+        matter = MaterialPoints(body, bonds.omega, case.gradients, continuum, material_of, factor)
+    if case.control is None:
+        return matter, [], damage
+    stiffness = stiffness_of(body, continuum, material_of, factor)
+    return matter, [ControlForces(body, case.control, bonds.omega, stiffness, damage)], damage
+
+
+def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:
+    """Return the damage of bonds of stiffness ``k`` (n_bonds,), its fracture energy resolved (collective)."""
+    law = resolve(declared, bonds, k)
+    return Damage(body, FailingBonds(body.cloud, body.families, law, _protected(declared, body.cloud)), finite)
+
+
+def _protected(declared: BondDamage, cloud: Cloud) -> Mask | None:
+    """Return the local particles whose bonds do not fail (collective)."""
+    if declared.protected is None:
+        return None
+    marked = np.zeros(cloud.n_local)
+    marked[: cloud.n_owned] = select(cloud, declared.protected, "what damage is protected from")
+    cloud.halo.forward(marked)
+    return marked > 0.0
+
+
+def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:
+    """Return the materials, the index of each own particle's, and its factor where any is graded (collective)."""
+    count = np.zeros(cloud.n_owned, dtype=np.int32)
+    index = np.zeros(cloud.n_owned, dtype=np.int32)
+    factor = np.ones(cloud.n_owned)
+    x = cloud.x[: cloud.n_owned]
+    for number, (region, material) in enumerate(case.materials):
+        mask = select(cloud, region, f"material {number + 1}")
+        count += mask
+        index[mask] = number
+        with agreed(cloud.comm):
+            # A function of positions need not know what to make of none.
+            if isinstance(material, Graded) and mask.any():
+                factor[mask] = _factors(material, x[mask])
+    with agreed(cloud.comm):
+        wrong = np.flatnonzero(count != 1)
+        if len(wrong):
+            gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
+            raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
+    graded = any(isinstance(material, Graded) for _, material in case.materials)
+    return [ungraded(material) for _, material in case.materials], index, factor if graded else None
+
+
+def _factors(material: Graded, x: Float) -> Float:
+    values = numbers_from("factor of a graded material", material.factor, x)
+    if values.shape != (len(x),):
+        raise CaseError(
+            f"The factor of a graded material must return one number per particle, not shape {values.shape}."
+        )
+    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    if len(bad):
+        raise CaseError(f"The factor of a graded material is {values[bad[0]]:g} at {x[bad[0]]}; it must be positive.")
+    return values
+
+
+def _refuse_bad_particles(chunk: Chunk) -> None:
+    bad = np.flatnonzero(~np.isfinite(chunk.x).all(axis=1))
+    if len(bad):
+        raise CaseError(f"{len(bad)} particles have a position that is not a number, the first at {chunk.x[bad[0]]}.")
+    far = float(np.abs(chunk.x).max(initial=0.0))
+    if far > FAR:
+        raise CaseError(
+            f"A particle is {far:g} away from the origin; choose a unit of length that gives smaller numbers."
+        )
+    bad = np.flatnonzero(~(np.isfinite(chunk.volume) & (chunk.volume > 0.0)))
+    if len(bad):
+        volume, x = chunk.volume[bad[0]], chunk.x[bad[0]]
+        raise CaseError(f"{len(bad)} particles have no positive volume, the first has {volume:g} at {x}.")

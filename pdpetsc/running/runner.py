@@ -1,0 +1,562 @@
+"""Running a case: steps, records, results."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import platform
+import resource
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from pdpetsc.case import Case, check_declared
+from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
+from pdpetsc.discrete.components import refuse_rigid_motion
+from pdpetsc.discrete.failure import all_failed, give_up, keep_apart
+from pdpetsc.discrete.families import find_families
+from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
+from pdpetsc.kernels.compile import cache_trouble
+from pdpetsc.output.checkpoint import read_checkpoint
+from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.fingerprint import declared_parts
+from pdpetsc.output.folder import holding, set_aside
+from pdpetsc.output.keeper import Keeper
+from pdpetsc.output.picture import draw
+from pdpetsc.output.progress import Reporter
+from pdpetsc.output.records import write_summary
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import Choice, assembler, choose, words
+from pdpetsc.petsc.library import petsc_version
+from pdpetsc.petsc.matrix import predicted_bytes
+from pdpetsc.petsc.options import options as petsc_options
+from pdpetsc.petsc.options import options_in_force, refuse_files, refuse_names, unused
+from pdpetsc.petsc.stages import OUTPUT, SEARCH, SET_UP, stage
+from pdpetsc.post.solution import Field, Solution, displacement
+from pdpetsc.problem.apart import pieces_left
+from pdpetsc.problem.problem import Problem
+from pdpetsc.running.build import make_cloud, make_problem, rehearse
+from pdpetsc.running.signals import Signals, watched
+from pdpetsc.solvers.protocol import Converged, Setting, Solver, Start, StepResult
+from pdpetsc.solvers.table import implementation, refuse_unmet
+
+
+def run(
+    case: Case,
+    output: str | Path,
+    options: Mapping[str, Any] | None = None,
+    restart: str | Path | None = None,
+    quiet: bool = False,
+    parameters: Mapping[str, Any] | None = None,
+    restart_anyway: bool = False,
+) -> dict[str, float]:
+    """Run a case and return its named results.
+
+    Parameters
+    ----------
+    case : Case
+        What to run.
+    output : str or Path
+        Folder for ``summary.json``, ``history.csv``, ``fields.h5``, ``fields.xdmf``, ``checkpoint.h5``.
+    options : mapping, optional
+        PETSc options without dash; they win over the case's.
+    restart : str or Path, optional
+        Checkpoint to go on from, or the folder of a run that holds one.
+    quiet : bool
+        Print nothing.
+    parameters : mapping, optional
+        Written to the summary: what the case was made with.
+    restart_anyway : bool
+        Go on from a checkpoint of a case that declares something else: another material, load, crack, ...
+
+    Returns
+    -------
+    dict of str to float
+        The case's results.
+
+    Raises
+    ------
+    CaseError
+        The case or an option is wrong; nothing was run, and the folder is as it was, but where PETSc refuses an option
+        in the first solve only: then what an earlier run left is in ``earlier/``.
+    SolveError, OutputError, Interrupted
+        The run ended early; the folder holds everything up to the last converged step.
+    RunError
+        A function of the case, PETSc or the memory failed, or pdpetsc itself; likewise. Its cause is what was raised.
+
+    Notes
+    -----
+    Collective. All of these are raised on every rank. Where one rank fails alone, the others wait for it in MPI for
+    ever: it then says so on stderr and in ``summary.json``, and aborts all. On one rank nothing is aborted.
+
+    ``summary.json`` has the status "running" from the first file that is written to the end, then "converged" or why
+    the run ended.
+    """
+    comm = world()
+    keep_apart()
+    folder = Path(output)
+    with holding(comm, folder), Reporter(comm, quiet) as report:
+        chosen = {**case.options, **(options or {})}
+        return _Run(case, folder, chosen, restart, restart_anyway, report, dict(parameters or {}))()
+
+
+# Stages of PETSc's log that phases belong to.
+STAGES = {
+    **dict.fromkeys(("particles", "families"), SEARCH),
+    **dict.fromkeys(("kernels", "model", "pattern", "allocation"), SET_UP),
+    **dict.fromkeys(("output", "picture"), OUTPUT),
+}
+
+_abandoned: list[Solver] = []
+
+
+class _Run:
+    """One run: builds the model, drives the steps, keeps the records."""
+
+    def __init__(
+        self,
+        case: Case,
+        folder: Path,
+        options: Mapping[str, Any],
+        restart: str | Path | None,
+        restart_anyway: bool,
+        report: Reporter,
+        parameters: dict[str, Any],
+    ) -> None:
+        self.case = case
+        self.folder = folder
+        self.options = options
+        self.restart = restart
+        self.restart_anyway = restart_anyway
+        self.report = report
+        self.comm = world()
+        self.timings: dict[str, float] = {}
+        self.steps: list[dict[str, Any]] = []
+        self.history: dict[str, list[float]] = {}
+        self.failed: list[StepResult] = []
+        self.unit = "Newton"
+        self.phase = "particles"
+        self.solver: Solver | None = None
+        self.keeper: Keeper | None = None
+        self.taken = False  # whether the folder holds files of this run
+        self.signals: Signals
+        self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
+
+    def __call__(self) -> dict[str, float]:
+        with watched(self.comm, self._stuck) as self.signals:
+            try:
+                results = self._go()
+            except BaseException as error:
+                failure = self._end(error)
+                if self.solver is not None:
+                    # After an error of PETSc its objects are in no order to be destroyed in, not by Python either.
+                    _abandoned.append(self.solver) if of_petsc(error) else self.solver.destroy()
+                if failure is error:
+                    raise
+                raise failure from error
+            if self.solver is not None:
+                self.solver.destroy()
+        return results
+
+    def _go(self) -> dict[str, float]:
+        case, comm = self.case, self.comm
+        refuse_names(self.options)
+        with self._timed("particles"):
+            cloud = make_cloud(comm, case)
+            with agreed(comm):
+                check_declared(case, cloud.dim)
+        with self._timed("kernels"):
+            rehearse(comm, case, cloud.dim)
+        if cache_trouble():
+            self.report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
+        with self._timed("families"):
+            families = find_families(cloud, case.cracks)
+        with self._timed("model"):
+            problem = make_problem(case, cloud, families)
+            refuse_rigid_motion(cloud, families, problem.held)
+        self._describe(problem)
+        self._report_loads(problem)
+        self.phase = "set-up"
+        choice = choose(problem, self.options, case.solver)
+        defaults = default_options(problem, case.solver, choice)
+        with petsc_options(self.options, defaults):
+            self.summary["options"] = options_in_force(self.options, defaults)
+            of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
+            refuse_files(comm, self.summary["options"])
+            if of_environment:
+                self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
+            try:
+                self.solver = self._solver(problem, choice, self.signals.asked)
+                self.summary["solver"] = self.solver.description()
+                self.report.say(f"solver: {self.solver.description()}")
+                return self._march(problem, self.solver)
+            finally:
+                self.summary["unused_options"] = unused(self.summary["options"])
+
+    def _end(self, error: BaseException) -> PdpetscError:
+        """Leave everything in order after an error and return it as one sentence; abort where this rank is alone."""
+        failure = described(error)
+        if isinstance(failure, RunError):
+            failure.phase = failure.phase or self.phase
+            if failure.rank is None and self.comm.size > 1 and not failure.agreed:
+                failure.rank = self.comm.rank
+        if isinstance(error, KeyboardInterrupt):
+            kept = "results are complete up to the step before" if self.taken else "nothing was run"
+            failure = Interrupted(f"Stopped by a signal in phase {self.phase}; {kept}.")
+        self.signals.deaf = True
+        together = all_failed(error, failure)
+        self.signals.deaf = not together
+        if isinstance(failure, RunError) and together and not failure.agreed:
+            failure.rank = None
+        failure = self._of_right_status(failure, together)
+        if isinstance(failure, RunError) and failure.bug and ((together and is_root(self.comm)) or not together):
+            self._write_traceback(error)
+        if not together:
+            self._leave(failure)
+        failure.agreed = True
+        if not self.taken:
+            return failure
+        said = str(failure)
+        # A signal may have come in the middle of a write; what is on disk stays.
+        if (
+            self.keeper is not None
+            and not isinstance(failure, OutputError)
+            and not isinstance(error, KeyboardInterrupt)
+        ):
+            try:
+                self.keeper.save()
+                if "pieces" not in self.summary:
+                    self._say_what_holds(self.keeper.problem)
+            except KeyboardInterrupt:
+                said += " A second signal came before its last checkpoint was written."
+            except Exception as other:
+                said += f" {described(other)}"
+        self.summary["error"] = type(failure).__name__
+        # What ended the run is on record, whatever signals come.
+        self.signals.deaf = True
+        with contextlib.suppress(Exception):
+            self._write_summary(said)
+        return failure
+
+    def _of_right_status(self, failure: PdpetscError, together: bool) -> PdpetscError:
+        """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
+        if isinstance(failure, RunError) and not self.steps:
+            if failure.of_option and self.phase in ("set-up", "solve"):
+                return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
+            if failure.of_user and not self.taken and failure.exit_status == 1:
+                failure.exit_status = CaseError.exit_status
+        elif isinstance(failure, CaseError) and self.steps:
+            rank = None if together else self.comm.rank
+            return RunError(str(failure), users_line(failure), self.phase, rank)
+        return failure
+
+    def _leave(self, failure: PdpetscError) -> NoReturn:
+        """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
+        if not isinstance(failure, RunError | Interrupted):
+            failure = RunError(str(failure), place=users_line(failure), phase=self.phase, rank=self.comm.rank)
+        if self.taken:
+            self.summary["error"] = type(failure).__name__
+            with contextlib.suppress(Exception):
+                memory = [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]
+                write_summary(alone(), self.folder, self._ended(str(failure), {}, memory))
+        give_up(failure)
+
+    def _stuck(self) -> None:
+        """End a rank that a signal should have ended and that waits for others in MPI; on one rank MPI never waits."""
+        if self.comm.size > 1:
+            self._leave(Interrupted(f"Stopped by a signal in phase {self.phase}; nothing was run."))
+
+    def _write_traceback(self, error: BaseException) -> None:
+        text = f"{time.ctime()}, phase {self.phase}\n{''.join(traceback.format_exception(error))}"
+        try:
+            (self.folder / "traceback.txt").write_text(text)
+        except OSError:
+            with contextlib.suppress(OSError):
+                print(text, file=sys.stderr, flush=True)
+
+    def _solver(self, problem: Problem, choice: Choice, stop: Callable[[], bool]) -> Solver:
+        declared, steps = self.case.solver, self.case.steps
+        make = implementation(declared).make
+        refuse_unmet(problem, declared)
+        if declared.needs.tangent == "none":
+            return make(Setting(problem, declared, steps, None, stop))
+        if choice.matrix_free:
+            with self._timed("kernels"):
+                rehearse(self.comm, self.case, problem.dim, near=True)
+        with self._timed("pattern"):
+            filled = assembler(problem, choice)
+            predicted = predicted_bytes(filled.pattern, problem.dim)
+            self.report.say(words(choice, predicted))
+        with self._timed("allocation"):
+            solver = make(Setting(problem, declared, steps, filled, stop))
+        self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
+        self.summary["allocated"].append("matrix of nearest neighbours" if choice.matrix_free else "tangent matrix")
+        return solver
+
+    def _march(self, problem: Problem, solver: Solver) -> dict[str, float]:
+        case, cloud = self.case, problem.body.cloud
+        order = InCreationOrder(cloud)
+        start, origin = Solution(problem, np.zeros((cloud.n_rows, problem.dim)), 0.0, 0), None
+        declared = self.comm.bcast(declared_parts(case) if is_root(self.comm) else None)
+        if self.restart is not None:
+            if not case.solver.restarts:
+                raise CaseError(f"{case.solver.title} starts from the unloaded body; it takes no restart.")
+            at_any_load = case.solver.finds_load
+            origin = read_checkpoint(problem, order, self.restart, declared, self.restart_anyway, at_any_load)
+            start = origin.start
+            solver.resume(_start(start))
+        step = start.step
+        self.phase = "output"
+        self._try_records(start)
+        with self._timed("output"):
+            checkpoints = case.checkpoints if case.solver.restarts else 0
+            # From here on the folder is this run's.
+            self.signals.patient = True
+            if origin is None or not origin.inside(self.folder):
+                try:
+                    set_aside(self.comm, self.folder, None if origin is None else origin.path)
+                except OutputError:
+                    self.taken = True
+                    raise
+            self.taken = True
+            write_summary(self.comm, self.folder, self._ended("running", {}, []))
+            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
+            self.keeper, self.history = keeper, keeper.history
+            if not keeper.took_over:
+                self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
+
+        def on_failure(at: float, dt: float, result: StepResult) -> None:
+            self.failed.append(result)
+            self.report.cut_back(at, dt, result)
+
+        self.unit = solver.unit
+        self.phase = "solve"
+        before = time.perf_counter()
+        for converged in solver.march(_start(start), on_failure):
+            self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
+            step += 1
+            self.report.step(converged.t, solver.line(step, converged))
+            self._say_detached(problem)
+            self.steps.append(_step_summary(step, converged, solver.unit))
+            self.failed.clear()
+            with self._timed("output"):
+                state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
+                state.tangent_at = solver.tangent_at
+                keeper.write(state, converged.write_fields)
+            before, self.phase = time.perf_counter(), "solve"
+        keeper.save()
+        self._say_what_holds(problem)
+        self.phase = "results"
+        self.signals.patient = False
+        with agreed(self.comm):
+            results = _numbers(self.case.results(self.history)) if self.case.results is not None else {}
+        self.summary["unused_options"] = left = unused(self.summary["options"])
+        self.signals.deaf = True  # the run has ended; nothing takes that back
+        self._write_summary("converged", results)
+        if left and is_root(self.comm):
+            _warn(f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}.")
+        unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
+        # Where the load is sought, equilibria past its limit are meant to be found.
+        if unstable and not case.solver.finds_load and is_root(self.comm):
+            _warn(
+                f"{unstable} of {len(self.steps)} equilibria are unstable, the first at step time "
+                f"{next(found['t'] for found in self.steps if found['negative_pivots']):.6g}; perturb the body, or let "
+                f'Steps(unstable="shorten") end the run before.'
+            )
+        return self._show(results)
+
+    def _try_records(self, start: Solution) -> None:
+        """Evaluate once what the case asks for, before files of an earlier run are replaced (collective).
+
+        Raises
+        ------
+        CaseError
+            A field has no row for each particle, or not the component of the picture.
+        """
+        for quantity in self.case.history.values():
+            value = quantity.evaluate(start)
+            with agreed(self.comm):
+                if isinstance(value, Sequence) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiub":
+                    raise CaseError(
+                        f"{type(quantity).__name__} of the history must return a number, not {type(value).__name__}."
+                    )
+        picture = self.case.picture
+        for field in self._fields():
+            found = field(start)
+            with agreed(self.comm):
+                try:
+                    values = np.asarray(found)
+                except ValueError:  # rows of different lengths
+                    values = np.empty(0, dtype=object)
+                name = getattr(field, "__name__", repr(field))
+                if values.shape[:1] != start.u.shape[:1] or values.dtype.kind not in "fiub" or values.ndim > 3:
+                    raise CaseError(
+                        f"The field {name} must return numbers, a row for each of the {len(start.u)} particles of this "
+                        f"rank, not an array of {values.dtype} of shape {values.shape}."
+                    )
+                if picture is not None and field is picture.field:
+                    _refuse_component(values.ndim, picture.component)
+
+    def _fields(self) -> list[Field]:
+        """Return the fields to write: the declared ones, and what the picture shows."""
+        wanted = self.case.written
+        if self.case.picture is not None:
+            wanted += [f for f in (displacement, self.case.picture.field) if f not in wanted]
+        return wanted
+
+    def _say_detached(self, problem: Problem) -> None:
+        lost = problem.matter.n_detached
+        if lost > self.summary.get("detached_particles", 0):
+            self.report.say(f"           {lost} particles have too few bonds left for a gradient; their stress is gone")
+        if lost:
+            self.summary["detached_particles"] = lost
+
+    def _say_what_holds(self, problem: Problem) -> None:
+        """Say whether bonds that broke have left the body in one piece, and what of its load it still carries."""
+        if problem.damage is None or not problem.damage.bonds.count_broken():
+            return
+        pieces, lone = pieces_left(problem)
+        self.summary["pieces"] = {"pieces": pieces, "lone_particles": lone}
+        forces = [step["reference"] for step in self.steps]
+        left = forces[-1] / max(forces) if forces and max(forces) > 0.0 else float("nan")
+        self.summary["pieces"]["forces_left"] = left
+        whole = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
+        beside = f", beside {lone} lone particles" if lone else ""
+        carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
+        self.report.say(f"{whole}{beside}{carried}")
+
+    def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> None:
+        """Write the summary of a run that has ended (collective)."""
+        memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+        write_summary(self.comm, self.folder, self._ended(status, results or {}, memory or []))
+
+    def _ended(self, status: str, results: Mapping[str, float], memory: list[int]) -> dict[str, Any]:
+        return self.summary | {
+            "status": status,
+            "results": dict(results),
+            "steps": self.steps,
+            "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
+            "timings": self.timings,
+            "peak_memory_bytes": memory,
+        }
+
+    def _show(self, results: dict[str, float]) -> dict[str, float]:
+        """Print the results and draw the picture of a run that has ended; whatever fails here, its results stand."""
+        self.report.results(results)
+        self.report.say(f"results in {self.folder}")
+        if self.case.picture is not None and is_root(self.comm):
+            with self._timed("picture"):
+                try:
+                    path = draw(self.folder, self.case.picture, self.folder.name)
+                    self.report.say(f"picture in {path}")
+                except Exception as error:
+                    _warn(f"The run is finished, but its picture could not be drawn: {described(error)}")
+        return results
+
+    def _describe(self, problem: Problem) -> None:
+        body, matter, comm = problem.body, problem.matter, self.comm
+        cloud = body.cloud
+        bonds, points, ghosts = total(comm, [len(body.families.neighbours), matter.n_points, cloud.n_ghost])
+        counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
+        self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
+        self.summary["allocated"] = list(problem.parts)
+        self.report.say(
+            f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
+            f"{f'{int(points)} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
+        )
+        scheme = "bonds" if self.case.of_bonds else type(self.case.gradients).__name__
+        self.summary["scheme"] = {"name": scheme, "note": matter.note}
+        if matter.note:
+            self.report.say(f"scheme: {matter.note}")
+
+    def _report_loads(self, problem: Problem) -> None:
+        resultants = [found for term in problem.terms for found in term.resultants]
+        self.summary["loads"] = [
+            {"condition": name, "t": t, "resultant": force.tolist()} for name, t, force in resultants
+        ]
+        for name, t, force in resultants:
+            self.report.say(f"{name}: resultant {' '.join(f'{f:.6g}' for f in force)} at step time {t:g}")
+        cut = problem.supports.held_at_cut_families()
+        self.summary["held_at_cut_families"] = cut
+        if cut:
+            self.report.say(
+                f"note: {cut} particles are held at a face that cuts their families; stresses within two horizons of "
+                f"it are those of no continuum, hold a layer two horizons deep where they matter"
+            )
+
+    @contextmanager
+    def _timed(self, phase: str) -> Iterator[None]:
+        self.phase = phase
+        before = time.perf_counter()
+        with stage(STAGES[phase]):
+            yield
+        self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
+
+
+def _start(solution: Solution) -> Start:
+    return Start(solution.unknowns, solution.t, solution.resume, solution.tangent_at)
+
+
+def _numbers(results: Any) -> dict[str, float]:
+    """Return what the case's results function gave as numbers; raise where one is none."""
+    if not isinstance(results, Mapping):
+        raise RunError(f"results must return a mapping of names to numbers, not {type(results).__name__}", of_user=True)
+    found = {}
+    for name, value in results.items():
+        if getattr(value, "ndim", 0):
+            raise RunError(f"results must return numbers; {name!r} is an array of shape {value.shape}", of_user=True)
+        try:
+            found[str(name)] = float(value)
+        except (TypeError, ValueError):
+            raise RunError(f"results must return numbers; {name!r} is {type(value).__name__}", of_user=True) from None
+        if not math.isfinite(found[str(name)]):
+            raise RunError(f"results must return finite numbers; {name!r} is {found[str(name)]}", of_user=True)
+    return found
+
+
+def _refuse_component(rank: int, component: str) -> None:
+    """Raise CaseError where a field of scalars, vectors or tensors has no such component."""
+    if len(component) != rank - 1 or any(letter not in "xyz" for letter in component):
+        known = ("empty", "x, y or z", "xx, xy, ...")[rank - 1]
+        raise CaseError(f"A component of the picture's field is {known}, not {component!r}.")
+
+
+def _warn(text: str) -> None:
+    with contextlib.suppress(OSError):
+        print(f"pdpetsc: {text}", file=sys.stderr, flush=True)
+
+
+def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:
+    cut_backs = [_attempt(failure, unit) for failure in converged.failures]
+    damage = (
+        {"broken_bonds": converged.broken, "sweeps": converged.sweeps} if converged.broken or converged.sweeps else {}
+    )
+    return {"step": step, "t": converged.t, **_attempt(converged.result, unit), **damage, "cut_backs": cut_backs}
+
+
+def _attempt(result: StepResult, unit: str) -> dict[str, Any]:
+    return {
+        "reason": result.reason,
+        "norms": result.norms,
+        "reference": result.reference,
+        "negative_pivots": result.negative_pivots,
+        f"{unit.lower()}_iterations": result.iterations,
+        "linear_iterations": result.linear_iterations,
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "petsc": petsc_version()}
+    for package in ("pdpetsc", "numpy", "scipy", "numba"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found

@@ -1,0 +1,7 @@
+"""Ways to equilibrium: Newton's method in load steps, path following, events, dynamic relaxation.
+
+``table`` says which class solves what a case declares; ``protocol`` is what all of them offer.
+"""
+
+# PETSc is started there, before any file of this room imports it.
+import pdpetsc.petsc  # noqa: F401

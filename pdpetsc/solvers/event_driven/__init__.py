@@ -1,0 +1,1 @@
+"""The event-driven solver: from one failing bond to the next without iterations."""

@@ -1,0 +1,313 @@
+"""The event-driven solver: from one failing bond to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.damage import PiecewiseLinear
+from pdpetsc.declare.solvers import EventDriven
+from pdpetsc.discrete.communicator import smallest
+from pdpetsc.errors import CaseError, Interrupted, SolveError
+from pdpetsc.kernels.bonds import first_failure, first_of_tied
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.event_driven.direction import Changed, Direction, find_direction
+from pdpetsc.solvers.event_driven.inelastic import InelasticForces
+from pdpetsc.solvers.event_driven.pairs import Key, Pairs, make_pairs, rehearse_pairs
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
+from pdpetsc.terms.bond_forces import BondForces
+
+# Bonds this close to their limit fail at the same load, one after the other in the order of their keys.
+TIED = 1e-10
+# An event this much nearer than another, relatively, comes first.
+NEARER = 1e-12
+# Where the load has fallen to this share of its largest value the body carries nothing any more.
+UNLOADED = 1e-9
+# Changed bonds at which the matrix is factored anew: this times the root of the number of unknowns, within limits.
+UPDATES = 2.0
+FEWEST, MOST = 32, 400
+# So many events at one load, and nothing has moved: the path goes in circles.
+STANDSTILL = 1000
+# Events of which every one is printed, and how many there are to a line after these.
+FIRST_EVENTS, EVENTS_A_LINE = 10, 100
+
+
+class EventSolver(Solver):
+    """Follows the equilibrium of a body whose laws are piecewise linear, event by event.
+
+    Between events the displacement moves along a straight line. A bond at its limit fails: its force ``q`` decreases
+    along its law, ``de = c dq`` with ``c = 0`` for a bond that snaps and ``c = -(r - 1) / k`` for one that softens to
+    ``r`` times its limit; the load moves up or down as equilibrium demands. If another bond reaches its limit
+    meanwhile, both fail on, or the first unloads along its secant, whichever is consistent: forces of failing bonds
+    decrease, unloading bonds shorten.
+
+    Parameters
+    ----------
+    problem, assembler
+        What is solved, and what fills its matrix.
+    options : EventDriven
+        What the case declares.
+    stop : callable
+        Asked at every event, collectively; True ends the run (a signal arrived).
+
+    Raises
+    ------
+    CaseError
+        Laws or conditions are not those of this solver; the message says why.
+
+    References
+    ----------
+    Jirasek, Bazant (1994), section 4; Mikes, Jirasek, Zeman, Rokos, Peerlings, section 2.2.
+    """
+
+    unit = "event"
+    advice = "perturb the positions, so that fewer bonds fail at once"
+
+    def __init__(self, problem: Problem, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]) -> None:
+        # Events change the integrity; between them it stays.
+        problem.freeze(True)
+        damage = problem.damage
+        self._law = None if damage is None else _law_of(damage)
+        self._problem = problem
+        self._comm = problem.body.cloud.comm
+        self._options = options
+        self._stop = stop
+        self._pairs: Pairs | None = None
+        if damage is not None:
+            assert isinstance(problem.matter, BondForces)
+            self._pairs = make_pairs(problem.matter)
+        self.solver = InelasticForces(problem, assembler, self._pairs)
+        unknowns = problem.body.cloud.n_global * problem.dim
+        automatic = int(np.clip(UPDATES * np.sqrt(unknowns), FEWEST, MOST))
+        self._updates = options.updates or automatic
+        self.factored = 0
+        self._touched: list[int] = []
+        n = 0 if self._pairs is None else len(self._pairs.k)
+        self._e, self._integrity, self._able = np.zeros(n), np.ones(n), np.ones(n, dtype=bool)
+        self._reach = np.empty(0) if self._pairs is None else self._pairs.limit.copy()
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return the memory of the matrix over all ranks [bytes]."""
+        return self.solver.matrix.bytes
+
+    def description(self) -> str:
+        """Return the solver in a few words."""
+        ksp = self.solver.ksp
+        return f"event-driven, ksp {ksp.getType()}, pc {ksp.getPC().getType()}, {self._updates} changes per factor"
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self.solver.destroy()
+
+    @classmethod
+    def make(cls, setting: Setting) -> EventSolver:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
+
+    @classmethod
+    def rehearse(cls, problem: Problem) -> None:
+        """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
+        if problem.damage is not None and isinstance(problem.matter, BondForces):
+            rehearse_pairs(problem.matter)
+
+    @classmethod
+    def refuse(cls, problem: Problem) -> None:
+        """Raise CaseError on all ranks where bonds fail that carry no forces themselves (not collective)."""
+        if problem.damage is not None and not isinstance(problem.matter, BondForces):
+            raise CaseError(
+                "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients "
+                "fail in load steps, with Newton."
+            )
+
+    def line(self, number: int, converged: Converged) -> str | None:
+        """Return what is printed of an event: of the first ones, every hundredth, and the end."""
+        reason = converged.result.reason
+        if number > FIRST_EVENTS and number % EVENTS_A_LINE and reason.startswith("bond"):
+            return None
+        return f"event {number:5d}  t = {converged.t:<10.6g} {reason}"
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield the state at every event, from the unloaded body to the end of the load (collective).
+
+        The start is the unloaded body, and no attempt fails.
+
+        Raises
+        ------
+        SolveError
+            No way goes on, or there are too many events; what was yielded before stands.
+        Interrupted
+            A signal asked to stop.
+        """
+        problem = self._problem
+        u, t, highest, still = np.zeros((problem.body.cloud.n_rows, problem.dim)), 0.0, 0.0, 0
+        self._factor()
+        for event in range(self._options.most):
+            if self._stop():
+                raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
+            if len(self.solver.local) >= self._updates and not self._changed.failing:
+                self._factor()
+                # All forces are secant forces under a proportional load: this is the same state without the round-off.
+                u = t * self.solver.elastic
+                self._e = self._elongation(u)
+            ahead = self._ahead(t)
+            du = self.solver.response(ahead.rate, ahead.p)
+            de = self._elongation(du)
+            step, fails, breaks = self._next(de, ahead, t)
+            u, t = u + step * du, t + step * ahead.rate
+            self._e += step * de
+            self._move(ahead, step)
+            done = fails is None and breaks is None
+            reason = "the whole load" if done else self._begin(fails) if fails is not None else self._break(breaks)
+            highest = max(highest, abs(t))
+            done = done or (not self._changed.failing and abs(t) <= UNLOADED * highest)
+            still = still + 1 if step == 0.0 else 0
+            if still > STANDSTILL:
+                raise SolveError(f"At step time {t:.6g} {still} events in a row move nothing; {self.advice}.")
+            self._store()
+            every = self._options.fields_every
+            write = done or (every > 0 and (event + 1) % every == 0)
+            yield Converged(u, t, StepResult(True, reason), write_fields=write)
+            if done:
+                return
+        raise SolveError(f"More than {self._options.most} events up to step time {t:.6g}; raise most of EventDriven.")
+
+    def _factor(self) -> None:
+        self.solver.factor()
+        self.factored += 1
+        self._changed = Changed(2 * self._updates)
+        self._keys: list[Key] = []
+
+    def _elongation(self, u: Float) -> Float:
+        """Return the elongation of every pair here (n_pairs,) [length] (collective)."""
+        if self._pairs is None:
+            return np.empty(0)
+        return self._pairs.elongation(self._problem.body.with_ghosts(u))
+
+    def _ahead(self, t: float) -> Direction:
+        """Return the direction of the path; bonds that it leaves out no longer fail."""
+        bonds = self._changed
+        waiting = []
+        if bonds.failing and self._law is not None:
+            near = np.flatnonzero((bonds.elongation >= bonds.limit * (1.0 - TIED)) & (bonds.integrity > 0.0))
+            reach = bonds.limit[near] * self._law.reached(bonds.integrity[near])
+            at_limit = near[bonds.elongation[near] >= reach * (1.0 - TIED)].tolist()
+            waiting = [m for m in at_limit if m not in bonds.failing]
+        try:
+            ahead = find_direction(bonds, waiting)
+        except SolveError as error:
+            raise SolveError(f"At step time {t:.6g} {error}.") from None
+        switched = set(bonds.failing) ^ set(ahead.failing)
+        bonds.failing = ahead.failing
+        for m in switched:
+            self._mark(m)
+        return ahead
+
+    def _next(self, de: Float, ahead: Direction, t: float) -> tuple[float, _Candidate | None, int | None]:
+        """Return the step to the next event, the bond that then begins to fail and the one that then is broken."""
+        end = (1.0 - t) / ahead.rate if ahead.rate > 0.0 else np.inf
+        force = self._changed.force
+        breaks = min(ahead.failing, key=lambda m: -force[m] / ahead.force[m], default=None)
+        step = end if breaks is None else min(end, max(-force[breaks] / ahead.force[breaks], 0.0))
+        failing = np.inf
+        if self._pairs is not None:
+            failing = smallest(self._comm, first_failure(self._e, de, self._reach, self._able))
+        if failing < step * (1.0 - NEARER):
+            return failing, self._candidate(de, failing), None
+        if step == np.inf:
+            raise SolveError(f"At step time {t:.6g} the load falls and nothing fails any more; {self.advice}.")
+        return float(step), None, None if step == end else breaks
+
+    def _candidate(self, de: Float, step: float) -> _Candidate:
+        """Return the first, by its key, of the bonds that reach their limit after a step."""
+        pairs = self._pairs
+        assert pairs is not None
+        found = int(first_of_tied(self._e, de, self._reach, self._able, step, TIED))
+        mine = None
+        if found >= 0:
+            key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
+            state = float(self._reach[found]), float(self._integrity[found])
+            mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), *state)
+        found_by = [c for c in self._comm.allgather(mine) if c is not None]
+        first: _Candidate = min(found_by, key=lambda c: c.key)
+        return first
+
+    def _move(self, ahead: Direction, step: float) -> None:
+        """Take the changed bonds along the direction."""
+        bonds = self._changed
+        force = bonds.force[ahead.failing] + step * ahead.force[ahead.failing]
+        bonds.elongation[:] += step * ahead.elongation
+        bonds.integrity[ahead.failing] = force / (bonds.k * bonds.elongation)[ahead.failing]
+        for m in ahead.failing:
+            self._mark(m)
+
+    def _begin(self, found: _Candidate) -> str:
+        """Let a bond fail."""
+        bonds = self._changed
+        m = self.solver.numbers.get(found.key, -1)
+        if m < 0:
+            assert self._law is not None
+            softness = -(self._law.final_ratio - 1.0) / found.k
+            row, E = self.solver.add(found.key)
+            m = bonds.append(row, E, found.k, found.limit, found.integrity, softness)
+            self._keys.append(found.key)
+        bonds.elongation[m] = found.reach
+        bonds.failing.append(m)
+        self._mark(m)
+        return f"bond {found.key[0]}-{found.key[1]} begins to fail"
+
+    def _break(self, m: int | None) -> str:
+        assert m is not None
+        self._changed.integrity[m] = 0.0
+        self._changed.failing.remove(m)
+        self._mark(m)
+        return f"bond {self._keys[m][0]}-{self._keys[m][1]} is broken"
+
+    def _mark(self, m: int) -> None:
+        """Note the state of a changed bond among the pairs here."""
+        here = self.solver.local[m]
+        if here < 0:
+            return
+        assert self._law is not None
+        bonds = self._changed
+        self._integrity[here] = bonds.integrity[m]
+        self._touched.append(here)
+        self._reach[here] = bonds.limit[m] * self._law.reached(bonds.integrity[m : m + 1])[0]
+        self._able[here] = bonds.integrity[m] > 0.0 and m not in bonds.failing
+
+    def _store(self) -> None:
+        """Give the body the present integrity of the bonds that have changed."""
+        if self._pairs is not None:
+            damage = self._problem.damage
+            assert damage is not None and self._law is not None
+            touched = np.array(self._touched, dtype=np.int64)
+            damage.bonds.integrity[self._pairs.bonds[touched]] = self._integrity[touched, None]
+            damage.bonds.worst[self._pairs.bonds[touched]] = self._law.reached(self._integrity[touched])[:, None]
+            damage.version += 1
+            self._touched.clear()
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A bond at its limit: ``reach`` is the present limit of its elongation."""
+
+    key: Key
+    k: float
+    limit: float
+    reach: float
+    integrity: float
+
+
+def _law_of(damage: Damage) -> PiecewiseLinear:
+    law = damage.bonds.law
+    if not isinstance(law, PiecewiseLinear):
+        raise CaseError(
+            f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take Brittle, "
+            f"LinearSoftening, or Newton."
+        )
+    return law

@@ -1,0 +1,256 @@
+"""Static equilibrium of one load step with SNES."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.discrete.communicator import total
+from pdpetsc.petsc.library import (
+    effort,
+    forces_iteration,
+    full_steps,
+    line_search,
+    linear_solver,
+    negative_pivots,
+    set_domain_error,
+    start_anew,
+)
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
+from pdpetsc.solvers.load_steps import LoadStepSolver
+from pdpetsc.solvers.protocol import Setting, Start, StepResult
+
+# The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
+SECANTS = "cp"
+ONE_STEP = Steps()
+
+
+class StaticSolver(LoadStepSolver):
+    """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
+
+    Parameters
+    ----------
+    problem, assembler
+        What is solved, and what fills its matrix.
+    stop : callable
+        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+    steps : Steps or AdaptiveSteps
+        How the load is applied.
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    unit = "Newton"
+    advice = (
+        "look for a limit point or zero-energy modes, add or raise the zero-energy control, or try "
+        "-snes_linesearch_type basic, a smaller smallest step or -snes_rtol 1e-8"
+    )
+
+    def __init__(
+        self, problem: Problem, assembler: Assembler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
+    ) -> None:
+        self.problem = problem
+        self.steps = steps
+        self._comm = problem.body.cloud.comm
+        self._fixed = problem.supports.fixed
+        self.stop = stop
+        self._filled_at: Float | None = None
+        self._resumed_from: Float | None = None
+        self._equilibrium = Equilibrium(problem, assembler)
+        self._scales = self._equilibrium.scales
+        self._all_prescribed = int(total(self._comm, np.count_nonzero(~self._fixed))) == 0
+        tangent = self._equilibrium.tangent
+        self._x = tangent.preconditioner.createVecRight()
+        self._r = self._x.duplicate()
+        self.snes = PETSc.SNES().create(comm=self._comm)
+        self.snes.setFunction(self._residual, self._r)
+        self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
+        self.snes.setConvergenceTest(self._test)
+        read_options(self.destroy, self.snes)
+        self.snes.setLineSearchPreCheck(self._shorten)
+
+    @property
+    def tangent_at(self) -> Float | None:
+        """Return the displacement of the last Newton iteration but one, whose tangent the next step begins with."""
+        damage = self.problem.damage
+        held = not self.problem.linear and (damage is None or not damage.bonds.frozen)
+        return self._filled_at if held and self._equilibrium.tangent.holds() else None
+
+    @classmethod
+    def make(cls, setting: Setting) -> StaticSolver:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
+
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective)."""
+        super().resume(start)
+        self._resumed_from = self.problem.supports.prescribed(start.t)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+        return self._equilibrium.tangent.bytes
+
+    def description(self) -> str:
+        """Return the solver in force in a few words."""
+        return f"snes {self.snes.getType()}, {linear_solver(self.snes.getKSP())}"
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium at step time ``t`` starting from ``u`` (n_rows, dim).
+
+        Returns
+        -------
+        u : (n_rows, dim) float64
+            The new displacement, or an unusable one where the step failed.
+        result : StepResult
+        """
+        sought = self._equilibrium
+        old_prescribed = sought.prescribed if self._resumed_from is None else self._resumed_from
+        self._resumed_from = None
+        old_t, self.t = sought.t, t
+        sought.impose(t)
+        if sought.begin(u):
+            self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
+        if self._all_prescribed:
+            return self._without_solve()
+        start, linear = u, 0
+        if total(self._comm, np.count_nonzero(sought.prescribed != old_prescribed)):
+            start, linear = self._predict(u, sought.prescribed - np.where(self._fixed, u, 0.0))
+        linear += self._iterate(start)
+        resting = sought.resting
+        for _ in range(RESTS):
+            if resting or self.snes.getConvergedReason() <= 0:
+                break
+            # Once more from where it came to rest: the springs have no force there.
+            rest = sought.at_prescribed(self._displacement(self._x))
+            sought.move_springs(rest)
+            sought.reason = ""
+            linear += self._iterate(rest)
+            resting = sought.at_rest(self._displacement(self._x), self._rtol)
+        reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
+        # The test of this solver has seen the residual, unless SNES shows it another vector's norm.
+        seen = sought.reason != "" and not self.snes.hasNPC()
+        converged = reason > 0 and resting and (seen or sought.judge(found, self._rtol))
+        result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
+        if converged:
+            damage = self.problem.damage
+            # With damage held it is the secant that was factored, which tells nothing of stability.
+            secant = damage is not None and damage.softens and damage.bonds.frozen
+            result = replace(result, negative_pivots=None if secant else negative_pivots(self.snes.getKSP()))
+        else:
+            sought.impose(old_t, old_prescribed)
+            sought.tangent.forget()
+        self.resumed = None
+        return sought.at_prescribed(found), result
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, in order."""
+        self.snes.destroy()
+        self._r.destroy()
+        self._x.destroy()
+        self._equilibrium.destroy()
+
+    def _without_solve(self) -> tuple[Float, StepResult]:
+        """Return the prescribed displacements, where there are no others: nothing to factor or to iterate."""
+        sought, reason = self._equilibrium, PETSc.SNES.ConvergedReason
+        u = sought.prescribed.copy()
+        if sought.residual(u.ravel()) is None:
+            return u, sought.result(False, int(reason.DIVERGED_FUNCTION_DOMAIN), 0, 0)
+        return u, sought.result(True, int(sought.verdict(u, 0, 0.0, 0.0) or 0), 0, 0)
+
+    def _iterate(self, start: Float) -> int:
+        """Run SNES from ``start``, with full steps where its line search fails; return the linear iterations."""
+        linear = self._run(start)
+        if self._failed() and line_search(self.snes) == SECANTS and not self.stop():
+            self._equilibrium.reason = ""
+            with full_steps(self.snes):
+                linear += self._run(start)
+        return linear
+
+    def _failed(self) -> bool:
+        """Return whether SNES has ended where there is no equilibrium, whatever its reason."""
+        if self.snes.getConvergedReason() < 0:
+            return True
+        judged = self._equilibrium.reason != ""
+        return not judged and not self._equilibrium.judge(self._displacement(self._x), self._rtol)
+
+    @property
+    def _rtol(self) -> float:
+        return float(self.snes.getTolerances()[0])
+
+    def _displacement(self, x: PETSc.Vec) -> Float:
+        """Return unknowns of PETSc as a displacement [length]."""
+        return np.asarray(x.array_r * self._scales.length)
+
+    def _run(self, start: Float) -> int:
+        self._x.array = start.ravel() / self._scales.length
+        self.snes.solve(None, self._x)
+        if self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            start_anew(self.snes.getKSP())
+        return int(self.snes.getLinearSolveIterations())
+
+    def _predict(self, u: Float, jump: Float) -> tuple[Float, int]:
+        """Return the linear response to new prescribed displacements: Newton's first step, from the old state.
+
+        Setting them alone would strain the layer next to a support by the whole increment. The tangent is that of the
+        last iteration before, whose factor is there already, unless bonds have failed since.
+        """
+        sought, free = self._equilibrium, self._equilibrium.free
+        jump = np.where(free, 0.0, jump)
+        state = self.problem.state(u, sought.t)
+        force = self.problem.internal_force(state)
+        if force is None:
+            return u, 0
+        external = self.problem.external_force(state)
+        if not sought.tangent.holds():
+            self._filled_at = u if self.resumed is None else self.resumed
+            sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
+        self.resumed = None
+        b = external - force - self.problem.linearised(state)(jump)
+        # Nothing of it is needed while the tangent is factored.
+        state.forget()
+        self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
+        ksp = self.snes.getKSP()
+        ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
+        ksp.solve(self._r, self._x)
+        change = self._displacement(self._x).reshape(u.shape) + jump
+        finite = np.isfinite(float(total(self._comm, float(change.sum()))))
+        return u + (change if finite else jump), ksp.getIterationNumber()
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        residual = self._equilibrium.residual(self._displacement(x))
+        if residual is None:
+            set_domain_error(snes)
+            r.set(np.inf)
+            return
+        r.array = residual.ravel() / self._scales.force
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        values = self._displacement(x)
+        self._filled_at = self._equilibrium.at_prescribed(values)
+        self._equilibrium.assemble(values, effort(snes.getKSP()))
+
+    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
+        here, step = self._displacement(x), self._displacement(y)
+        part = self._equilibrium.admissible_part(lambda p: self._equilibrium.at_prescribed(here - p * step))
+        if part < 1.0:
+            y.scale(part)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        if self.stop():
+            return self._equilibrium.interrupted()
+        values = self._displacement(snes.getSolution())
+        verdict = self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)
+        # -snes_force_iteration: no solve is done before its first iteration.
+        forced = iteration == 0 and verdict is not None and verdict > 0 and forces_iteration(snes)
+        return None if forced else verdict

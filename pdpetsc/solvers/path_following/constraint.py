@@ -1,0 +1,32 @@
+"""What is prescribed along a path instead of the load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import Comm, total
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """``of . (u - u0) + share (load - load0)`` grows by a given amount.
+
+    Attributes
+    ----------
+    of : (n_rows, dim) float64
+        Weights of the unknowns.
+    share : float
+        Weight of the load factor.
+    u0, load0
+        Where the step begins.
+    """
+
+    of: Float
+    share: float
+    u0: Float
+    load0: float
+
+    def grown(self, comm: Comm, u: Float, load: float) -> float:
+        """Return by how much it has grown (collective)."""
+        return float(total(comm, float((self.of * (u - self.u0)).sum()))) + self.share * (load - self.load0)

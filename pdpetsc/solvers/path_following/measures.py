@@ -1,0 +1,124 @@
+"""What grows along a path of equilibria: how far it has come, and the constraint of the next step."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.solvers import BondStretch, Opening
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.selection import select
+from pdpetsc.errors import CaseError
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.path_following.constraint import Constraint
+
+# Bonds whose stretch over the critical one is within this of the largest share the measure, relatively.
+BAND = 0.05
+
+
+class Measure(ABC):
+    """What grows from step to step of a path.
+
+    Attributes
+    ----------
+    holds_while_bonds_break : bool
+        Whether it stays the same quantity when bonds break, so that equilibrium with fewer bonds is sought at the value
+        reached.
+
+    Notes
+    -----
+    Every method is collective.
+    """
+
+    holds_while_bonds_break: bool
+
+    @abstractmethod
+    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+        """Return the constraint of a step from unknowns ``u``, and whether it can only prescribe the load factor."""
+
+    @abstractmethod
+    def left(self, u: Float) -> float:
+        """Return by how much it may still grow."""
+
+    @abstractmethod
+    def at_end(self, u: Float) -> bool:
+        """Return whether it has grown as far as the case asks."""
+
+
+class StretchMeasure(Measure):
+    """The largest stretch over the critical one of the bonds that have not failed.
+
+    Raises
+    ------
+    CaseError
+        No bond of the body can fail.
+    """
+
+    holds_while_bonds_break = False
+
+    def __init__(self, problem: Problem, declared: BondStretch) -> None:
+        if problem.damage is None:
+            raise CaseError("Path following by bond stretches needs bonds that can fail; give damage, or an Opening.")
+        self._problem = problem
+        self._damage = problem.damage
+
+    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+        """Return the mean stretch of the most stretched bonds, or the load factor where none is stretched yet."""
+        of, largest = self._damage.most_stretched(self._problem.state(u, load), BAND)
+        by_load = largest <= 0.0
+        return Constraint(of, float(by_load), u, load), by_load
+
+    def left(self, u: Float) -> float:
+        """Return infinity: the path ends where the forces have fallen."""
+        return math.inf
+
+    def at_end(self, u: Float) -> bool:
+        """Return False."""
+        return False
+
+
+class OpeningMeasure(Measure):
+    """The mean displacement of one region against that of another."""
+
+    holds_while_bonds_break = True
+
+    def __init__(self, problem: Problem, declared: Opening) -> None:
+        self._end = declared.end
+        cloud, dim = problem.body.cloud, problem.dim
+        self._comm = cloud.comm
+        axis = "xyz".index(declared.component)
+        if axis >= dim:
+            raise CaseError(f"The Opening of a {dim}-dimensional body has no component {declared.component}.")
+        self._weights = np.zeros((cloud.n_rows, dim))
+        for sign, region in ((1.0, declared.region), (-1.0, declared.against)):
+            if region is not None:
+                share = np.where(select(cloud, region, "the Opening"), cloud.volume[: cloud.n_owned], 0.0)
+                self._weights[: cloud.n_owned, axis] += sign * share / float(total(cloud.comm, float(share.sum())))
+
+    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+        """Return the opening."""
+        return Constraint(self._weights, 0.0, u, load), False
+
+    def left(self, u: Float) -> float:
+        """Return what is missing to the end."""
+        return self._end - self._opened(u)
+
+    def at_end(self, u: Float) -> bool:
+        """Return whether nothing is, but for round-off."""
+        return self._opened(u) >= self._end * (1.0 - 1e-9)
+
+    def _opened(self, u: Float) -> float:
+        return float(total(self._comm, float((self._weights * u).sum())))
+
+
+# What follows the measures that a case declares.
+MEASURES: dict[type, Callable[..., Measure]] = {BondStretch: StretchMeasure, Opening: OpeningMeasure}
+
+
+def measure_of(problem: Problem, declared: BondStretch | Opening) -> Measure:
+    """Return the measure that a case declares (collective)."""
+    return MEASURES[type(declared)](problem, declared)

@@ -1,0 +1,325 @@
+"""Path following: equilibrium at an unknown load factor, where the growth of a measure is prescribed instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.solvers import PathFollowing
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError, Interrupted, SolveError
+from pdpetsc.petsc.library import linear_solver, negative_pivots, set_domain_error
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
+from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
+from pdpetsc.solvers.path_following.bordered import Bordered
+from pdpetsc.solvers.path_following.constraint import Constraint
+from pdpetsc.solvers.path_following.measures import measure_of
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult, StepSolver
+
+# A load factor this much above the highest one so far is that of a body which carries nothing.
+LEAP = 10.0
+# A load factor that changes by more than this share of the highest one in a step is of another branch, likely, and a
+# shorter step is tried, down to this share of the largest one.
+JUMP, PATIENCE = 0.4, 0.05
+# Sweeps with damage held in which it settles, or a shorter step is tried.
+SWEEPS = 100
+# What a run that goes on finds: the step of the measure, the largest forces [force], the highest load factor [-], and
+# the forces of the last equilibrium [force].
+RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
+
+
+class PathSolver(StepSolver):
+    """Newton's method for ``f_int(u) = lambda f_ext`` with ``u = lambda U`` where prescribed, and one constraint.
+
+    Unknowns are the displacements and the load factor ``lambda``; each linear solve takes two with the tangent, for the
+    residual and for the load. SNES sees the whole system, the options of KSP and PC are those of the tangent.
+
+    Parameters
+    ----------
+    problem, assembler
+        What is solved, and what fills its matrix.
+    options : PathFollowing
+        What the case declares.
+    stop : callable
+        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+
+    Raises
+    ------
+    CaseError
+        The measure does not fit the body.
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+
+    References
+    ----------
+    de Borst (1987) on control by chosen displacements; Chen, Schreyer (1990) on control by the zone that softens.
+    """
+
+    unit = "Newton"
+    advice = "take smaller steps of the measure, or a measure that grows all along the path"
+
+    def __init__(
+        self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
+    ) -> None:
+        self.problem = problem
+        self._comm = problem.body.cloud.comm
+        fixed = problem.supports.fixed
+        self.load = 0.0
+        self._options = options
+        self._stop = stop
+        self._whole = (
+            problem.supports.prescribed(1.0),
+            problem.external_force(problem.state(np.zeros(fixed.shape), 1.0)),
+        )
+        self._measure = measure_of(problem, options.measure)
+        self._equilibrium = Equilibrium(problem, assembler)
+        self._scales = self._equilibrium.scales
+        self._force = 1.0
+        self._highest = 0.0
+        self._target = 0.0
+        self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
+        self._bordered = Bordered(self._equilibrium.tangent)
+        self._r, self._x = self._bordered.vector(), self._bordered.vector()
+        self.snes = PETSc.SNES().create(comm=self._comm)
+        self.snes.setFunction(self._residual, self._r)
+        self.snes.setJacobian(self._jacobian, self._bordered.mat)
+        self.snes.setConvergenceTest(self._test)
+        self._bordered.solve_in(self.snes.getKSP())
+        read_options(self.destroy, self.snes, self._bordered.ksp)
+        self.snes.setLineSearchPreCheck(self._shorten)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+        return self._equilibrium.tangent.bytes
+
+    def description(self) -> str:
+        """Return the solver in force in a few words."""
+        measure = type(self._options.measure).__name__
+        return f"path following by {measure}, snes {self.snes.getType()}, {linear_solver(self._bordered.ksp)}"
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, in order."""
+        self.snes.destroy()
+        self._r.destroy()
+        self._x.destroy()
+        self._bordered.free()
+        self._equilibrium.destroy()
+
+    @classmethod
+    def make(cls, setting: Setting) -> PathSolver:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
+
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective)."""
+        super().resume(start)
+        found = [start.resume[name] for name in RESUMED if name in start.resume]
+        if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
+            raise CaseError("The checkpoint's place on its path has no meaning; restart from another one.")
+
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one equilibrium along the path after the other, from a load factor (collective).
+
+        Raises
+        ------
+        SolveError
+            The smallest step failed, or there are too many; what was yielded before stands.
+        Interrupted
+            A signal asked to stop.
+        """
+        options = self._options
+        u, load = start.u, start.t
+        self.load = load
+        # A checkpoint of load steps says nothing of a path.
+        at_first = (options.measure.step, 0.0, 0.0, 0.0)
+        known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
+        step, highest, self._highest, self._equilibrium.reference = known
+        failures: list[StepResult] = []
+        converged = 0
+        while converged < options.most:
+            size = self._aim(u, step)
+            attempt, result, broken, sweeps = self._advance(u, size)
+            far = abs(self.load - load) > JUMP * self._highest > 0.0
+            if result.converged and far and step > PATIENCE * options.measure.step and self._constraint.share == 0.0:
+                result = replace(result, converged=False, reason="the load jumped")
+            if self._stop():
+                self.problem.revert()
+                raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
+            if not result.converged:
+                self.problem.revert()
+                self.load = load
+                failures.append(result)
+                step = 0.5 * size if self._constraint.share == 0.0 else 0.5 * step
+                on_failure(load, step, result)
+                if step < options.smallest * options.measure.step:
+                    raise SolveError(
+                        f"The path is lost at load factor {load:.6g} with the smallest step of the measure: "
+                        f"{result.reason}; {self.advice}."
+                    )
+                continue
+            u, load, converged = attempt, self.load, converged + 1
+            self.t = load
+            self.problem.commit(self.state(u))
+            highest = max(highest, result.reference)
+            self._highest = max(self._highest, abs(load))
+            if result.easy:
+                step = min(step * GROWTH, options.measure.step)
+            now = (step, highest, self._highest, result.reference)
+            yield Converged(u, load, result, failures, broken, sweeps, dict(zip(RESUMED, now, strict=True)))
+            failures = []
+            if result.reference <= options.until * highest or self._measure.at_end(u):
+                return
+        raise SolveError(f"More than {options.most} steps up to load factor {load:.6g}; raise most of PathFollowing.")
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium where the measure has grown by ``t`` since the last converged step, from ``u``."""
+        sought, of = self._equilibrium, self._constraint
+        self._target = t
+        self._force = (
+            max(sought.reference, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
+        )
+        if sought.begin(u):
+            self._bordered.renew()
+        self._bordered.iterations = 0
+        self._bordered.put(self._x, u / self._scales.length, self.load)
+        self.snes.solve(None, self._x)
+        resting = sought.resting
+        for _ in range(RESTS):
+            if resting or self.snes.getConvergedReason() <= 0:
+                break
+            # Once more from where it came to rest: the springs have no force there.
+            sought.move_springs(self._displacement(self._x))
+            sought.reason = ""
+            self.snes.solve(None, self._x)
+            resting = sought.at_rest(self._take(self._x)[0], self._rtol)
+        reason = self.snes.getConvergedReason()
+        values, load = self._take(self._x)
+        # Only the test of this solver knows the constraint too.
+        converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
+        self.load = self.t = load if converged else of.load0
+        result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
+        if converged:
+            result = replace(result, negative_pivots=negative_pivots(self._bordered.ksp))
+        return sought.at_prescribed(values), result
+
+    def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
+        """Let the measure grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
+        options, problem, broken, swept = self._options, self.problem, 0, 0
+        if self._measure.holds_while_bonds_break:
+            return equilibrium(self, options.breaks, u, size, self._stop)
+        attempt, result, sweeps = self._settle(u, size)
+        while result.converged:
+            swept += sweeps
+            more = problem.break_bonds(self.state(attempt), options.breaks)
+            if not more:
+                break
+            # The bonds that are now the most stretched ones stay as they are while the rest adapts.
+            broken += more
+            self._aim(attempt, 1.0)
+            before, load = attempt, self.load
+            attempt, result, sweeps = self._settle(before, 0.0)
+            if not result.converged or abs(self.load) > LEAP * self._highest:
+                # Nothing holds them any more against the load: what is left is found under the load as it is.
+                self.load = load
+                self._constraint = Constraint(np.zeros_like(u), 1.0, before, load)
+                attempt, result, sweeps = self._settle(before, 0.0)
+        return attempt, result, broken, swept
+
+    def _settle(self, u: Float, size: float) -> tuple[Float, StepResult, int]:
+        """Find equilibrium and damage where the measure has grown by ``size``, with no bond breaking.
+
+        Newton with damage that follows first; where bonds that unload and load again keep it from converging,
+        equilibria with damage held and damage there alternate.
+        """
+        problem, load = self.problem, self.load
+        problem.freeze(False)
+        attempt, result = self.solve(u, size)
+        if not problem.softens or self._stop():
+            return attempt, result, 0
+        damage = damage_of(self)
+        kept = damage.kept()
+        if result.converged:
+            attempt, result, change = followed(self, attempt, result, size)
+            if self._stop() or (result.converged and change <= LAST):
+                return attempt, result, 0
+        damage.take(kept)
+        self.load = load
+        attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
+        return attempt, result, sweeps
+
+    def _aim(self, u: Float, step: float) -> float:
+        """Set up the constraint of the next step from the converged ``u``; return by how much the measure grows."""
+        self._constraint, by_load = self._measure.constraint(u, self.load)
+        if by_load:
+            return self._options.first * step / self._options.measure.step
+        return min(step, self._measure.left(u))
+
+    def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
+        """Return the unknowns without the load factor, and that; the conditions follow it."""
+        sought = self._equilibrium
+        values, load = self._bordered.split(x)
+        sought.impose(load, load * self._whole[0], load * self._whole[1])
+        return values * self._scales.length, load
+
+    @property
+    def _rtol(self) -> float:
+        return float(self.snes.getTolerances()[0])
+
+    def _displacement(self, x: PETSc.Vec) -> Float:
+        return self._equilibrium.at_prescribed(self._take(x)[0])
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        sought = self._equilibrium
+        values, load = self._take(x)
+        residual = sought.residual(values)
+        if residual is None:
+            set_domain_error(snes)
+            r.set(np.inf)
+            return
+        grown = self._constraint.grown(self._comm, sought.at_prescribed(values), load)
+        force = self._scales.force
+        self._bordered.put(r, residual / force, self._force / force * (grown - self._target))
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        sought, row, free, scales = self._equilibrium, self._constraint, self._equilibrium.free, self._scales
+        u = self._displacement(x)
+        state = sought.state(u)
+        sought.assemble(u)
+        whole, external = self._whole
+        held = np.where(free, 0.0, whole)
+        column = self.problem.linearised(state)(held) - external
+        along = row.share + float(total(self._comm, float((row.of * held).sum())))
+        share = self._force / scales.force
+        self._bordered.border(
+            np.where(free, column, -scales.stiffness * whole) / scales.force,
+            share * scales.length * np.where(free, row.of, 0.0),
+            share * along,
+        )
+
+    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
+        moved = x.duplicate()
+
+        def after(part: float) -> Float:
+            moved.waxpy(-part, y, x)
+            return self._displacement(moved)
+
+        part = self._equilibrium.admissible_part(after)
+        moved.destroy()
+        if part < 1.0:
+            y.scale(part)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        if self._stop():
+            return self._equilibrium.interrupted()
+        values, _ = self._take(snes.getSolution())
+        return self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)

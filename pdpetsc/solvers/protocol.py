@@ -1,0 +1,251 @@
+"""What every solver is: from the state that a run starts from it marches from one converged state to the next."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one attempt at a load step did.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether the solver met its tolerance, or the residual stagnated at the round-off floor.
+    reason : str
+        In words.
+    norms : list of float
+        Residual norms over the free degrees of freedom, at the start and after iterations [force].
+    reference : float
+        Norm of external forces and reactions that the tolerance is relative to [force].
+    iterations : int
+        Newton iterations or time steps.
+    linear_iterations : int
+        Krylov iterations of all Newton iterations.
+    easy : bool
+        Whether a longer load step is worth a try.
+    negative_pivots : int or None
+        Negative eigenvalues of the last tangent that was factored, 0 where equilibrium is stable under its loads; None
+        where there is no factor that tells.
+    """
+
+    converged: bool
+    reason: str
+    norms: list[float] = field(default_factory=list)
+    reference: float = 0.0
+    iterations: int = 0
+    linear_iterations: int = 0
+    easy: bool = True
+    negative_pivots: int | None = None
+
+
+@dataclass(frozen=True)
+class Converged:
+    """A converged step.
+
+    Attributes
+    ----------
+    u : (n_rows, dim) float64
+        Unknowns [length].
+    t : float
+        Step time [-].
+    result : StepResult
+        How it went.
+    failures : list of StepResult
+        Failed attempts before it.
+    broken : int
+        Bonds that broke in it.
+    sweeps : int
+        Equilibria with damage held, where Newton with damage failed; 0 where it did not.
+    resume : mapping of str to float
+        Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
+    write_fields : bool
+        Whether it is one of those whose fields are written.
+    """
+
+    u: Float
+    t: float
+    result: StepResult
+    failures: list[StepResult] = field(default_factory=list)
+    broken: int = 0
+    sweeps: int = 0
+    resume: Mapping[str, float] = field(default_factory=dict)
+    write_fields: bool = True
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a march starts from.
+
+    Attributes
+    ----------
+    u : (n_rows, dim) float64
+        Converged unknowns [length].
+    t : float
+        Their step time [-].
+    resume : mapping of str to float
+        What the solver of the run before named in ``Converged.resume``; empty at the start of a run.
+    tangent_at : (n_rows, dim) float64 or None
+        Where the tangent is of that the first step begins with [length], where it is not that of ``u``.
+    """
+
+    u: Float
+    t: float = 0.0
+    resume: Mapping[str, float] = field(default_factory=dict)
+    tangent_at: Float | None = None
+
+
+# Told of a failed attempt: the step time that stands, the step that is tried next, and how the attempt went.
+OnFailure: TypeAlias = Callable[[float, float, StepResult], None]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a solver is made from.
+
+    Attributes
+    ----------
+    problem : Problem
+        What is solved.
+    declared : DeclaredSolver
+        What the scene declares, of the class that the table of solvers has it under.
+    steps : Steps or AdaptiveSteps
+        How the load is applied, for those that step it.
+    filled : Assembler or None
+        What fills the matrix; None for a solver that needs no tangent.
+    stop : callable
+        Asked now and then, collectively; True ends the march (a signal arrived).
+    """
+
+    problem: Problem
+    declared: Any
+    steps: Steps | AdaptiveSteps
+    filled: Assembler | None
+    stop: Callable[[], bool]
+
+    @property
+    def assembler(self) -> Assembler:
+        """Return what fills the matrix, for a solver that declares to need a tangent."""
+        assert self.filled is not None
+        return self.filled
+
+
+class Solver(ABC):
+    """Marches from one equilibrium to the next.
+
+    Attributes
+    ----------
+    unit : str
+        What its iterations are called.
+    advice : str
+        What a user may try when it failed.
+    resumed : (n_rows, dim) float64 or None
+        Where the tangent is of that the first step begins with [length], where it is not that of its start.
+    """
+
+    unit: str
+    advice: str
+    resumed: Float | None = None
+
+    @classmethod
+    @abstractmethod
+    def make(cls, setting: Setting) -> Solver:
+        """Return the solver of a setting (collective)."""
+
+    @classmethod  # noqa: B027 - most need no more than they declare
+    def refuse(cls, problem: Problem) -> None:
+        """Raise CaseError on all ranks for a problem that this solver cannot solve (collective)."""
+
+    @classmethod  # noqa: B027 - most have none
+    def rehearse(cls, problem: Problem) -> None:
+        """Compile or load the loops that only this solver runs (collective on the problem's ranks)."""
+
+    @abstractmethod
+    def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
+        """Yield one converged state after the other, from ``start`` to the end of the load (collective).
+
+        Raises
+        ------
+        SolveError
+            No step leads on; what was yielded before stands.
+        Interrupted
+            A signal asked to stop.
+        """
+
+    @property
+    def tangent_at(self) -> Float | None:
+        """Return where the tangent is of that the next step begins with (n_rows, dim) [length]; None for its start."""
+        return None
+
+    def resume(self, start: Start) -> None:
+        """Begin the next step as the run did that this one goes on from (collective).
+
+        Raises
+        ------
+        CaseError
+            The numbers that the run before left lead nowhere.
+        """
+        self.resumed = start.tangent_at
+
+    def line(self, number: int, converged: Converged) -> str | None:
+        """Return what is printed of a converged step, None for nothing (not collective)."""
+        result = converged.result
+        last = result.norms[-1] / result.reference if result.reference > 0.0 else 0.0
+        inner = f", {result.linear_iterations:3d} linear" if result.linear_iterations else ""
+        return (
+            f"step {number:4d}  t = {converged.t:<8.6g} {result.iterations:2d} {self.unit}{inner} iterations, "
+            f"residual {last:.1e}"
+            f"{' (round-off floor)' if 'floor' in result.reason else ''}"
+            f"{f', UNSTABLE (negative pivots: {result.negative_pivots})' if result.negative_pivots else ''}"
+            f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
+            f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
+        )
+
+    @property
+    @abstractmethod
+    def matrix_bytes(self) -> int:
+        """Return the memory of the matrix over all ranks [bytes]."""
+
+    @abstractmethod
+    def description(self) -> str:
+        """Return the solver in force in a few words."""
+
+    @abstractmethod
+    def destroy(self) -> None:
+        """Free what the solver holds outside Python."""
+
+
+class StepSolver(Solver):
+    """Finds equilibrium of one load step after another.
+
+    Attributes
+    ----------
+    problem : Problem
+        What is solved, whose damage and history the load stepping changes between equilibria.
+    load : float
+        Load factor of the last equilibrium, of solvers that find it [-].
+    t : float
+        Step time of the last solve [-].
+    """
+
+    problem: Problem
+    load: float = 0.0
+    t: float = 0.0
+
+    def state(self, u: Float) -> State:
+        """Return the state at unknowns and the step time of the last solve (collective)."""
+        return self.problem.state(u, self.t)
+
+    @abstractmethod
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Find equilibrium at step time ``t`` from ``u`` (n_rows, dim); collective."""

@@ -1,0 +1,188 @@
+"""Adaptive dynamic relaxation of one load step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declare.solvers import DynamicRelaxation
+from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.discrete.communicator import largest, smallest, total
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.scales import nearest_distances
+from pdpetsc.solvers.load_steps import LoadStepSolver
+from pdpetsc.solvers.protocol import Setting, StepResult
+
+# Iterations that estimate the largest frequency, and the share of the critical time step that is used.
+POWER_ITERATIONS = 30
+SAFETY = 0.9
+# A new stable time step is estimated this often: the stiffness changes with the deformation.
+RENEWED = 2000
+# Norms are kept at this rate, and signals looked for.
+KEPT = 100
+# Where a body is unloaded, its residual is judged by this share of the largest forces that it has borne.
+UNLOADED = 1e-3
+
+
+class RelaxationSolver(LoadStepSolver):
+    """Damped motion ``m a + c m v = f_ext - f_int`` with unit density, in central differences, to rest.
+
+    The time step is ``2 / n dx sqrt(rho / E_max)``, half of it for schemes with several points per particle, and never
+    above 0.9 of the critical one, ``2 / omega_max``, with the largest frequency of ``M^-1 K`` from power iterations.
+    It is at rest where residual and change of displacement have fallen to the tolerance times their first values, and
+    the residual also to the tolerance times the norm of external forces and reactions.
+    The damping ``c = 2 sqrt(u K u / u M u)`` follows the Rayleigh quotient of the displacement of the step with the
+    diagonal stiffness that two successive residuals show.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is solved.
+    options : DynamicRelaxation
+        When it stops.
+    steps : Steps or AdaptiveSteps
+        How the load is applied.
+    stop : callable
+        Asked now and then, collectively; True ends the solve (a signal arrived).
+
+    References
+    ----------
+    Luo, Sundararaghavan (2018), section 4, Eq. (14)-(17); Kilic, Madenci (2010).
+    """
+
+    unit = "relaxation"
+    advice = "look for zero-energy modes, add or raise the zero-energy control, take more steps or more iterations"
+
+    def __init__(
+        self, problem: Problem, options: DynamicRelaxation, steps: Steps | AdaptiveSteps, stop: Callable[[], bool]
+    ) -> None:
+        self.problem = problem
+        self.steps = steps
+        self._comm = problem.body.cloud.comm
+        self._options = options
+        self.stop = stop
+        self._free = ~problem.supports.fixed
+        cloud = problem.body.cloud
+        whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
+        self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])[:, None]
+        self._courant = _courant_step(problem)
+        self._largest = 0.0
+
+    @classmethod
+    def make(cls, setting: Setting) -> RelaxationSolver:
+        """Return the solver of a setting (collective)."""
+        return cls(setting.problem, setting.declared, setting.steps, setting.stop)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return 0: there is no matrix."""
+        return 0
+
+    def description(self) -> str:
+        """Return the solver in a few words."""
+        return f"dynamic relaxation, tolerance {self._options.tolerance:g}"
+
+    def destroy(self) -> None:
+        """Free nothing."""
+
+    def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
+        """Move from ``u`` to rest under the conditions at step time ``t`` (collective)."""
+        self.t = t
+        start = np.where(self._free, u, self.problem.supports.prescribed(t))
+        moved = start.copy()
+        residual, reference = self._residual(moved)
+        if residual is None:
+            return moved, StepResult(False, "det F <= 0 at the start of the step: the prescribed step is too long")
+        velocity = np.zeros_like(moved)
+        norms = [self._norm(residual)]
+        first_change, dt, damping = 0.0, self._time_step(moved), 0.0
+        density = self._norm(residual / self._mass)
+        self._largest = max(self._largest, reference)
+        if norms[0] <= self._options.tolerance * max(reference, UNLOADED * self._largest):
+            # It is at rest already; its own first residual is too small a measure to fall below.
+            return moved, StepResult(True, "at rest", norms, reference, 0)
+        for iteration in range(1, self._options.most + 1):
+            if iteration % RENEWED == 0:
+                dt = self._time_step(moved)
+            acceleration = residual / self._mass
+            if iteration == 1:
+                velocity = 0.5 * dt * acceleration
+            else:
+                velocity = ((2.0 - damping * dt) * velocity + 2.0 * dt * acceleration) / (2.0 + damping * dt)
+            change = dt * velocity
+            moved = moved + change
+            old = residual
+            residual, reference = self._residual(moved)
+            if residual is None:
+                return moved, StepResult(False, "det F <= 0 in the motion", norms, reference, iteration)
+            softness = np.where(velocity != 0.0, -(residual - old) / np.where(change != 0.0, change, 1.0), 0.0)
+            travelled = moved - start
+            sums = total(
+                self._comm,
+                [
+                    (softness * travelled**2).sum(),
+                    (self._mass * travelled**2).sum(),
+                    (residual**2).sum(),
+                    (change**2).sum(),
+                    ((residual / self._mass) ** 2).sum(),
+                ],
+            )
+            rayleigh = sums[0] / sums[1] if sums[1] > 0.0 else 0.0
+            damping = min(2.0 * np.sqrt(max(rayleigh, 0.0)), 1.9 / dt)
+            moving = np.sqrt(sums[3])
+            first_change = first_change or moving
+            if iteration % KEPT == 0:
+                norms.append(float(np.sqrt(sums[2])))
+                if self.stop():
+                    return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
+            if not np.isfinite(sums[2]):
+                return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
+            tolerance = self._options.tolerance
+            self._largest = max(self._largest, reference)
+            balanced = np.sqrt(sums[2]) <= tolerance * max(reference, UNLOADED * self._largest)
+            if balanced and np.sqrt(sums[4]) <= tolerance * density and moving <= tolerance * first_change:
+                norms.append(float(np.sqrt(sums[2])))
+                return moved, StepResult(True, "at rest", norms, reference, iteration)
+        norms.append(float(np.sqrt(sums[2])))
+        return moved, StepResult(False, "too many time steps", norms, reference, self._options.most)
+
+    def _residual(self, u: Float) -> tuple[Float | None, float]:
+        """Return ``f_ext - f_int`` on the free degrees of freedom and the norm of forces and reactions."""
+        state = self.state(u)
+        force = self.problem.internal_force(state)
+        if force is None:
+            return None, 0.0
+        external = self.problem.external_force(state)
+        reaction = np.where(self._free, 0.0, force - external)
+        size = max(total(self._comm, [(external**2).sum(), (reaction**2).sum()]))
+        return np.where(self._free, external - force, 0.0), float(np.sqrt(size))
+
+    def _norm(self, values: Float) -> float:
+        return float(np.sqrt(total(self._comm, (values**2).sum())))
+
+    def _time_step(self, u: Float) -> float:
+        """Return the time step that is stable at ``u``."""
+        cloud = self.problem.body.cloud
+        gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
+        gid = gid[:, None].astype(float)
+        v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
+        tangent = self.problem.linearised(self.state(u))
+        square = 0.0
+        for _ in range(POWER_ITERATIONS):
+            v = v / max(self._norm(v), np.finfo(float).tiny)
+            v = np.where(self._free, tangent(v) / self._mass, 0.0)
+            square = self._norm(v)
+        # Power iterations approach the largest frequency from below.
+        critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf
+        return float(min(self._courant, SAFETY * critical))
+
+
+def _courant_step(problem: Problem) -> float:
+    """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
+    cloud = problem.body.cloud
+    shortest = smallest(cloud.comm, float(nearest_distances(problem.body).min(initial=np.inf)))
+    stiffest = largest(cloud.comm, problem.matter.largest_modulus)
+    several = largest(cloud.comm, float(problem.matter.n_points > cloud.n_owned))
+    return float((1.0 if several else 2.0) / problem.dim * shortest / np.sqrt(stiffest))

@@ -1,0 +1,52 @@
+"""Which solver does what a scene declares, and what a solver must find in a problem."""
+
+from __future__ import annotations
+
+from pdpetsc.declare.solvers import DeclaredSolver, DynamicRelaxation, EventDriven, Newton, PathFollowing
+from pdpetsc.errors import CaseError
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.proportional import refuse_what_is_not_proportional
+from pdpetsc.solvers.event_driven.solver import EventSolver
+from pdpetsc.solvers.newton import StaticSolver
+from pdpetsc.solvers.path_following.solver import PathSolver
+from pdpetsc.solvers.protocol import Solver
+from pdpetsc.solvers.relaxation import RelaxationSolver
+
+# A new solver is one class of its own and a line here.
+SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
+    Newton: StaticSolver,
+    DynamicRelaxation: RelaxationSolver,
+    EventDriven: EventSolver,
+    PathFollowing: PathSolver,
+}
+
+
+def implementation(declared: DeclaredSolver) -> type[Solver]:
+    """Return what does what a scene declares (not collective); raise CaseError where the table has nothing."""
+    for kind in type(declared).__mro__:
+        if kind in SOLVERS:
+            return SOLVERS[kind]
+    raise CaseError(
+        f"No solver is known for {type(declared).__name__}; enter the class that does it in "
+        f"pdpetsc.solvers.table.SOLVERS."
+    )
+
+
+def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
+    """Raise CaseError on all ranks where a problem has not what a solver declares to need (collective)."""
+    implementation(declared).refuse(problem)
+    needs = declared.needs
+    if needs.piecewise_linear and not problem.piecewise_linear:
+        raise CaseError(
+            f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
+            f"this body has a law that is not linear between failures, so take Newton."
+        )
+    if needs.symmetric:
+        for term in problem.terms:
+            if not term.symmetric:
+                raise CaseError(
+                    f"{declared.title} needs a symmetric tangent, and that of {type(term).__name__} is not, so take "
+                    f"Newton."
+                )
+    if needs.proportional != "no":
+        refuse_what_is_not_proportional(problem, declared.title, beyond=needs.proportional == "at any load")

@@ -3,6 +3,7 @@
 A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from pdpetsc.bond_based import BondBased, LinearSolid
@@ -88,7 +89,11 @@ from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTang
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
+    from pdpetsc.running.prepare import Prepared, prepare
+    from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
+
+    open = open_run
 
 __version__ = "0.1.0"
 
@@ -160,6 +165,7 @@ __all__ = [
     "PointTangent",
     "PolygonCrack",
     "Polyline",
+    "Prepared",
     "PresentStretch",
     "Pressure",
     "Quantity",
@@ -168,6 +174,7 @@ __all__ = [
     "RelativeAverage",
     "RelativeError",
     "RelativeSprings",
+    "Result",
     "RunError",
     "SaintVenantKirchhoff",
     "Segment",
@@ -196,7 +203,9 @@ __all__ = [
     "influence",
     "local_damage",
     "lost_bonds",
+    "open",
     "plastic_strain",
+    "prepare",
     "reaction",
     "region",
     "run",
@@ -204,14 +213,20 @@ __all__ = [
 ]
 
 
+# Imported on first use: they load PETSc, which must first see the command line.
+_LAZY = {
+    "Case": ("pdpetsc.case", "Case"),
+    "Prepared": ("pdpetsc.running.prepare", "Prepared"),
+    "Result": ("pdpetsc.running.result", "Result"),
+    "open": ("pdpetsc.running.result", "open_run"),
+    "prepare": ("pdpetsc.running.prepare", "prepare"),
+    "run": ("pdpetsc.running.runner", "run"),
+}
+
+
 def __getattr__(name: str) -> Any:
-    """Import ``Case`` and ``run`` on first use: they load PETSc, which must first see the command line."""
-    if name == "Case":
-        from pdpetsc.case import Case
-
-        return Case
-    if name == "run":
-        from pdpetsc.running.runner import run
-
-        return run
+    """Import what loads PETSc on first use."""
+    if name in _LAZY:
+        module, of_module = _LAZY[name]
+        return getattr(import_module(module), of_module)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

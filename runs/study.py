@@ -55,19 +55,13 @@ def draw_chosen(words, functions, default, kind="figure"):
 
 def run(folder, case):
     """Run a case without files of fields; return (history, summary), or None where it did not converge."""
-    import json
-
     import pdpetsc as pd
 
-    scratch = folder / "last_run"
     try:
-        pd.run(dataclasses.replace(case, fields=[], picture=None), output=scratch, quiet=True)
+        done = pd.run(dataclasses.replace(case, fields=[], picture=None), output=folder / "last_run")
     except pd.SolveError:
         return None
-    with (scratch / "history.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    history = {name: [float(row[name]) for row in rows] for name in rows[0]}
-    return history, json.loads((scratch / "summary.json").read_text())
+    return {name: column.tolist() for name, column in done.history.items()}, done.summary
 
 
 def write_table(folder, name, header, rows):

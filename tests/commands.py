@@ -42,7 +42,7 @@ def results(case, *arguments, ranks=1, output):
     if ranks == 1 and not any(word.startswith("-") for word in words):
         function = load_case(ROOT / case)
         parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
-        pd.run(function(**parameters), output=output, quiet=True, parameters=parameters)
+        pd.run(function(**parameters), output=output, parameters=parameters)
     else:
         finished = run(case, *words, "--quiet", ranks=ranks, output=output)
         assert finished.returncode == 0, finished.stderr
@@ -63,19 +63,24 @@ from pdpetsc.command_line.cli import arguments_of, load_case
 for case, words, output in json.loads(sys.argv[1]):
     function = load_case(Path(case))
     parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
-    pd.run(function(**parameters), output=output, quiet=True, parameters=parameters)
+    pd.run(function(**parameters), output=output, parameters=parameters)
 """
 
 
 def run_several(runs, ranks, timeout=TIMEOUT):
     """Run cases ``[(case, arguments, output)]``, which must all succeed, one after the other in one start of MPI."""
     listed = [(str(ROOT / case), [str(word) for word in words], str(output)) for case, words, output in runs]
-    words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, "-c", SEVERAL, json.dumps(listed)]
+    done = python_on(ranks, "-c", SEVERAL, json.dumps(listed), timeout=timeout)
+    assert done.returncode == 0, done.stderr
+
+
+def python_on(ranks, *words, timeout=TIMEOUT):
+    """Run Python with these words on ``ranks`` ranks; return the finished process with its output as text."""
+    words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, *map(str, words)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
+    return subprocess.run(
         words, capture_output=True, text=True, timeout=timeout, cwd=ROOT, env=environment, check=False
     )
-    assert done.returncode == 0, done.stderr
 
 
 class Stop(pd.Quantity):

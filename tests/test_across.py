@@ -28,7 +28,7 @@ def stretched(dim, material, **others):
 
 def tensors(case, folder):
     """Return mean stress, P and F of the last step as they are on disk, (3, 3) each."""
-    pd.run(case, output=folder, quiet=True)
+    pd.run(case, output=folder)
     with h5py.File(folder / "fields.h5") as file:
         step = file["step_00001"]
         names = ("stress", "first_piola_stress", "deformation_gradient")
@@ -85,7 +85,7 @@ def test_damage_scales_it(tmp_path):
 def test_a_field_under_another_name_is_the_same_field(tmp_path):
     case = stretched(2, pd.LinearElastic(E=E, nu=NU))
     plain, _, _ = tensors(case, tmp_path / "plain")
-    pd.run(dataclasses.replace(case, fields={"sigma": pd.stress}), output=tmp_path / "named", quiet=True)
+    pd.run(dataclasses.replace(case, fields={"sigma": pd.stress}), output=tmp_path / "named")
     with h5py.File(tmp_path / "named" / "fields.h5") as file:
         named = np.asarray(file["step_00001/sigma"]).mean(axis=0).reshape(3, 3)
     assert np.array_equal(named, plain)

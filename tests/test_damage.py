@@ -237,7 +237,7 @@ def test_a_fracture_energy_serves_gradients_too(tmp_path):
     from tests.test_fracture import strip
 
     law = pd.Brittle(pd.FractureEnergy(0.01))
-    found = pd.run(dataclasses.replace(strip(), damage=law), output=tmp_path, quiet=True)
+    found = pd.run(dataclasses.replace(strip(), damage=law), output=tmp_path)
     assert found["broken"] > 0
     with pytest.raises(pd.CaseError, match="must be positive"):
         pd.FractureEnergy(0.0)

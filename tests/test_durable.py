@@ -101,20 +101,20 @@ def history(place):
 )
 def test_a_restart_of_another_case_is_refused_and_says_what_differs(changes, what, tmp_path):
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path / "part", quiet=True)
+        pd.run(stopped(0.5), output=tmp_path / "part")
     if "conditions" in changes:
         changes = {**changes, "conditions": strip(pull=0.6).conditions}
     other = dataclasses.replace(strip(), **changes)
     with pytest.raises(pd.CaseError, match=what):
-        pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", quiet=True)
+        pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part")
     assert not (tmp_path / "rest" / "history.csv").exists()
-    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", restart_anyway=True, quiet=True)
+    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", restart_anyway=True)
 
 
 def test_steps_solver_and_records_may_differ(tmp_path):
-    pd.run(strip(), output=tmp_path / "whole", quiet=True)
+    pd.run(strip(), output=tmp_path / "whole")
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path / "part", quiet=True)
+        pd.run(stopped(0.5), output=tmp_path / "part")
     other = dataclasses.replace(
         strip(),
         steps=pd.Steps(6),
@@ -125,13 +125,13 @@ def test_steps_solver_and_records_may_differ(tmp_path):
         options={"snes_rtol": 1e-9},
         picture=pd.Picture(pd.local_damage, ""),
     )
-    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part", quiet=True)
+    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "part")
     assert json.loads((tmp_path / "rest" / "summary.json").read_text())["status"] == "converged"
 
 
 def test_the_command_line_refuses_another_load_and_goes_on_anyway(scene, tmp_path):
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path / "part", quiet=True)
+        pd.run(stopped(0.5), output=tmp_path / "part")
     words = ("pull=0.6", "--quiet", "--restart", tmp_path / "part")
     refused = run(scene, *words, output=tmp_path / "rest")
     assert refused.returncode == 2
@@ -212,26 +212,26 @@ def test_what_means_the_same_has_the_same_fingerprint():
 
 def test_a_new_run_does_not_leave_the_checkpoint_of_another(tmp_path):
     """Its own first checkpoint comes late; a chain that looks for one must not find that of the run before."""
-    pd.run(strip(), output=tmp_path, quiet=True)
+    pd.run(strip(), output=tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
     kept = (tmp_path / "checkpoint.h5").read_bytes()
     with pytest.raises(pd.Interrupted):
-        pd.run(dataclasses.replace(stopped(0.1, E=20.0), checkpoints=0), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(stopped(0.1, E=20.0), checkpoints=0), output=tmp_path)
     assert not (tmp_path / "checkpoint.h5").exists()
     assert (tmp_path / "earlier" / "checkpoint.h5").read_bytes() == kept
     assert field(tmp_path / "earlier", "displacement").shape == (40, 3)
     assert (tmp_path / "notes.txt").read_text() == "mine"
     with pytest.raises(pd.CaseError, match="which it goes on from"):
-        pd.run(strip(), output=tmp_path, restart=tmp_path / "earlier", quiet=True)
+        pd.run(strip(), output=tmp_path, restart=tmp_path / "earlier")
     assert (tmp_path / "earlier" / "checkpoint.h5").read_bytes() == kept
 
 
 def test_a_case_that_is_wrong_leaves_the_run_before_where_it_is(tmp_path):
-    pd.run(strip(), output=tmp_path, quiet=True)
+    pd.run(strip(), output=tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
     wrong = dataclasses.replace(strip(), conditions=[])
     with pytest.raises(pd.CaseError):
-        pd.run(wrong, output=tmp_path, quiet=True)
+        pd.run(wrong, output=tmp_path)
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
 
 
@@ -241,7 +241,7 @@ def test_files_of_another_origin_are_not_touched(name, tmp_path):
     path.parent.mkdir(exist_ok=True)
     path.write_text("my measurements\n1,2\n")
     with pytest.raises(pd.CaseError, match="move it away"):
-        pd.run(strip(), output=tmp_path, quiet=True)
+        pd.run(strip(), output=tmp_path)
     assert path.read_text() == "my measurements\n1,2\n"
 
 
@@ -254,20 +254,20 @@ def test_links_are_not_followed(name, tmp_path):
     (place / name).symlink_to(target)
     if name in ("history.csv", ".pdpetsc-lock"):
         with pytest.raises(pd.CaseError):
-            pd.run(strip(), output=place, quiet=True)
+            pd.run(strip(), output=place)
     else:
-        pd.run(strip(), output=place, quiet=True)
+        pd.run(strip(), output=place)
     assert target.read_text() == "mine"
 
 
 def test_the_history_of_another_run_is_not_taken_over(tmp_path):
     """A checkpoint that was copied into another folder finds a history with the same columns there."""
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path / "one", quiet=True)
+        pd.run(stopped(0.5), output=tmp_path / "one")
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5, E=20.0), output=tmp_path / "two", quiet=True)
+        pd.run(stopped(0.5, E=20.0), output=tmp_path / "two")
     shutil.copy(tmp_path / "one" / "checkpoint.h5", tmp_path / "two" / "checkpoint.h5")
-    pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "two", quiet=True)
+    pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "two")
     assert [line.split(",")[0] for line in history(tmp_path / "rest").split()] == ["step", "2", "3"]
 
 
@@ -283,7 +283,7 @@ def test_a_folder_takes_one_run(scene, tmp_path):
         assert len(refused.stderr.splitlines()) == 1
         assert (place / folder.LOCK).exists()
         with pytest.raises(pd.CaseError, match="choose another folder"):
-            pd.run(strip(), output=place, quiet=True)
+            pd.run(strip(), output=place)
     assert not list(place.iterdir())
 
 
@@ -364,7 +364,7 @@ def test_a_lock_needs_no_links(tmp_path, monkeypatch):
 
 def test_a_run_that_fails_releases_its_folder(tmp_path):
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.0), output=tmp_path, quiet=True)
+        pd.run(stopped(0.0), output=tmp_path)
     assert not (tmp_path / folder.LOCK).exists()
 
 
@@ -434,7 +434,7 @@ def test_no_write_that_fails_costs_what_is_done(how, stride, failing_writes, sce
 )
 def test_no_write_that_fails_costs_what_is_done_on_two_ranks(how, n, failing_writes, scene, tmp_path):
     whole, place = tmp_path / "whole", tmp_path / "out"
-    pd.run(strip(), output=whole, quiet=True)
+    pd.run(strip(), output=whole)
     environment = {
         **os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "FAILING_UNDER": str(place),
         "FAILING_AT": str(n), "FAILING_HOW": how, "FAILING_RANK": "0",
@@ -470,7 +470,7 @@ def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp
             return 0.0
 
     case = strip(steps=5)
-    pd.run(dataclasses.replace(case, history={"look": Look()}, results=None), output=place, quiet=True)
+    pd.run(dataclasses.replace(case, history={"look": Look()}, results=None), output=place)
     assert len(held) == 12
     assert [sum(name.startswith("step_") for name in file) for file in held[::2]] == [1, 2, 3, 4, 5, 6]
     for file in held:
@@ -484,14 +484,14 @@ def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp
 
 
 def test_a_torn_row_costs_itself_only(tmp_path):
-    pd.run(strip(), output=tmp_path / "whole", quiet=True)
+    pd.run(strip(), output=tmp_path / "whole")
     for torn in ("history.csv", "broken_bonds.csv"):
         place = tmp_path / torn
         with pytest.raises(pd.Interrupted):
-            pd.run(stopped(0.9), output=place, quiet=True)
+            pd.run(stopped(0.9), output=place)
         with (place / torn).open("a") as file:
             file.write("3,0.99")
-        pd.run(strip(), output=place, restart=place, quiet=True)
+        pd.run(strip(), output=place, restart=place)
         for name in ("history.csv", "broken_bonds.csv"):
             assert (place / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
@@ -539,7 +539,7 @@ def saved(tmp_path_factory):
     """A body, and a checkpoint of it with damaged bonds."""
     place = tmp_path_factory.mktemp("saved")
     case = dataclasses.replace(strip(pull=0.4), material=pd.BondBased(E=10.0, kinematics="finite"))
-    pd.run(case, output=place, quiet=True)
+    pd.run(case, output=place)
     with h5py.File(place / "checkpoint.h5") as file:
         shapes = {name: file[name].shape[1:] for name in ("u", "tangent", "bonds/keys", "bonds/states")}
     assert shapes == {"u": (2,), "tangent": (2,), "bonds/keys": (3,), "bonds/states": (2,)}
@@ -736,7 +736,7 @@ def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_
     for name, end, words in (("whole", 0.3, {}), ("part", after, {}), ("rest", 0.3, {"restart": tmp_path / "part"})):
         case = dataclasses.replace(plate, history={**plate.history, "until": Stop(end)})
         with pytest.raises(pd.Interrupted):
-            pd.run(case, output=tmp_path / name, quiet=True, **words)
+            pd.run(case, output=tmp_path / name, **words)
     assert json.loads((tmp_path / "whole" / "summary.json").read_text())["steps"][3]["sweeps"] > 100
     with h5py.File(tmp_path / "whole/fields.h5") as one, h5py.File(tmp_path / "rest/fields.h5") as other:
         steps = [name for name in other if name.startswith("step_")]
@@ -751,11 +751,11 @@ def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
     """They are those with the bonds as they were, not as they are after the next step."""
     for name, history_ in (("whole", strip().history), ("bare", {"work": pd.ExternalWork()})):
         case = dataclasses.replace(strip(steps=6), history=history_, results=None)
-        pd.run(case, output=tmp_path / name, quiet=True)
+        pd.run(case, output=tmp_path / name)
         part = {**history_, "until": Stop(0.2)}
         with pytest.raises(pd.Interrupted):
-            pd.run(dataclasses.replace(case, history=part), output=tmp_path / f"{name} part", quiet=True)
-        pd.run(case, output=tmp_path / f"{name} rest", restart=tmp_path / f"{name} part", quiet=True)
+            pd.run(dataclasses.replace(case, history=part), output=tmp_path / f"{name} part")
+        pd.run(case, output=tmp_path / f"{name} rest", restart=tmp_path / f"{name} part")
         one, other = (
             np.genfromtxt(tmp_path / f"{name}{end}" / "history.csv", delimiter=",", names=True)["work"]
             for end in ("", " rest")
@@ -768,7 +768,7 @@ def test_work_goes_on_with_the_forces_at_the_start(tmp_path):
 
 def test_fields_have_the_names_of_a_mapping(tmp_path):
     fields = {"share": lambda solution: solution.volume, "flags": lambda solution: solution.x[:, 0] > 5.0}
-    pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path, quiet=True)
+    pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path)
     grid = ET.parse(tmp_path / "fields.xdmf").getroot().find(".//Grid[@GridType='Uniform']")
     items = {a.get("Name"): a.find("DataItem") for a in grid.findall("Attribute")}
     assert set(items) == {"volume", "share", "flags"}
@@ -790,7 +790,7 @@ def test_fields_have_the_names_of_a_mapping(tmp_path):
 def test_fields_that_cannot_be_written_are_refused_before_the_first_step(fields, message, tmp_path):
     with pytest.raises(pd.CaseError, match=message):
         # Some are refused when the case is made, some when they are tried on the body.
-        pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(strip(), fields=fields), output=tmp_path)
 
 
 def test_tensors_with_an_out_of_plane_component_are_written_as_they_are(rng):
@@ -825,10 +825,10 @@ def test_adding_a_step_costs_the_same_late_as_early(tmp_path):
 
 def test_a_restart_with_other_columns_keeps_the_earlier_table(tmp_path):
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path, quiet=True)
+        pd.run(stopped(0.5), output=tmp_path)
     before = history(tmp_path)
     pd.run(dataclasses.replace(strip(), history={"E": pd.StrainEnergy()}, results=None), output=tmp_path,
-           restart=tmp_path, quiet=True)  # fmt: skip
+           restart=tmp_path)  # fmt: skip
     assert (tmp_path / "earlier" / "history.csv").read_text() == before
 
 
@@ -839,8 +839,8 @@ def test_numbers_of_any_type_are_numbers(kind, tmp_path):
             return kind(1)
 
     case = dataclasses.replace(strip(), history={"two": Two()}, results=lambda h: {"rows": float(len(h["two"]))})
-    whole = pd.run(case, output=tmp_path, quiet=True)
-    again = pd.run(case, output=tmp_path, restart=tmp_path, quiet=True)
+    whole = pd.run(case, output=tmp_path)
+    again = pd.run(case, output=tmp_path, restart=tmp_path)
     assert whole == again
     assert history(tmp_path).splitlines()[1].endswith(",1.0")
 
@@ -855,5 +855,5 @@ def test_files_of_others_under_the_same_names_are_not_moved(tmp_path):
         place.mkdir()
         (place / name).write_bytes(content)
         with pytest.raises(pd.CaseError, match="was not written by pdpetsc"):
-            pd.run(strip(), output=place, quiet=True)
+            pd.run(strip(), output=place)
         assert (place / name).read_bytes() == content

@@ -64,7 +64,7 @@ def one_bond(ratio=1.0, k_factor=1.0):
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 4.0])
 def test_one_bond_in_series_with_another_follows_its_law(ratio, tmp_path):
     """Two equal springs: the softening one stretches to r l while the other unloads; below r = 2 that snaps back."""
-    pd.run(one_bond(ratio), output=tmp_path, quiet=True)
+    pd.run(one_bond(ratio), output=tmp_path)
     h = history(tmp_path)
     k, limit = 100.0, 0.01
     assert h["displacement"][:3] == pytest.approx([0.0, 2.0 * limit, ratio * limit], abs=1e-15)
@@ -192,7 +192,7 @@ def test_increasing_critical_stretch_leaves_no_section_cut(tmp_path):
 def test_the_place_is_random_and_the_response_is_not_where_the_critical_stretch_is_constant(tmp_path):
     runs = []
     for seed in (1, 2, 3):
-        pd.run(periodic_cell.case(n=50, seed=seed), output=tmp_path, quiet=True)
+        pd.run(periodic_cell.case(n=50, seed=seed), output=tmp_path)
         runs.append((history(tmp_path)["force"], float(broken(tmp_path)[0]["x"])))
     for force, place in runs[1:]:
         assert np.allclose(force, runs[0][0], rtol=0.0, atol=1e-3 * force.max())
@@ -204,7 +204,7 @@ def test_the_place_is_random_and_the_response_is_not_where_the_critical_stretch_
 def test_links_that_soften_and_other_micromoduli_have_the_energy_of_a_triangle(micromodulus, ratio, tmp_path):
     """Whatever the path, the last link across the gap breaks at ratio eps_0 h, and all across it lose their energy."""
     n, m = 50, 5
-    found = pd.run(periodic_cell.case(n, ratio=ratio, micromodulus=micromodulus), output=tmp_path, quiet=True)
+    found = pd.run(periodic_cell.case(n, ratio=ratio, micromodulus=micromodulus), output=tmp_path)
     h = history(tmp_path)
     layer = np.arange(1, m + 1)
     weight = periodic_cell.MICROMODULI[micromodulus](layer / (m + 0.3))
@@ -225,7 +225,7 @@ def test_links_that_soften_and_other_micromoduli_have_the_energy_of_a_triangle(m
 @pytest.mark.parametrize("ratio", [4.0, 25.0])
 def test_one_softening_link_and_nine_elastic_ones_follow_a_line(ratio, tmp_path):
     """Ten particles have links to their neighbours only: F = E (r h eps_0 - u) / ((r - 1) h - (l - h))."""
-    pd.run(periodic_cell.case(n=10, ratio=ratio), output=tmp_path, quiet=True)
+    pd.run(periodic_cell.case(n=10, ratio=ratio), output=tmp_path)
     h = history(tmp_path)
     assert h["force"][:3] == pytest.approx([0.0, 1.0, 0.0], rel=1e-5, abs=1e-9)
     # The peak at eps_0 l, then (r h eps_0, 0): forwards above r = 10, backwards below.
@@ -256,7 +256,7 @@ def test_the_order_of_events_is_the_same_on_any_number_of_ranks_and_again(case, 
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0])
 def test_a_plane_cell_falls_apart_with_its_energy_in_balance(critical, ratio, tmp_path):
     case = cell_2d.case(n=8, critical=critical, ratio=ratio)
-    found = pd.run(case, output=tmp_path, quiet=True)
+    found = pd.run(case, output=tmp_path)
     h = history(tmp_path)
     each, whole = imbalance(1.0, h["strain"], h["stress"], h)
     assert each < 1e-10
@@ -268,8 +268,8 @@ def test_a_plane_cell_falls_apart_with_its_energy_in_balance(critical, ratio, tm
 
 @pytest.mark.parametrize("updates", [1, 3, 1000])
 def test_the_path_does_not_depend_on_when_the_matrix_is_factored(updates, tmp_path):
-    pd.run(cell_2d.case(n=8, critical="increasing"), output=tmp_path / "default", quiet=True)
-    pd.run(cell_2d.case(n=8, critical="increasing", updates=updates), output=tmp_path / "other", quiet=True)
+    pd.run(cell_2d.case(n=8, critical="increasing"), output=tmp_path / "default")
+    pd.run(cell_2d.case(n=8, critical="increasing", updates=updates), output=tmp_path / "other")
     one, other = history(tmp_path / "default"), history(tmp_path / "other")
     assert np.allclose(one["stress"], other["stress"], atol=1e-10 * one["stress"].max())
 
@@ -277,7 +277,7 @@ def test_the_path_does_not_depend_on_when_the_matrix_is_factored(updates, tmp_pa
 def test_newton_finds_the_same_curve_at_the_events(tmp_path):
     """Steps just below the displacements at which a bond fails with the displacement higher than ever before."""
     case = notched_bar.case()
-    pd.run(case, output=tmp_path / "events", quiet=True)
+    pd.run(case, output=tmp_path / "events")
     h = history(tmp_path / "events")
     peaks = [s for s in range(1, len(h["t"]) - 1) if h["t"][s] > h["t"][:s].max() and h["force"][s] > 0.0]
     assert len(peaks) > 3
@@ -289,7 +289,7 @@ def test_newton_finds_the_same_curve_at_the_events(tmp_path):
         steps=pd.Steps(len(peaks)),
         conditions=[case.conditions[0], dataclasses.replace(case.conditions[1], schedule=table)],
     )
-    pd.run(stepped, output=tmp_path / "newton", quiet=True)
+    pd.run(stepped, output=tmp_path / "newton")
     static = history(tmp_path / "newton")
     assert static["force"][1:] == pytest.approx(h["force"][peaks], rel=1e-8)
     assert static["displacement"][1:] == pytest.approx(h["displacement"][peaks], rel=1e-8)
@@ -297,8 +297,8 @@ def test_newton_finds_the_same_curve_at_the_events(tmp_path):
 
 def test_newton_and_events_break_the_same_bonds(tmp_path):
     case = notched_bar.case()
-    pd.run(case, output=tmp_path / "events", quiet=True)
-    pd.run(dataclasses.replace(case, solver=pd.Newton()), output=tmp_path / "newton", quiet=True)
+    pd.run(case, output=tmp_path / "events")
+    pd.run(dataclasses.replace(case, solver=pd.Newton()), output=tmp_path / "newton")
     names = [{(row["i"], row["j"]) for row in broken(tmp_path / name)} for name in ("events", "newton")]
     assert names[0] == names[1]
     assert len(names[0]) > 20
@@ -308,7 +308,7 @@ def test_a_load_that_is_a_force_falls_with_the_strength(tmp_path):
     """A free end pulled by a force: the load factor follows the body down to nothing, and the run ends there."""
     case = one_bond()
     pulled = dataclasses.replace(case, conditions=[case.conditions[0], pd.Force(pd.region.Nearest((2.5,)), x=2.0)])
-    pd.run(pulled, output=tmp_path, quiet=True)
+    pd.run(pulled, output=tmp_path)
     h = history(tmp_path)
     assert h["t"] == pytest.approx([0.0, 0.5, 0.0], abs=1e-12)
     assert h["displacement"] == pytest.approx([0.0, 0.02, 0.01], abs=1e-12)
@@ -327,8 +327,8 @@ def test_a_body_without_failing_bonds_is_one_step(tmp_path):
             history={"force": pd.Reaction("x", pd.region.Slab("x", low=5.0))},
             results=lambda h: {"force": h["force"][-1]},
         )
-        newton = pd.run(case, output=tmp_path, quiet=True)
-        events = pd.run(dataclasses.replace(case, solver=pd.EventDriven()), output=tmp_path, quiet=True)
+        newton = pd.run(case, output=tmp_path)
+        events = pd.run(dataclasses.replace(case, solver=pd.EventDriven()), output=tmp_path)
         assert events == pytest.approx(newton, rel=1e-10)
 
 
@@ -359,14 +359,12 @@ def refused(**changes):
 )
 def test_what_it_cannot_do_it_refuses_with_the_reason(case, message, tmp_path):
     with pytest.raises(pd.CaseError, match=message):
-        pd.run(case, output=tmp_path, quiet=True)
+        pd.run(case, output=tmp_path)
 
 
 def test_too_many_events_end_with_what_is_computed(tmp_path):
     with pytest.raises(pd.SolveError, match="More than 5 events"):
-        pd.run(
-            dataclasses.replace(periodic_cell.case(n=20), solver=pd.EventDriven(most=5)), output=tmp_path, quiet=True
-        )
+        pd.run(dataclasses.replace(periodic_cell.case(n=20), solver=pd.EventDriven(most=5)), output=tmp_path)
     assert len(history(tmp_path)["force"]) == 6
 
 

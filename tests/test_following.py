@@ -25,7 +25,7 @@ def crack(pull=1.0, **changes):
 def test_one_bond_in_series_with_another_is_followed_back(ratio, tmp_path):
     """Two equal springs: u = x l + q / k with the law's force q = k l (r - x) / (r - 1); below r = 2 u turns back."""
     solver = pd.PathFollowing(pd.BondStretch(0.02), until=1e-9)
-    pd.run(dataclasses.replace(one_bond(ratio), solver=solver), output=tmp_path, quiet=True)
+    pd.run(dataclasses.replace(one_bond(ratio), solver=solver), output=tmp_path)
     h = history(tmp_path)
     k, limit = 100.0, 0.01
     x = h["displacement"] / limit - h["force"] / (k * limit)
@@ -38,14 +38,14 @@ def test_one_bond_in_series_with_another_is_followed_back(ratio, tmp_path):
 
 @pytest.mark.parametrize("measure", ["stretch", "opening"])
 def test_the_peak_of_a_crack_is_that_of_the_event_driven_solver(measure, tmp_path):
-    pd.run(crack(), output=tmp_path / "events", quiet=True)
+    pd.run(crack(), output=tmp_path / "events")
     middle = pd.region.Box((8.0, 18.0), (12.0, 22.0))
     up, down = pd.region.Slab("y", low=20.0), pd.region.Slab("y", high=20.0)
     measures = {
         "stretch": pd.BondStretch(0.1),
         "opening": pd.Opening("y", middle & up, against=middle & down, step=0.004, end=0.2),
     }
-    pd.run(crack(solver=pd.PathFollowing(measures[measure])), output=tmp_path / "path", quiet=True)
+    pd.run(crack(solver=pd.PathFollowing(measures[measure])), output=tmp_path / "path")
     exact, path = history(tmp_path / "events"), history(tmp_path / "path")
     assert path["force"].max() == pytest.approx(exact["force"].max(), rel=0.02)
     # All of the work is dissipated where the body is apart, up to what jumps between the steps have set free.
@@ -87,12 +87,12 @@ class Stop(pd.Quantity):
 
 def test_a_restart_goes_on_along_the_path(tmp_path):
     case = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.5), checkpoints=4)
-    pd.run(case, output=tmp_path / "whole", quiet=True)
+    pd.run(case, output=tmp_path / "whole")
     stopped = dataclasses.replace(case, history={**case.history, "stop": Stop()})
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped, output=tmp_path / "part", quiet=True)
+        pd.run(stopped, output=tmp_path / "part")
     checkpoint = tmp_path / "part" / "checkpoint.h5"
-    pd.run(case, output=tmp_path / "rest", restart=checkpoint, quiet=True)
+    pd.run(case, output=tmp_path / "rest", restart=checkpoint)
     whole, rest = history(tmp_path / "whole"), history(tmp_path / "rest")
     # The stopped run keeps the step that it was stopped at, between two checkpoints.
     assert 4 * len(rest["step"]) > len(whole["step"])
@@ -104,9 +104,9 @@ def test_a_restart_goes_on_along_the_path(tmp_path):
 def test_a_path_goes_on_from_load_steps(tmp_path):
     stepped = crack(solver=pd.Newton(), steps=pd.Steps(20), history={"stop": pd.BrokenBonds()})
     stepped = dataclasses.replace(stepped, conditions=crack(pull=0.05).conditions, results=None)
-    pd.run(stepped, output=tmp_path / "steps", quiet=True)
+    pd.run(stepped, output=tmp_path / "steps")
     path = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.8), pull=0.05)
-    pd.run(path, output=tmp_path / "path", restart=tmp_path / "steps" / "checkpoint.h5", quiet=True)
+    pd.run(path, output=tmp_path / "path", restart=tmp_path / "steps" / "checkpoint.h5")
     h = history(tmp_path / "path")
     assert h["t"][0] == pytest.approx(1.0)
     assert h["force"].max() > h["force"][0]
@@ -117,7 +117,7 @@ def test_the_plate_with_a_hole_turns_back_and_comes_apart(tmp_path):
     """Correspondence with smooth degradation, where load steps jump: the load falls while the plate springs back."""
     solver = pd.PathFollowing(pd.BondStretch(0.1), until=0.02)
     case = dataclasses.replace(plate_with_hole.case(), solver=solver, fields=[], picture=None)
-    pd.run(case, output=tmp_path, quiet=True)
+    pd.run(case, output=tmp_path)
     h = history(tmp_path)
     peak = int(np.argmax(h["force"]))
     assert h["displacement"].max() == pytest.approx(h["displacement"][peak], rel=0.25)
@@ -139,7 +139,7 @@ def test_the_plate_with_a_hole_turns_back_and_comes_apart(tmp_path):
 )
 def test_what_a_path_cannot_follow_is_refused(changes, message, tmp_path):
     with pytest.raises(pd.CaseError, match=message):
-        pd.run(crack(**{"solver": pd.PathFollowing(), **changes}), output=tmp_path, quiet=True)
+        pd.run(crack(**{"solver": pd.PathFollowing(), **changes}), output=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -162,4 +162,4 @@ def test_a_schedule_that_ends_with_the_load_steps_is_refused(tmp_path):
     case = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.8))
     ending = [dataclasses.replace(c, schedule=pd.Table([0.0, 1.0], [0.0, 1.0])) for c in case.conditions]
     with pytest.raises(pd.CaseError, match="proportional to the step time"):
-        pd.run(dataclasses.replace(case, conditions=ending), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(case, conditions=ending), output=tmp_path)

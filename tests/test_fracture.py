@@ -27,7 +27,7 @@ def broken(folder):
 def test_newton_follows_the_law_of_one_bond(ratio, tmp_path):
     """Two equal springs in series, one of which softens: force k l (r - x) / (r - 1) at every displacement."""
     case = dataclasses.replace(one_bond(ratio), solver=pd.Newton(), steps=pd.Steps(40))
-    pd.run(case, output=tmp_path, quiet=True)
+    pd.run(case, output=tmp_path)
     h = history(tmp_path)
     k, limit, u = 100.0, 0.01, h["displacement"]
     x = (u / limit - ratio / (ratio - 1.0)) / (1.0 - 1.0 / (ratio - 1.0))
@@ -39,7 +39,7 @@ def test_newton_follows_the_law_of_one_bond(ratio, tmp_path):
 
 def test_the_staggered_solve_jumps_what_newton_cannot_follow(tmp_path):
     case = dataclasses.replace(one_bond(1.5), solver=pd.Newton(), steps=pd.Steps(7))
-    pd.run(case, output=tmp_path, quiet=True)
+    pd.run(case, output=tmp_path)
     h = history(tmp_path)
     assert h["force"].max() == pytest.approx(100.0 * 0.1 / 7 / 2, rel=1e-6)
     assert np.all(np.abs(h["force"][2:]) < 1e-6)
@@ -119,7 +119,7 @@ def test_a_restart_goes_on_with_the_same_bonds_and_fields(ranks, tmp_path):
     case = plate_with_hole.case(scheme="sub_horizons", G=0.0, steps=30)
     stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(0.22)})
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped, output=tmp_path / "part", quiet=True)
+        pd.run(stopped, output=tmp_path / "part")
     checkpoint = tmp_path / "part" / "checkpoint.h5"
     assert json.loads((tmp_path / "part" / "summary.json").read_text())["status"] == "enough"
     again = results(PLATE, *arguments, "--restart", checkpoint, output=tmp_path / "rest", ranks=ranks)["results"]
@@ -133,9 +133,9 @@ def test_a_restart_goes_on_with_the_same_bonds_and_fields(ranks, tmp_path):
 
 def test_a_checkpoint_of_another_damage_is_refused(tmp_path):
     case = plate_with_hole.case(law="none", steps=1)
-    pd.run(case, output=tmp_path, quiet=True)
+    pd.run(case, output=tmp_path)
     with pytest.raises(pd.CaseError, match="damage none, this has Brittle"):
-        pd.run(plate_with_hole.case(law="brittle"), output=tmp_path, restart=tmp_path / "checkpoint.h5", quiet=True)
+        pd.run(plate_with_hole.case(law="brittle"), output=tmp_path, restart=tmp_path / "checkpoint.h5")
 
 
 def strip(**changes):
@@ -161,7 +161,7 @@ def strip(**changes):
 def test_compression_breaks_nothing_but_bonds_that_it_lengthens(tmp_path):
     def pressed(by):
         end = pd.Displacement(pd.region.Slab("x", low=10.0), x=-by, y=0.0)
-        return pd.run(strip(conditions=[strip().conditions[0], end]), output=tmp_path, quiet=True)
+        return pd.run(strip(conditions=[strip().conditions[0], end]), output=tmp_path)
 
     # Bonds along the pressure shorten by 0.03, more than the critical stretch.
     found = pressed(0.25)
@@ -185,7 +185,7 @@ def test_a_piece_comes_free_and_stays_where_it_is(tmp_path):
     weak = pd.CriticalFunction(
         lambda length, middle: np.where(np.minimum(abs(middle[:, 0] - 4.5), abs(middle[:, 0] - 7.5)) < 1.2, 0.01, 1.0)
     )
-    found = pd.run(strip(damage=pd.Brittle(weak)), output=tmp_path, quiet=True)
+    found = pd.run(strip(damage=pd.Brittle(weak)), output=tmp_path)
     assert abs(found["force"]) < 1e-5 * found["peak"]
     u = field(tmp_path, "displacement")
     assert np.abs(u).max() <= 0.6 * (1.0 + 1e-6)
@@ -203,7 +203,7 @@ def test_a_piece_that_comes_free_under_a_load_ends_the_run(law, tmp_path):
         results=None,
     )
     with pytest.raises(pd.SolveError, match="nothing holds a piece that has come free against its load"):
-        pd.run(case, output=tmp_path, quiet=True)
+        pd.run(case, output=tmp_path)
     assert np.abs(history(tmp_path)["u"]).max() < 1.0
 
 
@@ -234,7 +234,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
         steps=pd.Steps(12),
         history={**strip().history, "unbalanced": Unbalanced(), "over": Overstretched()},
     )
-    pd.run(case, output=tmp_path, quiet=True)
+    pd.run(case, output=tmp_path)
     steps = json.loads((tmp_path / "summary.json").read_text())["steps"]
     assert any(step.get("sweeps") for step in steps)
     h = history(tmp_path)
@@ -266,7 +266,7 @@ def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_fa
 
     case = plate_with_hole.case(pull=0.1, steps=8, effect="present")
     history_of = {"force": case.history["force"], "unbalanced": Unbalanced(), "present": Present()}
-    pd.run(dataclasses.replace(case, history=history_of, results=None, picture=None), output=tmp_path, quiet=True)
+    pd.run(dataclasses.replace(case, history=history_of, results=None, picture=None), output=tmp_path)
     summary, h = json.loads((tmp_path / "summary.json").read_text()), history(tmp_path)
     assert any(step.get("sweeps") for step in summary["steps"])
     assert summary["pieces"]["forces_left"] < 1e-9
@@ -277,7 +277,7 @@ def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_fa
 def test_two_cracks_meet(tmp_path):
     cracks = [pd.Segment((5.0, -1.0), (5.0, 2.1)), pd.Segment((7.0, 3.9), (7.0, 7.0))]
     far = [strip().conditions[0], dataclasses.replace(strip().conditions[1], x=2.0)]
-    found = pd.run(strip(cracks=cracks, conditions=far), output=tmp_path, quiet=True)
+    found = pd.run(strip(cracks=cracks, conditions=far), output=tmp_path)
     assert abs(found["force"]) < 1e-5 * found["peak"]
     assert found["broken"] > 0
 
@@ -288,7 +288,7 @@ def test_unloading_follows_the_secant_and_reloading_comes_back(tmp_path):
     schedule = pd.Table([0.0, 0.4, 0.6, 1.0], [0.0, 0.03, 0.0, 0.035])
     right = dataclasses.replace(case.conditions[1], x=1.0, schedule=schedule)
     pulled = dataclasses.replace(case, solver=pd.Newton(), steps=pd.Steps(20), conditions=[case.conditions[0], right])
-    pd.run(pulled, output=tmp_path, quiet=True)
+    pd.run(pulled, output=tmp_path)
     h = history(tmp_path)
     u, force, top = h["displacement"], h["force"], 8
     down = slice(top, 13)
@@ -302,7 +302,7 @@ def test_unloading_follows_the_secant_and_reloading_comes_back(tmp_path):
 
 def test_protected_bonds_do_not_fail(tmp_path):
     everywhere = pd.Brittle(pd.ConstantCritical(0.02), protected=pd.region.All())
-    assert pd.run(strip(damage=everywhere), output=tmp_path, quiet=True)["broken"] == 0.0
+    assert pd.run(strip(damage=everywhere), output=tmp_path)["broken"] == 0.0
 
 
 @pytest.mark.parametrize("a", [pytest.param(3.0, marks=pytest.mark.long), 5.0])
@@ -332,7 +332,7 @@ def test_energy_balances_while_bonds_soften(tmp_path):
     """One softening bond: what is not stored is dissipated, to 1e-6 of the work with small steps."""
     case = dataclasses.replace(one_bond(4.0), solver=pd.Newton(), steps=pd.Steps(400))
     history_of = {**case.history, "work": pd.ExternalWork()}
-    pd.run(dataclasses.replace(case, history=history_of), output=tmp_path, quiet=True)
+    pd.run(dataclasses.replace(case, history=history_of), output=tmp_path)
     h = history(tmp_path)
     # The steps meet the ends of the law, so that force and displacement are linear between them.
     assert np.abs(h["work"] - h["energy"] - h["dissipated"]).max() < 1e-6 * h["work"][-1]
@@ -344,7 +344,7 @@ def test_a_wide_step_of_many_bonds_and_a_narrow_one_of_each_end_alike(tmp_path):
     found = {}
     for most in (1, 5000):
         case = dataclasses.replace(plate_with_hole.case(law="brittle"), steps=pd.Steps(5, breaks=most), fields=[])
-        found[most] = pd.run(dataclasses.replace(case, picture=None), output=tmp_path, quiet=True)
+        found[most] = pd.run(dataclasses.replace(case, picture=None), output=tmp_path)
         assert abs(found[most]["last_load"]) < 1e-3 * found[most]["peak_load"]
         assert found[most]["symmetry_error"] < 1e-6
     assert found[1]["broken_bonds"] < found[5000]["broken_bonds"]

@@ -204,7 +204,7 @@ def draws_inside(folder, first, seconds):
         except (Exception, SystemExit):
             continue  # the command line names the line
         try:
-            results = pd.run(scene, output, quiet=True)
+            results = pd.run(scene, output)
         except pd.errors.PdpetscError as error:
             said = str(error)
             assert "\n" not in said, (seed, words, said)

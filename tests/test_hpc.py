@@ -117,7 +117,7 @@ from pdpetsc.discrete.components import refuse_rigid_motion
 from pdpetsc.declare.solvers import Newton
 from pdpetsc.petsc.defaults import default_options
 from pdpetsc.petsc.jacobian import assembler, choose
-from pdpetsc.petsc.options import options
+from pdpetsc.petsc.options import Options
 from pdpetsc.solvers.newton import StaticSolver
 comm = world()
 sys.path.insert(0, "runs/bench")
@@ -141,7 +141,7 @@ families = find_families(cloud); look()
 problem = make_problem(scene, cloud, families); look()
 refuse_rigid_motion(cloud, families, problem.supports.fixed); look()
 choice = choose(problem, {}, Newton())
-with options({}, default_options(problem, Newton(), choice)):
+with Options({}, default_options(problem, Newton(), choice)).active():
     solver = StaticSolver(problem, assembler(problem, choice), lambda: False); look()
     u, result = solver.solve(np.zeros((cloud.n_owned, 2)), 1.0); look()
     assert result.converged

@@ -186,7 +186,7 @@ def test_fields_by_name_are_written_under_their_names(tmp_path):
 
     fields = {"twice": lambda s: 2.0 * s.u, "place": lambda s: s.x}
     held = pd.Displacement(region.All(), x=0.5, y=0.0)
-    pd.run(case(conditions=[held], fields=fields), output=tmp_path, quiet=True)
+    pd.run(case(conditions=[held], fields=fields), output=tmp_path)
     with h5py.File(tmp_path / "fields.h5") as file:
         last = file[max(name for name in file if name.startswith("step"))]
         assert set(last) == {"twice", "place"}
@@ -209,7 +209,7 @@ def test_errors_of_functions_have_their_name_and_line(tmp_path):
         case(influence=type("Own", (pd.influence.Influence,), {"__call__": lambda self, s: wrong(s)})()),
     ):
         with pytest.raises(pd.CaseError, match=r"failed at test_input.py:\d+: NameError: .*undefined_name"):
-            pd.run(made, output=tmp_path, quiet=True)
+            pd.run(made, output=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_a_region_that_fails_on_one_rank_ends_all(tmp_path):
 def test_a_region_that_gives_no_mask_is_refused(tmp_path):
     own = type("Own", (region.Region,), {"mask": lambda self, view: view.x[:, 0]})()
     with pytest.raises(pd.CaseError, match=r"condition 1 must give .* bool, not .* float64"):
-        pd.run(case(conditions=[pd.Displacement(own, x=0.0)]), output=tmp_path, quiet=True)
+        pd.run(case(conditions=[pd.Displacement(own, x=0.0)]), output=tmp_path)
 
 
 def test_nearest_is_nearest_on_any_rank_count(tmp_path):
@@ -285,13 +285,13 @@ def test_references_have_the_shape_of_the_field_or_one_that_spreads(tmp_path):
     asked = {"relative": pd.RelativeError(pd.displacement, size), "largest": pd.LargestError(pd.displacement, size)}
     results = {}
     body = case(conditions=[held], history=asked, results=lambda h: results.update(h) or {})
-    pd.run(body, output=tmp_path, quiet=True)
+    pd.run(body, output=tmp_path)
     assert results["relative"][1] == results["largest"][1] == 0.0
     # The body is at rest at the start.
     assert math.isnan(results["relative"][0])
     wrong = {"relative": pd.RelativeError(pd.displacement, lambda x, t: np.ones(7))}
     with pytest.raises(pd.CaseError, match=r"must return values of the shape of the field, \(16, 2\), not \(7,\)"):
-        pd.run(case(conditions=[held], history=wrong), output=tmp_path, quiet=True)
+        pd.run(case(conditions=[held], history=wrong), output=tmp_path)
 
 
 @pytest.mark.parametrize("values", [1.0, "x", [1.0, 2.0], np.array(["x"] * 16), None])
@@ -302,7 +302,7 @@ def test_fields_of_another_shape_are_refused(tmp_path, values):
     for quantity in (pd.Mean(odd), pd.Largest(odd), pd.LargestError(odd, ones)):
         body = case(conditions=[pd.Displacement(region.All(), x=0.5, y=0.0)], history={"a": quantity})
         with pytest.raises(pd.CaseError, match="The field odd must return numbers for each of 16 particles"):
-            pd.run(body, output=tmp_path, quiet=True)
+            pd.run(body, output=tmp_path)
 
 
 # --- endless work
@@ -352,4 +352,4 @@ def test_free_memory_is_known_here():
 def test_a_single_particle_is_no_body(tmp_path, material):
     body = case(particles=pd.Lattice((0.0,), (2.0,), 2.0), material=material)
     with pytest.raises(pd.CaseError, match="No two of the 1 particles share a bond"):
-        pd.run(body, output=tmp_path, quiet=True)
+        pd.run(body, output=tmp_path)

@@ -205,7 +205,7 @@ def test_what_fails_on_all_ranks_leaves_a_checkpoint_and_a_summary(where, case):
 def test_results_must_be_numbers(where, what, words, case):
     folder = case.parent / "out"
     with pytest.raises(pd.RunError, match=words):
-        pd.run(load_case(case)(where=where, what=what, steps=1), output=folder, quiet=True)
+        pd.run(load_case(case)(where=where, what=what, steps=1), output=folder)
     assert "results" in summary(folder)["status"]
     assert len(summary(folder)["steps"]) == 1
 
@@ -246,7 +246,7 @@ def test_a_folder_in_the_place_of_a_file_is_one_sentence(name, case):
 def ended_in(case, folder):
     """Run a case in this process; return as ``ended``, without a summary."""
     try:
-        pd.run(load_case(case)(), output=folder, quiet=True)
+        pd.run(load_case(case)(), output=folder)
     except pd.errors.PdpetscError as error:
         return error.exit_status, [str(error)], "", {}
     return 0, [], "", {}
@@ -296,10 +296,10 @@ def test_errors_of_the_case_go_to_other_ranks_as_words():
 
 
 def test_a_defect_of_pdpetsc_leaves_its_traceback_in_the_folder(case, monkeypatch):
-    monkeypatch.setattr("pdpetsc.running.runner.find_families", None)
+    monkeypatch.setattr("pdpetsc.running.prepare.find_families", None)
     folder = case.parent / "out"
     with pytest.raises(pd.RunError, match="defect of pdpetsc") as caught:
-        pd.run(load_case(case)(), output=folder, quiet=True)
+        pd.run(load_case(case)(), output=folder)
     assert isinstance(caught.value.__cause__, TypeError)
     assert "TypeError" in (folder / "traceback.txt").read_text()
 
@@ -315,7 +315,7 @@ def test_run_raises_in_python_and_never_ends_the_process(case):
         ({"options": "{'ksp_type': 'nothing'}"}, pd.CaseError),
     ):
         with pytest.raises(kind):
-            pd.run(function(**words), output=case.parent / "out", quiet=True)
+            pd.run(function(**words), output=case.parent / "out")
     assert described(ZeroDivisionError("x")).bug
 
 
@@ -385,7 +385,7 @@ def bar(right, **more):
 
 def test_an_iteration_that_is_asked_for_is_done(tmp_path):
     for options, least, most in (({}, 0, 0), ({"snes_force_iteration": None}, 1, 3)):
-        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options=options, quiet=True)
+        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options=options)
         (step,) = summary(tmp_path)["steps"]
         assert least <= step["newton_iterations"] <= most
 
@@ -394,8 +394,8 @@ def test_nothing_is_factored_where_every_displacement_is_prescribed(tmp_path):
     """A preconditioner that cannot be set up shows that none is."""
     rest = pd.region.Slab("x", low=1.0)
     with pytest.raises(pd.CaseError, match="Shell PC"):
-        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options={"pc_type": "shell"}, quiet=True)
-    pd.run(bar(rest), output=tmp_path, options={"pc_type": "shell"}, quiet=True)
+        pd.run(bar(pd.region.Slab("x", low=7.0)), output=tmp_path, options={"pc_type": "shell"})
+    pd.run(bar(rest), output=tmp_path, options={"pc_type": "shell"})
     (step,) = summary(tmp_path)["steps"]
     assert step["linear_iterations"] == 0
     assert float((tmp_path / "history.csv").read_text().split()[-1].split(",")[2]) > 0.0

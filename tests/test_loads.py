@@ -42,7 +42,7 @@ def strip(particles, sizes, condition, scheme=None):
 
 def resultant(case, folder):
     """Return the force that supports exert along x and the resultant of the load that the summary names."""
-    pd.run(case, output=folder, quiet=True)
+    pd.run(case, output=folder)
     summary = json.loads((folder / "summary.json").read_text())
     history = np.genfromtxt(folder / "history.csv", delimiter=",", names=True)
     return -history["reaction"][-1], summary["loads"][0]["resultant"][0]
@@ -149,7 +149,7 @@ def test_a_function_that_gives_no_numbers_is_named(kind, function, sentence, tmp
     x, volume = grid((12, 6), (1.0, 1.0))
     condition = kind(region.Slab("x", low=11.0), x=function)
     with pytest.raises(pd.CaseError, match=f"The value of a {kind.__name__} condition <lambda> {sentence}"):
-        pd.run(strip(pd.Arrays(x, volume), (1.0, 1.0), condition), output=tmp_path, quiet=True)
+        pd.run(strip(pd.Arrays(x, volume), (1.0, 1.0), condition), output=tmp_path)
 
 
 def test_a_function_that_fails_on_the_way_leaves_what_was_computed(tmp_path):
@@ -159,7 +159,7 @@ def test_a_function_that_fails_on_the_way_leaves_what_was_computed(tmp_path):
     with pytest.raises(
         pd.SolveError, match=r"At step time 0\.75: The value of a Displacement condition <lambda> is nan"
     ):
-        pd.run(dataclasses.replace(case, steps=pd.Steps(4)), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(case, steps=pd.Steps(4)), output=tmp_path)
     assert len((tmp_path / "history.csv").read_text().splitlines()) == 4
 
 
@@ -182,7 +182,7 @@ def test_supports_that_cut_families_are_counted(tmp_path):
 
     found = {}
     for depth in (1.0, 3.0):
-        pd.run(held(depth), output=tmp_path, quiet=True)
+        pd.run(held(depth), output=tmp_path)
         summary = json.loads((tmp_path / "summary.json").read_text())
         with h5py.File(tmp_path / "fields.h5") as file:
             stress = np.asarray(file["step_00001/stress"])[:, 0].reshape(16, 6)
@@ -233,7 +233,7 @@ def test_a_dead_load_stays_when_bonds_break_near_it(tmp_path):
 
     broken = {"load": Load(), "broken": pd.BrokenBonds()}
     with contextlib.suppress(pd.SolveError):
-        pd.run(dataclasses.replace(case, history=broken), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(case, history=broken), output=tmp_path)
     history = np.genfromtxt(tmp_path / "history.csv", delimiter=",", names=True)
     assert history["broken"][-1] > 0
     np.testing.assert_allclose(history["load"], 0.5 * 8.0 * history["t"], rtol=1e-9)
@@ -247,10 +247,10 @@ def test_small_displacements_beside_large_forces_are_looked_at(tmp_path):
     for conditions, accepted in (([], True), ([held], False)):
         scene = dataclasses.replace(case, conditions=[*case.conditions, *conditions], solver=pd.EventDriven())
         if accepted:
-            pd.run(scene, output=tmp_path, quiet=True)
+            pd.run(scene, output=tmp_path)
         else:
             with pytest.raises(pd.CaseError, match="proportional to the step time"):
-                pd.run(scene, output=tmp_path, quiet=True)
+                pd.run(scene, output=tmp_path)
 
 
 @pytest.mark.parametrize("kind", [pd.MeanStrain, pd.MeanStress])
@@ -264,7 +264,7 @@ def test_schedules_of_a_cell_are_named(kind, schedule, words, tmp_path):
         conditions=[pd.Displacement(region.Nearest((0.5, 0.5)), x=0.0, y=0.0), kind(xx=0.1, schedule=schedule)],
     )
     with pytest.raises(pd.CaseError, match=f"schedule of a {kind.__name__} condition .*{words}"):
-        pd.run(case, output=tmp_path, quiet=True)
+        pd.run(case, output=tmp_path)
 
 
 def test_a_function_is_not_asked_about_no_particles(tmp_path):

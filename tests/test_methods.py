@@ -81,7 +81,7 @@ def test_every_method_gives_the_same_fields_on_any_rank_count(dim, tmp_path):
 @pytest.mark.parametrize(("scheme", "control"), METHODS)
 def test_petsc_finds_the_jacobian_of_every_method_correct(scheme, control, tmp_path, capfd):
     case = load_case(ROOT / BLOCK)(n=4, scheme=scheme, control=control)
-    pd.run(case, output=tmp_path, options={"snes_test_jacobian": None}, quiet=True)
+    pd.run(case, output=tmp_path, options={"snes_test_jacobian": None})
     ratios = jacobian_ratios(capfd.readouterr().out)
     assert ratios
     assert max(ratios) < 1e-7

@@ -82,7 +82,7 @@ def test_any_number_of_ranks_finds_the_same_cell(dim, tmp_path):
 def test_stress_is_the_derivative_of_the_energy_by_the_mean_strain(tmp_path):
     def at(strain):
         case = wavy(mean=[pd.MeanStrain(xx=strain, yy=0.02, xy=0.05)], control=None)
-        return pd.run(case, output=tmp_path, quiet=True)
+        return pd.run(case, output=tmp_path)
 
     low, middle, high = (at(strain) for strain in (0.0999, 0.1, 0.1001))
     assert middle["stress"] == pytest.approx((high["energy"] - low["energy"]) / 2e-4, rel=1e-6)
@@ -92,11 +92,11 @@ def test_stress_is_the_derivative_of_the_energy_by_the_mean_strain(tmp_path):
 def test_a_cell_of_two_periods_repeats_the_cell_of_one(scheme, tmp_path):
     """The same pattern twice in one cell is the same medium."""
     chosen = pd.SCHEMES[scheme]
-    one = pd.run(wavy(scheme=chosen), output=tmp_path, quiet=True)
+    one = pd.run(wavy(scheme=chosen), output=tmp_path)
     double = wavy(
         scheme=chosen, particles=pd.Lattice((0.0, 0.0), (2.0, 1.0), 1.0 / 6), cell=pd.Cell((0.0, 0.0), (2.0, 1.0))
     )
-    two = pd.run(double, output=tmp_path, quiet=True)
+    two = pd.run(double, output=tmp_path)
     assert two["strain"] == pytest.approx(one["strain"], rel=1e-9)
     assert two["stress"] == pytest.approx(one["stress"], rel=1e-9)
     assert two["energy"] == pytest.approx(2.0 * one["energy"], rel=1e-9)
@@ -111,14 +111,14 @@ def test_a_cell_smaller_than_the_horizon_meets_its_own_images(tmp_path):
             material=pd.Graded(pd.Hencky(E=10.0, nu=0.3), lambda x: 1.0 + 0.5 * np.sin(2.0 * np.pi * x[:, 1])),
             horizon=3.015 / 6,
         )  # fmt: skip
-        energies.append(pd.run(case, output=tmp_path, quiet=True)["energy"] / n)
+        energies.append(pd.run(case, output=tmp_path)["energy"] / n)
     assert energies[0] == pytest.approx(energies[1], rel=1e-9)
 
 
 def test_relaxation_and_multigrid_find_the_same_cell(tmp_path):
-    direct = pd.run(wavy(), output=tmp_path, quiet=True)
-    iterative = pd.run(wavy(), output=tmp_path, quiet=True, options={"pc_type": "gamg", "ksp_rtol": 1e-10})
-    relaxed = pd.run(wavy(solver=pd.DynamicRelaxation(1e-9)), output=tmp_path, quiet=True)
+    direct = pd.run(wavy(), output=tmp_path)
+    iterative = pd.run(wavy(), output=tmp_path, options={"pc_type": "gamg", "ksp_rtol": 1e-10})
+    relaxed = pd.run(wavy(solver=pd.DynamicRelaxation(1e-9)), output=tmp_path)
     assert iterative == pytest.approx(direct, rel=1e-8)
     assert relaxed == pytest.approx(direct, rel=1e-5)
 
@@ -126,14 +126,14 @@ def test_relaxation_and_multigrid_find_the_same_cell(tmp_path):
 def test_multigrid_takes_few_iterations_with_virtual_unknowns(tmp_path):
     for n in (20, 40):
         case = wavy(n=n, control=None, mean=[pd.MeanStress(xx=0.5, xy=0.1)])
-        pd.run(case, output=tmp_path, quiet=True, options={"pc_type": "gamg"})
+        pd.run(case, output=tmp_path, options={"pc_type": "gamg"})
         step = json.loads((tmp_path / "summary.json").read_text())["steps"][-1]
         assert step["linear_iterations"] < 50 * (step["newton_iterations"] + 1)
 
 
 def test_a_restart_keeps_the_mean_strain(tmp_path):
-    whole = pd.run(wavy(steps=pd.Steps(2)), output=tmp_path / "whole", quiet=True)
-    again = pd.run(wavy(), output=tmp_path / "again", restart=tmp_path / "whole" / "checkpoint.h5", quiet=True)
+    whole = pd.run(wavy(steps=pd.Steps(2)), output=tmp_path / "whole")
+    again = pd.run(wavy(), output=tmp_path / "again", restart=tmp_path / "whole" / "checkpoint.h5")
     assert again == pytest.approx(whole, rel=1e-12)
 
 
@@ -154,7 +154,7 @@ def test_a_restart_keeps_the_mean_strain(tmp_path):
 def test_wrong_cells_are_refused(changes, message, tmp_path):
     mean = changes.pop("mean", None)
     with pytest.raises(pd.CaseError, match=message):
-        pd.run(wavy(mean=mean, **changes), output=tmp_path, quiet=True)
+        pd.run(wavy(mean=mean, **changes), output=tmp_path)
 
 
 @pytest.mark.parametrize(

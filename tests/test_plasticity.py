@@ -170,7 +170,7 @@ def test_history_survives_a_cut_back(monkeypatch, tmp_path):
     for name, look_ahead in (("without", False), ("with", True)):
         calls.clear()
         monkeypatch.setattr(StaticSolver, "solve", failing(look_ahead))
-        pd.run(case, output=tmp_path / name, quiet=True)
+        pd.run(case, output=tmp_path / name)
         assert calls == pytest.approx([0.5, 1.0, 0.75, 1.0])
     one, other = (field(tmp_path / name, "plastic_strain") for name in ("without", "with"))
     assert one.max() > 0.005
@@ -233,7 +233,7 @@ def test_a_patch_follows_the_law_of_its_fibres(dim, tmp_path):
         history={"force": pd.Reaction("x", right)},
         results=lambda h: {"force": h["force"][-1]},
     )
-    pd.run(case, output=tmp_path, quiet=True)
+    pd.run(case, output=tmp_path)
     found = json.loads((tmp_path / "summary.json").read_text())["results"]["force"]
     assert found == pytest.approx(patch_force(dim) * 4.0 ** (dim - 1), rel=1e-8)
 
@@ -283,7 +283,7 @@ def test_a_restart_goes_on_with_the_history_of_the_material(scheme, ranks, tmp_p
     case = beam_case(**arguments_of(beam_case, dict(word.split("=") for word in words)))
     stopped = dataclasses.replace(case, history={**case.history, "stop": Stop(0.4)})
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped, output=tmp_path / "half", quiet=True)
+        pd.run(stopped, output=tmp_path / "half")
     results(BEAM, *words, "--restart-anyway", "--restart", tmp_path / "half", ranks=ranks, output=tmp_path / "again")
     for name in ("displacement", "plastic_strain"):
         whole, again = (field(tmp_path / run, name) for run in ("whole", "again"))

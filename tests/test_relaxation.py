@@ -44,10 +44,10 @@ def test_a_case_declares_its_tolerance_and_its_end(tmp_path):
         results=lambda h: {"u": h["u"][-1]},
     )
     loose = pd.DynamicRelaxation(tolerance=1e-9, most=3)
-    exact = pd.run(dataclasses.replace(case, solver=pd.Newton()), output=tmp_path, quiet=True)["u"]
-    assert pd.run(case, output=tmp_path, quiet=True)["u"] == pytest.approx(exact, rel=1e-7)
+    exact = pd.run(dataclasses.replace(case, solver=pd.Newton()), output=tmp_path)["u"]
+    assert pd.run(case, output=tmp_path)["u"] == pytest.approx(exact, rel=1e-7)
     with pytest.raises(pd.SolveError, match="too many time steps"):
-        pd.run(dataclasses.replace(case, solver=loose), output=tmp_path, quiet=True)
+        pd.run(dataclasses.replace(case, solver=loose), output=tmp_path)
 
 
 @pytest.mark.parametrize("wrong", [{"tolerance": 0.0}, {"tolerance": 2.0}, {"most": 0}])

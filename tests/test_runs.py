@@ -39,21 +39,21 @@ def summary(folder):
 
 
 def test_python_call_equals_the_command_line(tmp_path):
-    found = pd.run(strip(), output=tmp_path, quiet=True)
+    found = pd.run(strip(), output=tmp_path)
     assert found == summary(tmp_path)["results"]
     assert found["force"] > 0.0
 
 
 def test_options_of_a_run_do_not_outlive_it(tmp_path):
-    pd.run(strip(), output=tmp_path, quiet=True, options={"ksp_type": "cg", "pc_type": "jacobi"})
+    pd.run(strip(), output=tmp_path, options={"ksp_type": "cg", "pc_type": "jacobi"})
     assert "ksp cg, pc jacobi" in summary(tmp_path)["solver"]
-    pd.run(strip(), output=tmp_path, quiet=True)
+    pd.run(strip(), output=tmp_path)
     assert "ksp preonly, pc cholesky" in summary(tmp_path)["solver"]
 
 
 def test_solvers_agree(tmp_path):
     forces = [
-        pd.run(strip(), output=tmp_path, quiet=True, options=options)["force"]
+        pd.run(strip(), output=tmp_path, options=options)["force"]
         for options in (
             {},
             {"pc_type": "lu"},
@@ -67,7 +67,7 @@ def test_solvers_agree(tmp_path):
 
 def test_a_linear_problem_takes_one_factorisation_and_one_solve_a_step(tmp_path):
     case = strip(material=pd.LinearElastic(E=10.0, nu=0.3), steps=pd.Steps(3))
-    pd.run(case, output=tmp_path, quiet=True, options={"log_view": None})
+    pd.run(case, output=tmp_path, options={"log_view": None})
     steps = summary(tmp_path)["steps"]
     assert [step["linear_iterations"] for step in steps] == [1, 1, 1]
     force = np.loadtxt(tmp_path / "history.csv", delimiter=",", skiprows=1)[:, 2]
@@ -80,7 +80,7 @@ def test_external_work_is_stored_and_what_is_not_is_dissipated(tmp_path):
     energies["control"] = pd.ControlEnergy()
 
     def gap(**changes):
-        pd.run(strip(history=energies, results=None, **changes), output=tmp_path, quiet=True)
+        pd.run(strip(history=energies, results=None, **changes), output=tmp_path)
         rows = np.genfromtxt(tmp_path / "history.csv", delimiter=",", names=True)
         assert np.all(rows["lost"] == 0.0)
         return abs(rows["work"][-1] - rows["stored"][-1] - rows["control"][-1]) / rows["work"][-1]
@@ -92,14 +92,14 @@ def test_external_work_is_stored_and_what_is_not_is_dissipated(tmp_path):
 
 def test_work_of_the_load_is_the_energy(tmp_path):
     """Trapezoidal work of the prescribed displacement against stored energy of a hyperelastic body without control."""
-    pd.run(strip(control=None, steps=pd.Steps(40)), output=tmp_path, quiet=True)
+    pd.run(strip(control=None, steps=pd.Steps(40)), output=tmp_path)
     _, t, force, energy = np.loadtxt(tmp_path / "history.csv", delimiter=",", skiprows=1).T
     work = 0.3 * np.diff(t) @ (0.5 * (force[1:] + force[:-1]))
     assert energy[-1] == pytest.approx(work, rel=1e-3)
 
 
 def test_adaptive_steps_grow_and_end_at_the_full_load(tmp_path):
-    pd.run(strip(steps=pd.AdaptiveSteps(first=0.05, largest=0.4)), output=tmp_path, quiet=True)
+    pd.run(strip(steps=pd.AdaptiveSteps(first=0.05, largest=0.4)), output=tmp_path)
     t = [step["t"] for step in summary(tmp_path)["steps"]]
     sizes = np.diff([0.0, *t])
     assert t[-1] == 1.0
@@ -113,7 +113,7 @@ def test_a_step_that_inverts_the_body_is_cut_back_until_the_smallest(tmp_path):
     squash = pd.Displacement(pd.region.All(), x=lambda x, t: -2.0 * t * x[:, 0], y=0.0)
     case = strip(conditions=[squash], steps=pd.Steps(4, smallest=0.01))
     with pytest.raises(pd.SolveError, match=r"No convergence from step time .* the smallest step: .*residual"):
-        pd.run(case, output=tmp_path, quiet=True)
+        pd.run(case, output=tmp_path)
     found = summary(tmp_path)
     assert found["status"].startswith("No convergence")
     assert found["failed_attempts"]
@@ -127,11 +127,11 @@ def test_a_run_with_few_checkpoints_keeps_the_step_that_it_ends_at(tmp_path):
     squash = pd.Displacement(pd.region.All(), x=lambda x, t: -2.0 * t * x[:, 0], y=0.0)
     case = strip(conditions=[squash], steps=pd.Steps(8, smallest=0.05), checkpoints=1000)
     with pytest.raises(pd.SolveError):
-        pd.run(case, output=tmp_path, quiet=True)
+        pd.run(case, output=tmp_path)
     last = summary(tmp_path)["steps"][-1]
     with h5py.File(tmp_path / "checkpoint.h5") as file:
         assert (file.attrs["step"], file.attrs["t"]) == (last["step"], last["t"])
-    pd.run(strip(checkpoints=0), output=tmp_path / "none", quiet=True)
+    pd.run(strip(checkpoints=0), output=tmp_path / "none")
     assert not (tmp_path / "none" / "checkpoint.h5").exists()
     with pytest.raises(pd.CaseError, match="checkpoints"):
         strip(checkpoints=-1)
@@ -147,7 +147,7 @@ def test_a_failed_run_ends_with_status_1_on_every_rank_count(tmp_path):
 
 
 def test_fields_are_what_xdmf_says(tmp_path):
-    pd.run(strip(steps=pd.Steps(2)), output=tmp_path, quiet=True)
+    pd.run(strip(steps=pd.Steps(2)), output=tmp_path)
     grids = ET.parse(tmp_path / "fields.xdmf").getroot().findall(".//Grid[@GridType='Uniform']")
     assert [float(grid.find("Time").get("Value")) for grid in grids] == [0.0, 0.5, 1.0]
     with h5py.File(tmp_path / "fields.h5") as file:
@@ -166,16 +166,16 @@ def test_user_fields_and_a_scene_without_fields(tmp_path):
     def radius(solution):
         return np.linalg.norm(solution.x + solution.u, axis=1)
 
-    pd.run(strip(fields=[radius]), output=tmp_path / "a", quiet=True)
+    pd.run(strip(fields=[radius]), output=tmp_path / "a")
     x = field(tmp_path / "a", "radius")
     assert x.shape == (40,)
-    pd.run(strip(fields=[]), output=tmp_path / "b", quiet=True)
+    pd.run(strip(fields=[]), output=tmp_path / "b")
     assert not (tmp_path / "b" / "fields.h5").exists()
 
 
 def test_a_bare_scene_allocates_less_than_a_full_one(tmp_path):
-    pd.run(strip(control=None), output=tmp_path / "bare", quiet=True)
-    pd.run(strip(), output=tmp_path / "full", quiet=True)
+    pd.run(strip(control=None), output=tmp_path / "bare")
+    pd.run(strip(), output=tmp_path / "full")
     bare, full = summary(tmp_path / "bare")["allocated"], summary(tmp_path / "full")["allocated"]
     assert set(bare) < set(full)
     assert [name for name in full if name not in bare] == ["control Silling"]
@@ -241,10 +241,10 @@ def test_restart_in_its_own_folder_keeps_what_is_there(ranks, tmp_path):
 
 
 def test_a_checkpoint_of_another_body_is_refused(tmp_path):
-    pd.run(strip(), output=tmp_path, quiet=True)
+    pd.run(strip(), output=tmp_path)
     other = strip(particles=pd.Lattice((0.0, 0.0), (11.0, 4.0), 1.0))
     with pytest.raises(pd.CaseError, match="another body"):
-        pd.run(other, output=tmp_path / "new", restart=tmp_path / "checkpoint.h5", quiet=True)
+        pd.run(other, output=tmp_path / "new", restart=tmp_path / "checkpoint.h5")
 
 
 def signalled(folder, number, ranks):

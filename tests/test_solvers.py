@@ -86,20 +86,20 @@ def strip(solver, stop=2.0):
 
 def test_a_solver_from_outside_agrees_and_goes_on(monkeypatch, tmp_path):
     monkeypatch.setitem(SOLVERS, ByScipy, ScipySolver)
-    theirs = pd.run(strip(ByScipy()), tmp_path / "theirs", quiet=True)
-    ours = pd.run(strip(pd.Newton()), tmp_path / "ours", quiet=True)
+    theirs = pd.run(strip(ByScipy()), tmp_path / "theirs")
+    ours = pd.run(strip(pd.Newton()), tmp_path / "ours")
     assert theirs["energy"] == pytest.approx(ours["energy"], rel=1e-9)
     one, two = (field(tmp_path / name, "displacement") for name in ("theirs", "ours"))
     assert np.abs(one - two).max() < 1e-8
     with pytest.raises(pd.Interrupted):
-        pd.run(strip(ByScipy(), 0.4), tmp_path / "half", quiet=True)
-    pd.run(strip(ByScipy()), tmp_path / "half", restart=tmp_path / "half", quiet=True)
+        pd.run(strip(ByScipy(), 0.4), tmp_path / "half")
+    pd.run(strip(ByScipy()), tmp_path / "half", restart=tmp_path / "half")
     assert np.abs(field(tmp_path / "half", "displacement") - one).max() < 1e-12
 
 
 def test_a_solver_that_the_table_does_not_know_is_refused(tmp_path):
     with pytest.raises(pd.CaseError, match="No solver is known for ByScipy"):
-        pd.run(strip(ByScipy()), tmp_path / "out", quiet=True)
+        pd.run(strip(ByScipy()), tmp_path / "out")
     assert not (tmp_path / "out" / "summary.json").exists()
 
 

@@ -54,7 +54,7 @@ def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, capsys):
 
 def test_steps_are_shortened_towards_the_critical_force(tmp_path):
     with pytest.raises(pd.SolveError, match="unstable, with 1 negative pivot"):
-        pd.run(column(unstable="shorten"), output=tmp_path, quiet=True)
+        pd.run(column(unstable="shorten"), output=tmp_path)
     steps = steps_of(tmp_path)
     assert not any(step["negative_pivots"] for step in steps)
     assert steps[-1]["t"] * 3.0 == pytest.approx(CRITICAL, rel=0.05)
@@ -62,18 +62,18 @@ def test_steps_are_shortened_towards_the_critical_force(tmp_path):
 
 def test_an_unstable_equilibrium_is_refused(tmp_path):
     with pytest.raises(pd.SolveError, match=r"At step time 0\.[67]\d* the equilibrium is unstable"):
-        pd.run(column(unstable="refuse"), output=tmp_path, quiet=True)
+        pd.run(column(unstable="refuse"), output=tmp_path)
 
 
 def test_a_crooked_column_finds_the_stable_branch(tmp_path):
     case = column(unstable="refuse")
     side = pd.Force(region.Slab("x", low=LENGTH - 0.2), y=1e-3 * 3.0)
-    pd.run(dataclasses.replace(case, conditions=[*case.conditions, side]), output=tmp_path, quiet=True)
+    pd.run(dataclasses.replace(case, conditions=[*case.conditions, side]), output=tmp_path)
     assert len(steps_of(tmp_path)) == 24
 
 
 def test_an_iterative_solver_does_not_tell(tmp_path):
-    pd.run(column(load=1.0, steps=2), output=tmp_path, options={"pc_type": "gamg"}, quiet=True)
+    pd.run(column(load=1.0, steps=2), output=tmp_path, options={"pc_type": "gamg"})
     assert [step["negative_pivots"] for step in steps_of(tmp_path)] == [None, None]
 
 
@@ -82,7 +82,7 @@ def test_ranks_count_the_same_pivots(tmp_path):
     case.write_text("from tests.test_stability import column\n\n\ndef case():\n    return column(steps=6)\n")
     finished = run(case, "--quiet", ranks=2, output=tmp_path / "two")
     assert finished.returncode == 0, finished.stderr
-    pd.run(column(steps=6), output=tmp_path / "one", quiet=True)
+    pd.run(column(steps=6), output=tmp_path / "one")
     one, two = ([step["negative_pivots"] for step in steps_of(tmp_path / name)] for name in ("one", "two"))
     assert one == two
     assert 1 in one

@@ -285,13 +285,13 @@ def strip_on(of, solver):
 )
 def test_what_does_not_scale_with_the_load_factor_is_refused(solver, of, words, tmp_path):
     with pytest.raises(pd.CaseError, match=words):
-        pd.run(strip_on(of, solver), tmp_path / "out", quiet=True)
-    pd.run(strip_on("", solver), tmp_path / "out", quiet=True)
+        pd.run(strip_on(of, solver), tmp_path / "out")
+    pd.run(strip_on("", solver), tmp_path / "out")
 
 
 def test_events_need_a_symmetric_tangent(tmp_path):
     with pytest.raises(pd.CaseError, match="needs a symmetric tangent, and that of Odd is not"):
-        pd.run(strip_on("unsymmetric", "events"), tmp_path / "out", quiet=True)
+        pd.run(strip_on("unsymmetric", "events"), tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -305,12 +305,12 @@ def test_events_need_a_symmetric_tangent(tmp_path):
 )
 def test_a_term_whose_forces_or_arrays_would_be_lost_is_refused(of, words, tmp_path):
     with pytest.raises(pd.CaseError, match=words):
-        pd.run(strip_on(of, "newton"), tmp_path / "out", quiet=True)
+        pd.run(strip_on(of, "newton"), tmp_path / "out")
 
 
 def test_an_array_that_is_no_number_never_replaces_a_checkpoint(tmp_path):
     with pytest.raises(pd.OutputError, match="is not a number"):
-        pd.run(strip_on("nan", "newton"), tmp_path / "out", quiet=True)
+        pd.run(strip_on("nan", "newton"), tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -338,7 +338,7 @@ def test_what_builds_no_term_is_refused():
         history={"stop": Stop(2.0)},
     )
     with pytest.raises(pd.CaseError, match="Nothing must build a Term"):
-        pd.run(case, output="out/nothing", quiet=True)
+        pd.run(case, output="out/nothing")
 
 
 def test_stencils_of_families_and_bonds_are_known_as_such(rng):

@@ -47,7 +47,7 @@ def test_plot_draws_a_run(tmp_path):
     [
         (("field=nothing",), "no field 'nothing'; it has displacement, stress"),
         (("component=xxx",), "A component of this field is xx, xy, ..."),
-        (("step=77",), "no displacement of step 00077"),
+        (("step=77",), "no fields of step 77"),
         (("y=nothing",), "no column 'nothing'"),
         (("colour=red",), "plot has no parameter 'colour'"),
         (("scale=big",), "scale takes a number"),

@@ -74,7 +74,7 @@ def steps_of(case, options, folder):
     """Return the steps of a run as ``summary.json`` has them."""
     # A run that ends early must end early at the same place in all units.
     with contextlib.suppress(pd.SolveError):
-        pd.run(case, output=folder, options=options, quiet=True)
+        pd.run(case, output=folder, options=options)
     return json.loads((folder / "summary.json").read_text())["steps"]
 
 
@@ -110,8 +110,8 @@ def test_cantilever_bends_as_far_in_any_units(force, length, tmp_path):
     tip = pd.region.Nearest((10.0 * length, 0.0))
     scaled = dataclasses.replace(in_units(case, force, length), history={"w": pd.Mean(pd.displacement, "y", tip)})
     scaled = dataclasses.replace(scaled, results=lambda history: {"w": history["w"][-1]})
-    expected = pd.run(case, output=tmp_path / "plain", options=options, quiet=True)["w_over_L"]
-    found = pd.run(scaled, output=tmp_path / "scaled", options=options, quiet=True)["w"]
+    expected = pd.run(case, output=tmp_path / "plain", options=options)["w_over_L"]
+    found = pd.run(scaled, output=tmp_path / "scaled", options=options)["w"]
     assert -found / (10.0 * length) == pytest.approx(expected, rel=1e-8)
 
 
@@ -120,4 +120,4 @@ def test_an_end_that_petsc_calls_converged_is_not_believed(tmp_path):
     # The secant line search of PETSc ends a solve as converged below this, whatever the residual is.
     early = {**options, "snes_linesearch_atol": 1e30, "snes_max_it": 3}
     with pytest.raises(pd.SolveError, match=r"residual is above the tolerance|too many Newton iterations"):
-        pd.run(case, output=tmp_path, options=early, quiet=True)
+        pd.run(case, output=tmp_path, options=early)

@@ -289,6 +289,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
     from pdpetsc.declare.choice import choose
     from pdpetsc.declare.solvers import SOLVERS
     from pdpetsc.discrete.communicator import agreed, is_root, world
+    from pdpetsc.output.progress import ConsoleReport
     from pdpetsc.running.runner import run
 
     comm = world()
@@ -311,7 +312,14 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
-    run(case, output, None, arguments.restart, arguments.quiet, parameters, arguments.restart_anyway)
+    run(
+        case,
+        output,
+        restart=arguments.restart,
+        parameters=parameters,
+        restart_anyway=arguments.restart_anyway,
+        report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
+    )
     return 0
 
 

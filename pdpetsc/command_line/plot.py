@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import Any
 
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.picture import draw_field
+from pdpetsc.output.reading import StoredFields, read_history, read_summary
 
 USAGE = """usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME]
 
@@ -52,10 +51,10 @@ def plot(folder: Path, given: Mapping[str, str]) -> list[Path]:
 
 
 def _drawn(folder: Path, given: Mapping[str, str]) -> list[Path]:
-    summary = _summary(folder)
+    summary = read_summary(folder)
     drawn = []
     if (folder / "fields.h5").exists():
-        field = given.get("field") or ("stress" if _has(folder, "stress") else "displacement")
+        field = given.get("field") or ("stress" if "stress" in StoredFields(folder).names() else "displacement")
         component = given.get("component", COMPONENTS.get(field, ""))
         scale, step = _number(given, "scale", 1.0), _number(given, "step", -1.0)
         path = folder / "deformed.png"
@@ -76,31 +75,8 @@ def _number(given: Mapping[str, str], name: str, default: float) -> float:
     return number
 
 
-def _summary(folder: Path) -> dict[str, Any]:
-    try:
-        found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    except (OSError, ValueError) as error:
-        raise CaseError(f"{folder} holds no summary.json of a run.") from error
-    return found
-
-
-def _has(folder: Path, field: str) -> bool:
-    import h5py
-
-    try:
-        with h5py.File(folder / "fields.h5", "r", locking=False) as file:
-            return any(field in file[group] for group in file if group.startswith("step_"))
-    except (OSError, KeyError, RuntimeError) as error:
-        raise CaseError(f"Cannot read {folder / 'fields.h5'}: it is damaged, or without fields/.") from error
-
-
 def _history(folder: Path, x: str, y: str | None) -> Path:
-    try:
-        with (folder / "history.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise CaseError(f"{folder} holds no history.csv of a run.") from error
-    columns = {name: [float(row[name]) for row in rows] for name in (rows[0] if rows else {})}
+    columns = read_history(folder)
     chosen = [y] if y else [name for name in columns if name not in ("step", "t", x)]
     for name in (x, *chosen):
         if name not in columns:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import GlobalIndex
-from pdpetsc.errors import PdpetscError, RunError, described, notice, rebuilt
+from pdpetsc.errors import CaseError, PdpetscError, RunError, described, notice, rebuilt
 
 Comm: TypeAlias = MPI.Intracomm
 
@@ -19,6 +19,22 @@ Comm: TypeAlias = MPI.Intracomm
 def world() -> Comm:
     """Return the communicator of all ranks of this run."""
     return MPI.COMM_WORLD
+
+
+def communicator(given: Any = None) -> Comm:
+    """Return the communicator that a user gives, of mpi4py or petsc4py, or that of all ranks.
+
+    Raises
+    ------
+    CaseError
+        It is neither.
+    """
+    if given is None:
+        return world()
+    comm = given.tompi4py() if hasattr(given, "tompi4py") else given
+    if not isinstance(comm, MPI.Intracomm) or comm == MPI.COMM_NULL:
+        raise CaseError(f"comm takes a communicator of mpi4py or petsc4py that this rank is in, not {given!r}.")
+    return comm
 
 
 def alone() -> Comm:
@@ -62,7 +78,8 @@ def agreed(comm: Comm) -> Iterator[None]:
         cause = None
     if isinstance(error, RunError) and None not in told:
         error.rank = None
-    error.agreed = comm.size == MPI.COMM_WORLD.size
+    # The only communicator besides that of a run is that of one rank alone.
+    error.agreed = comm.size > 1 or MPI.COMM_WORLD.size == 1
     if error is cause:
         raise error
     raise error from cause

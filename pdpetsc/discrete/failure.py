@@ -6,6 +6,7 @@ import contextlib
 import os
 import sys
 import time
+from collections.abc import Iterator
 from typing import NoReturn
 
 from mpi4py import MPI
@@ -27,18 +28,37 @@ LONG = 10.0
 SPOKEN = 0.5
 
 
-# A communicator for these messages alone: receives of ghosts take any tag, and would take them for ghosts.
+# Communicators for these messages alone: receives of ghosts take any tag, and would take them for ghosts. One of all
+# ranks stays for as long as the process lives; the last one is that of the run that goes on.
 _apart: list[Comm] = []
 
 
-def keep_apart() -> None:
-    """Make the communicator of messages about failures, once (collective)."""
-    if not _apart:
-        _apart.append(MPI.Intracomm(world().Dup()))
+@contextlib.contextmanager
+def messages_apart(comm: Comm) -> Iterator[None]:
+    """Let messages about failures go by a communicator of their own while the body runs on the ranks of ``comm``.
+
+    Notes
+    -----
+    Collective. Where the body raises the communicator is not freed: ranks may be anywhere then.
+    """
+    if not _apart and MPI.Comm.Compare(comm, world()) in (MPI.IDENT, MPI.CONGRUENT):
+        _apart.append(MPI.Intracomm(comm.Dup()))
+    if _apart and MPI.Comm.Compare(comm, _apart[0]) in (MPI.IDENT, MPI.CONGRUENT):
+        own = _apart[0]
+        _apart.append(own)
+    else:
+        own = MPI.Intracomm(comm.Dup())
+        _apart.append(own)
+    try:
+        yield
+    finally:
+        _apart.pop()
+    if own not in _apart:
+        own.Free()
 
 
 def _channel() -> Comm:
-    return _apart[0] if _apart else world()
+    return _apart[-1] if _apart else world()
 
 
 def all_failed(error: BaseException, failure: PdpetscError) -> bool:

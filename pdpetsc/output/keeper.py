@@ -101,6 +101,11 @@ class Keeper:
         start.forget()
 
     @property
+    def last(self) -> Solution:
+        """Return the last converged state (not collective)."""
+        return self._last
+
+    @property
     def problem(self) -> Problem:
         """Return what is solved (not collective)."""
         return self._last.problem

@@ -12,7 +12,8 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
-from pdpetsc.output.files import open_hdf5, replacing
+from pdpetsc.output.files import replacing
+from pdpetsc.output.reading import StoredFields
 from pdpetsc.post.quantities import refuse_component
 from pdpetsc.post.solution import Field, stress
 
@@ -73,25 +74,12 @@ def draw_field(
     from matplotlib.figure import Figure
 
     label = f"{name} {component}".strip()
-    path_of = folder / "fields.h5"
-    try:
-        with open_hdf5(path_of) as file:
-            numbers = sorted(int(group.removeprefix("step_")) for group in file if group.startswith("step_"))
-            if not numbers:
-                raise CaseError(f"{path_of} has no step yet.")
-            number = numbers[-1] if step is None else step
-            if number not in numbers or "displacement" not in file[f"step_{number:05d}"]:
-                raise CaseError(f"{path_of} has no displacement of step {number:05d}.")
-            fields = file[f"step_{number:05d}"]
-            if name not in fields:
-                raise CaseError(f"{path_of} has no field {name!r}; it has {', '.join(fields)}.")
-            stride = max(1, -(-len(file["particles/id"]) // MOST))
-            x = np.asarray(file["particles/position"][::stride])
-            y = x + scale * np.asarray(fields["displacement"][::stride])
-            volume = np.asarray(file["particles/volume"][::stride])
-            values = _component(np.asarray(fields[name][::stride]), component)
-    except (OSError, KeyError, RuntimeError) as error:
-        raise CaseError(f"Cannot read {path_of}: no such file, not one of pdpetsc, or without fields/.") from error
+    stored = StoredFields(folder)
+    stride = max(1, -(-stored.n_particles // MOST))
+    x = stored.of_particles("position", stride)
+    y = x + scale * stored.field("displacement", step, stride)
+    volume = stored.of_particles("volume", stride)
+    values = _component(stored.field(name, step, stride), component)
     dim = max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     axes = figure.add_subplot(projection="3d" if dim == 3 else None)
@@ -127,13 +115,12 @@ def _true_to_scale(axes: Any, y: Float) -> None:
 
 
 def _component(values: Float, name: str) -> Float:
-    width = {1: 0, 3: 1, 9: 2}.get(1 if values.ndim == 1 else values.shape[1], 0)
+    width = values.ndim - 1
     if len(name) != width or any(letter not in "xyz" for letter in name):
         raise CaseError(f"A component of this field is {('empty', 'x, y or z', 'xx, xy, ...')[width]}, not {name!r}.")
-    index = 0
-    for letter in name:
-        index = 3 * index + "xyz".index(letter)
-    return values if values.ndim == 1 else np.asarray(values[:, index])
+    for letter in reversed(name):
+        values = values[..., "xyz".index(letter)]
+    return values
 
 
 def _marker_area(y: Float, volume: Float, dim: int, stride: int) -> float:

@@ -144,16 +144,17 @@ def write_summary(comm: Comm, folder: Path, summary: Mapping[str, Any]) -> None:
     """
     with agreed(comm):
         if is_root(comm):
-            write_whole(folder / "summary.json", json.dumps(_plain(summary), indent=1) + "\n")
+            write_whole(folder / "summary.json", json.dumps(plain(summary), indent=1) + "\n")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value as JSON gives it back, with arrays as lists and None for numbers that JSON cannot hold."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, bool | str | int) or value is None:
         return value
     if isinstance(value, float):

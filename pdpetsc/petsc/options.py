@@ -8,7 +8,7 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from petsc4py import PETSc
 
@@ -49,50 +49,98 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
         raise
 
 
-@contextlib.contextmanager
-def options(chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[None]:
-    """Put options into PETSc's database for the time of a run.
+class Options:
+    """PETSc's options of one run, which are in PETSc's database only while the run uses PETSc.
 
     What is already there, from the command line or the environment, wins over ``chosen``, which wins over ``defaults``.
-    A value of None stands for an option without value.
+    Two runs in one process, one after the other, in turns or one inside the other, do not see each other's.
+
+    Parameters
+    ----------
+    chosen : mapping
+        What case and caller ask for; a value of None stands for an option without value.
+    defaults : mapping
+        What pdpetsc suggests.
+
+    Attributes
+    ----------
+    in_force : dict
+        Value and source of every option, by name.
+
+    Raises
+    ------
+    CaseError
+        A name cannot be an option's.
     """
-    database = PETSc.Options()
-    # Asking for a name would count as its use.
-    there = {name.lower() for name in database.getAll()}
-    inserted = []
-    for name, value in [*chosen.items(), *defaults.items()]:
-        if name.lower() not in there:
-            database.setValue(name, _text(value))
-            there.add(name.lower())
-            inserted.append(name)
-    try:
-        yield
-    finally:
-        for name in inserted:
+
+    # Those whose options are in the database, the last one for PETSc to see.
+    _active: ClassVar[list[Options]] = []
+
+    def __init__(self, chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
+        refuse_names(chosen)
+        self._chosen, self._defaults = chosen, defaults
+        self._inserted: list[str] = []
+        self._used: set[str] = set()
+        with self.active():
+            self.in_force = self._found()
+
+    @contextlib.contextmanager
+    def active(self) -> Iterator[None]:
+        """Let PETSc see them in the body (not collective; the same on all ranks)."""
+        outer = self._active[-1] if self._active else None
+        if outer is not None:
+            outer._remove()
+        self._insert()
+        self._active.append(self)
+        try:
+            yield
+        finally:
+            self._active.pop()
+            self._remove()
+            if outer is not None:
+                outer._insert()
+
+    def unused(self) -> list[str]:
+        """Return the options in force that nothing has looked up (not collective).
+
+        Those that pdpetsc suggests are not among them, nor those that PETSc reads when it ends.
+        """
+        self._note_used()
+        return [
+            name
+            for name, option in self.in_force.items()
+            if option["from"] != "pdpetsc" and not name.startswith(READ_AT_THE_END) and name not in self._used
+        ]
+
+    def _insert(self) -> None:
+        database = PETSc.Options()
+        # Asking for a name would count as its use.
+        there = {name.lower() for name in database.getAll()}
+        for name, value in [*self._chosen.items(), *self._defaults.items()]:
+            if name.lower() not in there:
+                database.setValue(name, _text(value))
+                there.add(name.lower())
+                self._inserted.append(name)
+
+    def _remove(self) -> None:
+        self._note_used()
+        database = PETSc.Options()
+        for name in self._inserted:
             database.delValue(name)
+        self._inserted.clear()
 
+    def _note_used(self) -> None:
+        """Remember what has been looked up: PETSc forgets it with the option."""
+        self._used |= {name for name in getattr(self, "in_force", {}) if option_used(name)}
 
-def options_in_force(chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return value and source of every option in PETSc's database, in the body of ``options`` (not collective)."""
-    sources = {"case": chosen, "environment": _environment(), "pdpetsc": defaults}
-    found: dict[str, dict[str, Any]] = {}
-    for name, value in sorted(PETSc.Options().getAll().items()):
-        if name != SKIP_FILES:
-            same = (of for of, known in sources.items() if name in known and _text(known[name]) == _text(value))
-            found[name] = {"value": value, "from": next(same, "command line")}
-    return found
-
-
-def unused(in_force: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the options in force that nothing has looked up, in the body of ``options`` (not collective).
-
-    Those that pdpetsc suggests are not among them, nor those that PETSc reads when it ends.
-    """
-    return [
-        name
-        for name, option in in_force.items()
-        if option["from"] != "pdpetsc" and not name.startswith(READ_AT_THE_END) and not option_used(name)
-    ]
+    def _found(self) -> dict[str, dict[str, Any]]:
+        sources = {"case": self._chosen, "environment": _environment(), "pdpetsc": self._defaults}
+        found: dict[str, dict[str, Any]] = {}
+        for name, value in sorted(PETSc.Options().getAll().items()):
+            if name != SKIP_FILES:
+                same = (of for of, known in sources.items() if name in known and _text(known[name]) == _text(value))
+                found[name] = {"value": value, "from": next(same, "command line")}
+        return found
 
 
 def _environment() -> dict[str, str]:

@@ -9,19 +9,16 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
-from pdpetsc.case import Case, check_declared
-from pdpetsc.discrete.communicator import agreed, alone, is_root, total, world
-from pdpetsc.discrete.components import refuse_rigid_motion
-from pdpetsc.discrete.failure import all_failed, give_up, keep_apart
-from pdpetsc.discrete.families import find_families
+from pdpetsc.case import Case
+from pdpetsc.discrete.communicator import Comm, agreed, alone, communicator, is_root, total
+from pdpetsc.discrete.failure import all_failed, give_up, messages_apart
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
 from pdpetsc.kernels.compile import cache_trouble
 from pdpetsc.output.checkpoint import read_checkpoint
@@ -30,22 +27,19 @@ from pdpetsc.output.fingerprint import declared_parts
 from pdpetsc.output.folder import holding, set_aside
 from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
-from pdpetsc.output.progress import Reporter
-from pdpetsc.output.records import write_summary
-from pdpetsc.petsc.defaults import default_options
-from pdpetsc.petsc.jacobian import Choice, assembler, choose, words
+from pdpetsc.output.progress import LogReport, Report
+from pdpetsc.output.records import plain, write_summary
+from pdpetsc.petsc.jacobian import words
 from pdpetsc.petsc.library import petsc_version
-from pdpetsc.petsc.matrix import predicted_bytes
-from pdpetsc.petsc.options import options as petsc_options
-from pdpetsc.petsc.options import options_in_force, refuse_files, refuse_names, unused
-from pdpetsc.petsc.stages import OUTPUT, SEARCH, SET_UP, stage
+from pdpetsc.petsc.options import refuse_files
 from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
-from pdpetsc.running.build import make_cloud, make_problem, rehearse
+from pdpetsc.running.phases import Phases
+from pdpetsc.running.prepare import Prepared, prepare
+from pdpetsc.running.result import Result
 from pdpetsc.running.signals import Signals, watched
-from pdpetsc.solvers.protocol import Converged, Setting, Solver, Start, StepResult
-from pdpetsc.solvers.table import implementation, refuse_unmet
+from pdpetsc.solvers.protocol import Converged, Solver, Start, StepResult
 
 
 def run(
@@ -53,11 +47,12 @@ def run(
     output: str | Path,
     options: Mapping[str, Any] | None = None,
     restart: str | Path | None = None,
-    quiet: bool = False,
     parameters: Mapping[str, Any] | None = None,
     restart_anyway: bool = False,
-) -> dict[str, float]:
-    """Run a case and return its named results.
+    comm: Any = None,
+    report: Callable[[Comm], Report] = LogReport,
+) -> Result:
+    """Run a case and return what came out.
 
     Parameters
     ----------
@@ -69,17 +64,19 @@ def run(
         PETSc options without dash; they win over the case's.
     restart : str or Path, optional
         Checkpoint to go on from, or the folder of a run that holds one.
-    quiet : bool
-        Print nothing.
     parameters : mapping, optional
         Written to the summary: what the case was made with.
     restart_anyway : bool
         Go on from a checkpoint of a case that declares something else: another material, load, crack, ...
+    comm : communicator of mpi4py or petsc4py, optional
+        The ranks that run it; all by default. Groups of ranks can run cases side by side, each in its own folder.
+    report : callable
+        Makes what takes the words of the run from its ranks: the logger ``pdpetsc`` by default.
 
     Returns
     -------
-    dict of str to float
-        The case's results.
+    Result
+        The case's results by name, with history, summary, fields and the last solution.
 
     Raises
     ------
@@ -93,26 +90,25 @@ def run(
 
     Notes
     -----
-    Collective. All of these are raised on every rank. Where one rank fails alone, the others wait for it in MPI for
-    ever: it then says so on stderr and in ``summary.json``, and aborts all. On one rank nothing is aborted.
+    Collective on ``comm``. All of these are raised on every rank. Where one rank fails alone, the others wait for it in
+    MPI for ever: it then says so on stderr and in ``summary.json``, and aborts all. On one rank nothing is aborted.
 
     ``summary.json`` has the status "running" from the first file that is written to the end, then "converged" or why
     the run ended.
+
+    Examples
+    --------
+    >>> import logging
+    >>> import pdpetsc as pd
+    >>> logging.basicConfig(level=logging.INFO)              # what the command line shows
+    >>> result = pd.run(case, "out/bar")                     # doctest: +SKIP
+    >>> result["elongation"], result.history["force"][-1]    # doctest: +SKIP
     """
-    comm = world()
-    keep_apart()
+    ranks = communicator(comm)
     folder = Path(output)
-    with holding(comm, folder), Reporter(comm, quiet) as report:
-        chosen = {**case.options, **(options or {})}
-        return _Run(case, folder, chosen, restart, restart_anyway, report, dict(parameters or {}))()
+    with messages_apart(ranks), holding(ranks, folder), report(ranks) as said:
+        return _Run(case, ranks, folder, dict(options or {}), restart, restart_anyway, said, dict(parameters or {}))()
 
-
-# Stages of PETSc's log that phases belong to.
-STAGES = {
-    **dict.fromkeys(("particles", "families"), SEARCH),
-    **dict.fromkeys(("kernels", "model", "pattern", "allocation"), SET_UP),
-    **dict.fromkeys(("output", "picture"), OUTPUT),
-}
 
 _abandoned: list[Solver] = []
 
@@ -123,11 +119,12 @@ class _Run:
     def __init__(
         self,
         case: Case,
+        comm: Comm,
         folder: Path,
         options: Mapping[str, Any],
         restart: str | Path | None,
         restart_anyway: bool,
-        report: Reporter,
+        report: Report,
         parameters: dict[str, Any],
     ) -> None:
         self.case = case
@@ -136,23 +133,23 @@ class _Run:
         self.restart = restart
         self.restart_anyway = restart_anyway
         self.report = report
-        self.comm = world()
-        self.timings: dict[str, float] = {}
+        self.comm = comm
+        self.phases = Phases()
         self.steps: list[dict[str, Any]] = []
         self.history: dict[str, list[float]] = {}
         self.failed: list[StepResult] = []
         self.unit = "Newton"
-        self.phase = "particles"
+        self.prepared: Prepared | None = None
         self.solver: Solver | None = None
         self.keeper: Keeper | None = None
         self.taken = False  # whether the folder holds files of this run
         self.signals: Signals
         self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
 
-    def __call__(self) -> dict[str, float]:
+    def __call__(self) -> Result:
         with watched(self.comm, self._stuck) as self.signals:
             try:
-                results = self._go()
+                result = self._go()
             except BaseException as error:
                 failure = self._end(error)
                 if self.solver is not None:
@@ -163,42 +160,33 @@ class _Run:
                 raise failure from error
             if self.solver is not None:
                 self.solver.destroy()
-        return results
+        return result
 
-    def _go(self) -> dict[str, float]:
-        case, comm = self.case, self.comm
-        refuse_names(self.options)
-        with self._timed("particles"):
-            cloud = make_cloud(comm, case)
-            with agreed(comm):
-                check_declared(case, cloud.dim)
-        with self._timed("kernels"):
-            rehearse(comm, case, cloud.dim)
+    @property
+    def phase(self) -> str:
+        """Return what the run is doing."""
+        return self.phases.now
+
+    def _go(self) -> Result:
+        prepared = self.prepared = prepare(self.case, self.comm, self.options, self.phases)
         if cache_trouble():
             self.report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
-        with self._timed("families"):
-            families = find_families(cloud, case.cracks)
-        with self._timed("model"):
-            problem = make_problem(case, cloud, families)
-            refuse_rigid_motion(cloud, families, problem.held)
-        self._describe(problem)
-        self._report_loads(problem)
-        self.phase = "set-up"
-        choice = choose(problem, self.options, case.solver)
-        defaults = default_options(problem, case.solver, choice)
-        with petsc_options(self.options, defaults):
-            self.summary["options"] = options_in_force(self.options, defaults)
-            of_environment = [n for n, found in self.summary["options"].items() if found["from"] == "environment"]
-            refuse_files(comm, self.summary["options"])
-            if of_environment:
-                self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
-            try:
-                self.solver = self._solver(problem, choice, self.signals.asked)
-                self.summary["solver"] = self.solver.description()
-                self.report.say(f"solver: {self.solver.description()}")
-                return self._march(problem, self.solver)
-            finally:
-                self.summary["unused_options"] = unused(self.summary["options"])
+        self._describe(prepared.problem)
+        self._report_loads(prepared.problem)
+        self.phases.now = "set-up"
+        options = prepared.options
+        self.summary["options"] = options.in_force
+        of_environment = [name for name, found in options.in_force.items() if found["from"] == "environment"]
+        refuse_files(self.comm, options.in_force)
+        if of_environment:
+            self.report.say(f"options of PETSC_OPTIONS: {' '.join(f'-{name}' for name in of_environment)}")
+        try:
+            self.solver = self._solver(prepared)
+            self.summary["solver"] = self.solver.description()
+            self.report.say(f"solver: {self.solver.description()}")
+            return self._march(prepared, self.solver)
+        finally:
+            self.summary["unused_options"] = options.unused()
 
     def _end(self, error: BaseException) -> PdpetscError:
         """Leave everything in order after an error and return it as one sentence; abort where this rank is alone."""
@@ -281,29 +269,23 @@ class _Run:
             with contextlib.suppress(OSError):
                 print(text, file=sys.stderr, flush=True)
 
-    def _solver(self, problem: Problem, choice: Choice, stop: Callable[[], bool]) -> Solver:
-        declared, steps = self.case.solver, self.case.steps
-        make = implementation(declared).make
-        refuse_unmet(problem, declared)
-        if declared.needs.tangent == "none":
-            return make(Setting(problem, declared, steps, None, stop))
-        if choice.matrix_free:
-            with self._timed("kernels"):
-                rehearse(self.comm, self.case, problem.dim, near=True)
-        with self._timed("pattern"):
-            filled = assembler(problem, choice)
-            predicted = predicted_bytes(filled.pattern, problem.dim)
-            self.report.say(words(choice, predicted))
-        with self._timed("allocation"):
-            solver = make(Setting(problem, declared, steps, filled, stop))
-        self.summary |= {"matrix_bytes": {"predicted": predicted, "measured": solver.matrix_bytes}}
-        self.summary["allocated"].append("matrix of nearest neighbours" if choice.matrix_free else "tangent matrix")
+    def _solver(self, prepared: Prepared) -> Solver:
+        def allocates(size: int) -> None:
+            predicted.append(size)
+            self.report.say(words(prepared.choice, size))
+
+        predicted: list[int] = []
+        solver = prepared.make_solver(self.signals.asked, allocates)
+        if predicted:
+            self.summary["matrix_bytes"] = {"predicted": predicted[0], "measured": solver.matrix_bytes}
+            near = prepared.choice.matrix_free
+            self.summary["allocated"].append("matrix of nearest neighbours" if near else "tangent matrix")
         return solver
 
-    def _march(self, problem: Problem, solver: Solver) -> dict[str, float]:
-        case, cloud = self.case, problem.body.cloud
+    def _march(self, prepared: Prepared, solver: Solver) -> Result:
+        case, cloud, problem = self.case, prepared.cloud, prepared.problem
         order = InCreationOrder(cloud)
-        start, origin = Solution(problem, np.zeros((cloud.n_rows, problem.dim)), 0.0, 0), None
+        start, origin = prepared.solution(), None
         declared = self.comm.bcast(declared_parts(case) if is_root(self.comm) else None)
         if self.restart is not None:
             if not case.solver.restarts:
@@ -311,11 +293,12 @@ class _Run:
             at_any_load = case.solver.finds_load
             origin = read_checkpoint(problem, order, self.restart, declared, self.restart_anyway, at_any_load)
             start = origin.start
-            solver.resume(_start(start))
+            with prepared.options.active():
+                solver.resume(_start(start))
         step = start.step
-        self.phase = "output"
+        self.phases.now = "output"
         self._try_records(start)
-        with self._timed("output"):
+        with self.phases.timed("output"):
             checkpoints = case.checkpoints if case.solver.restarts else 0
             # From here on the folder is this run's.
             self.signals.patient = True
@@ -337,40 +320,43 @@ class _Run:
             self.report.cut_back(at, dt, result)
 
         self.unit = solver.unit
-        self.phase = "solve"
+        self.phases.now = "solve"
         before = time.perf_counter()
-        for converged in solver.march(_start(start), on_failure):
-            self.timings["solve"] = self.timings.get("solve", 0.0) + time.perf_counter() - before
+        for converged in prepared.march(solver, _start(start), on_failure):
+            self.phases.add("solve", time.perf_counter() - before)
             step += 1
             self.report.step(converged.t, solver.line(step, converged))
             self._say_detached(problem)
             self.steps.append(_step_summary(step, converged, solver.unit))
             self.failed.clear()
-            with self._timed("output"):
+            with self.phases.timed("output"):
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
                 state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields)
-            before, self.phase = time.perf_counter(), "solve"
+            before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
-        self.phase = "results"
+        self.phases.now = "results"
         self.signals.patient = False
         with agreed(self.comm):
             results = _numbers(self.case.results(self.history)) if self.case.results is not None else {}
-        self.summary["unused_options"] = left = unused(self.summary["options"])
+        self.summary["unused_options"] = left = prepared.options.unused()
         self.signals.deaf = True  # the run has ended; nothing takes that back
-        self._write_summary("converged", results)
-        if left and is_root(self.comm):
-            _warn(f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}.")
+        summary = self._write_summary("converged", results)
+        if left:
+            self.report.warn(
+                f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}."
+            )
         unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
         # Where the load is sought, equilibria past its limit are meant to be found.
-        if unstable and not case.solver.finds_load and is_root(self.comm):
-            _warn(
+        if unstable and not case.solver.finds_load:
+            self.report.warn(
                 f"{unstable} of {len(self.steps)} equilibria are unstable, the first at step time "
                 f"{next(found['t'] for found in self.steps if found['negative_pivots']):.6g}; perturb the body, or let "
                 f'Steps(unstable="shorten") end the run before.'
             )
-        return self._show(results)
+        self._show(results)
+        return Result(self.folder, results, self.history, summary, keeper.last)
 
     def _try_records(self, start: Solution) -> None:
         """Evaluate once what the case asks for, before files of an earlier run are replaced (collective).
@@ -432,10 +418,12 @@ class _Run:
         carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
         self.report.say(f"{whole}{beside}{carried}")
 
-    def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> None:
-        """Write the summary of a run that has ended (collective)."""
-        memory = self.comm.gather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
-        write_summary(self.comm, self.folder, self._ended(status, results or {}, memory or []))
+    def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
+        """Write the summary of a run that has ended, and return it as the file has it (collective)."""
+        memory = self.comm.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+        summary = self._ended(status, results or {}, memory)
+        write_summary(self.comm, self.folder, summary)
+        return dict(plain(summary))
 
     def _ended(self, status: str, results: Mapping[str, float], memory: list[int]) -> dict[str, Any]:
         return self.summary | {
@@ -443,22 +431,21 @@ class _Run:
             "results": dict(results),
             "steps": self.steps,
             "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
-            "timings": self.timings,
+            "timings": self.phases.timings,
             "peak_memory_bytes": memory,
         }
 
-    def _show(self, results: dict[str, float]) -> dict[str, float]:
+    def _show(self, results: dict[str, float]) -> None:
         """Print the results and draw the picture of a run that has ended; whatever fails here, its results stand."""
         self.report.results(results)
         self.report.say(f"results in {self.folder}")
         if self.case.picture is not None and is_root(self.comm):
-            with self._timed("picture"):
+            with self.phases.timed("picture"):
                 try:
                     path = draw(self.folder, self.case.picture, self.folder.name)
                     self.report.say(f"picture in {path}")
                 except Exception as error:
-                    _warn(f"The run is finished, but its picture could not be drawn: {described(error)}")
-        return results
+                    self.report.warn(f"The run is finished, but its picture could not be drawn: {described(error)}")
 
     def _describe(self, problem: Problem) -> None:
         body, matter, comm = problem.body, problem.matter, self.comm
@@ -491,14 +478,6 @@ class _Run:
                 f"it are those of no continuum, hold a layer two horizons deep where they matter"
             )
 
-    @contextmanager
-    def _timed(self, phase: str) -> Iterator[None]:
-        self.phase = phase
-        before = time.perf_counter()
-        with stage(STAGES[phase]):
-            yield
-        self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - before
-
 
 def _start(solution: Solution) -> Start:
     return Start(solution.unknowns, solution.t, solution.resume, solution.tangent_at)
@@ -526,11 +505,6 @@ def _refuse_component(rank: int, component: str) -> None:
     if len(component) != rank - 1 or any(letter not in "xyz" for letter in component):
         known = ("empty", "x, y or z", "xx, xy, ...")[rank - 1]
         raise CaseError(f"A component of the picture's field is {known}, not {component!r}.")
-
-
-def _warn(text: str) -> None:
-    with contextlib.suppress(OSError):
-        print(f"pdpetsc: {text}", file=sys.stderr, flush=True)
 
 
 def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:

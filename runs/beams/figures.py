@@ -267,7 +267,7 @@ def figure_26(folder):
 def fields(folder, case):
     """Run a case and return positions, displacements (n, dim) and stress (n, 9) of its end, on every rank."""
     run = folder / "last_run"
-    pd.run(dataclasses.replace(case, picture=None, checkpoints=0), output=run, quiet=True)
+    pd.run(dataclasses.replace(case, picture=None, checkpoints=0), output=run)
     with h5py.File(run / "fields.h5") as file:
         last = file[max(name for name in file if name.startswith("step_"))]
         found = file["particles/position"][:, :2], last["displacement"][:, :2], last["stress"][:]

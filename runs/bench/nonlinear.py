@@ -58,7 +58,7 @@ def attempt(folder, name, options):
     case = dataclasses.replace(case, steps=steps, fields=[], picture=None)
     before, reached = time.perf_counter(), True
     try:
-        pd.run(case, output=folder / "last_run", options=options, quiet=True)
+        pd.run(case, output=folder / "last_run", options=options)
     except pd.SolveError:
         reached = False
     spent = time.perf_counter() - before

@@ -95,9 +95,9 @@ def bars(folder):
     for dim in (1, 2):
         for horizon in (2.015, 3.015):
             for name in ("continuum", "lattice", "family"):
-                found = pd.run(bar(dim, 10, horizon, calibration=name), output=folder / "last_run", quiet=True)
+                found = pd.run(bar(dim, 10, horizon, calibration=name), output=folder / "last_run")
                 rows.append((dim, horizon, name, *found.values()))
-            found = pd.run(bar(dim, 10, horizon, "linear_solid"), output=folder / "last_run", quiet=True)
+            found = pd.run(bar(dim, 10, horizon, "linear_solid"), output=folder / "last_run")
             rows.append((dim, horizon, "linear solid", *found.values()))
     return rows
 

@@ -116,7 +116,7 @@ def ran(case):
         fields=[pd.displacement, pd.local_damage, pd.lost_bonds],
         history={"force": case.history["force"], "broken": pd.BrokenBonds()},
     )
-    pd.run(case, output=scratch, quiet=True)
+    pd.run(case, output=scratch)
     summary = json.loads((scratch / "summary.json").read_text())
     iterations = [step["newton_iterations"] for step in summary["steps"]]
     table = np.atleast_1d(np.genfromtxt(scratch / "history.csv", delimiter=",", names=True))

@@ -45,9 +45,7 @@ def main():
         means = []
         for n in SIZES:
             found = [
-                pd.run(
-                    case(n, n * DX, critical=critical, ratio=ratio, seed=seed), output=folder / "last_run", quiet=True
-                )
+                pd.run(case(n, n * DX, critical=critical, ratio=ratio, seed=seed), output=folder / "last_run")
                 for seed in range(1, REALISATIONS + 1)
             ]
             mean = {key: float(np.mean([one[key] for one in found])) for key in found[0]}

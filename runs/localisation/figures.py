@@ -35,7 +35,7 @@ COLUMNS = ["inelastic displacement / l [1e-2]", "force / E A [1e-2]"]
 def run(folder, **parameters):
     """Return results, inelastic displacement and force over E A of all events, middle and length of broken links."""
     scratch = folder / "last_run"
-    found = pd.run(case(**parameters), output=scratch, quiet=True)
+    found = pd.run(case(**parameters), output=scratch)
     with (scratch / "history.csv").open() as file:
         rows = list(csv.DictReader(file))
     u, force = (np.array([float(row[name]) for row in rows]) for name in ("displacement", "force"))

@@ -176,7 +176,7 @@ def run_aside(other):
     from pdpetsc.discrete.communicator import is_root, world
 
     folder = world().bcast(tempfile.mkdtemp() if is_root(world()) else None)
-    found = pd.run(other, output=folder, quiet=True)
+    found = pd.run(other, output=folder)
     if is_root(world()):
         shutil.rmtree(folder)
     return found

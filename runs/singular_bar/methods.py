@@ -86,7 +86,7 @@ def table(folder):
 
 def profile(folder, case, strain):
     """Return positions and displacements, or strains F - 1, of the solved bar, and its results."""
-    done = pd.run(case, output=folder / "profile", quiet=True)
+    done = pd.run(case, output=folder / "profile")
     with h5py.File(folder / "profile" / "fields.h5") as file:
         x, step = file["particles/position"][:, 0], file["step_00001"]
         return x, step["deformation_gradient"][:, 0] - 1.0 if strain else step["displacement"][:, 0], done

@@ -1,0 +1,117 @@
+"""Reading what a run left in its folder: summary, history, fields."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.output.files import open_hdf5
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Return ``summary.json``; raises CaseError where there is none."""
+    try:
+        found = json.loads((folder / "summary.json").read_text())
+    except (OSError, ValueError) as error:
+        raise CaseError(f"{folder} holds no summary.json of a run.") from error
+    if not isinstance(found, dict):
+        raise CaseError(f"{folder} holds a summary.json that is not of a run.")
+    return found
+
+
+def read_history(folder: Path) -> dict[str, Float]:
+    """Return the columns of ``history.csv`` (n_steps,) by name, without a torn last row.
+
+    Raises
+    ------
+    CaseError
+        There is no such table, or something else stands in it than numbers.
+    """
+    try:
+        text = (folder / "history.csv").read_text()
+    except (OSError, ValueError) as error:
+        raise CaseError(f"{folder} holds no history.csv of a run.") from error
+    rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+    if not rows or rows[0][:2] != ["step", "t"] or any(len(row) != len(rows[0]) for row in rows):
+        raise CaseError(f"{folder} holds a history.csv that is not of a run.")
+    try:
+        values = np.array([[float(word) for word in row] for row in rows[1:]]).reshape(-1, len(rows[0]))
+    except ValueError as error:
+        raise CaseError(f"{folder} holds a history.csv with something else than numbers: {error}.") from error
+    return {name: values[:, column] for column, name in enumerate(rows[0])}
+
+
+class StoredFields:
+    """The fields of a run in its folder, all particles in creation order.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run.
+
+    Raises
+    ------
+    CaseError
+        It holds no fields that can be read; every method raises it too, where there is no such step or field.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "fields.h5"
+        with self._open() as file:
+            self.steps = sorted(int(group.removeprefix("step_")) for group in file if group.startswith("step_"))
+            self.n_particles = len(file["particles/id"])
+        if not self.steps:
+            raise CaseError(f"{self._path} has no step yet.")
+
+    def names(self, step: int | None = None) -> list[str]:
+        """Return the names of the fields of a step, the last one by default."""
+        with self._open() as file:
+            return list(file[self._group(step)])
+
+    def field(self, name: str, step: int | None = None, stride: int = 1) -> NDArray[Any]:
+        """Return a field of a step, the last one by default: (n,), (n, 3) or (n, 3, 3).
+
+        Parameters
+        ----------
+        stride : int
+            Every so many particles only.
+        """
+        group = self._group(step)
+        with self._open() as file:
+            if name not in file[group]:
+                raise CaseError(f"{self._path} has no field {name!r}; it has {', '.join(file[group])}.")
+            values = np.asarray(file[group][name][::stride])
+        return values.reshape(-1, 3, 3) if values.ndim == 2 and values.shape[1] == 9 else values
+
+    def of_particles(self, name: str, stride: int = 1) -> NDArray[Any]:
+        """Return ``position`` (n, 3) [length], ``volume`` (n,) or ``id`` (n,) of the particles."""
+        with self._open() as file:
+            return np.asarray(file[f"particles/{name}"][::stride])
+
+    def _group(self, step: int | None) -> str:
+        number = self.steps[-1] if step is None else step
+        if number not in self.steps:
+            raise CaseError(f"{self._path} has no fields of step {number}.")
+        return f"step_{number:05d}"
+
+    @contextlib.contextmanager
+    def _open(self) -> Iterator[h5py.File]:
+        try:
+            with open_hdf5(self._path) as file:
+                yield file
+        except (OSError, KeyError, RuntimeError, ValueError) as error:
+            if isinstance(error, CaseError):
+                raise
+            raise CaseError(
+                f"Cannot read {self._path}: no such file, not one of pdpetsc, or without fields/."
+            ) from error

@@ -1,0 +1,199 @@
+"""From a case to its problem and solver, for a run or for those who drive them themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float
+from pdpetsc.case import Case, check_declared
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import Comm, agreed, communicator
+from pdpetsc.discrete.components import refuse_rigid_motion
+from pdpetsc.discrete.families import find_families
+from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.jacobian import Choice, assembler, choose
+from pdpetsc.petsc.matrix import predicted_bytes
+from pdpetsc.petsc.options import Options, refuse_names
+from pdpetsc.post.solution import Field, Solution
+from pdpetsc.problem.problem import Problem
+from pdpetsc.running.build import make_cloud, make_problem, rehearse
+from pdpetsc.running.phases import Phases
+from pdpetsc.running.result import gathered
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start
+from pdpetsc.solvers.table import implementation, refuse_unmet
+
+
+class Prepared:
+    """A case whose problem is built and distributed, nothing of it solved yet; ``prepare`` makes it.
+
+    Attributes
+    ----------
+    case : Case
+        What is declared.
+    comm : Comm
+        The ranks that share the problem.
+    problem : Problem
+        Terms and supports on the distributed cloud: residual, tangent, energies.
+    phases : Phases
+        What building it has taken.
+
+    Notes
+    -----
+    Every method is collective on ``comm``.
+    """
+
+    def __init__(self, case: Case, problem: Problem, chosen: Mapping[str, Any], phases: Phases) -> None:
+        self.case = case
+        self.problem = problem
+        self.phases = phases
+        self._chosen = chosen
+
+    @property
+    def comm(self) -> Comm:
+        """Return the ranks that share the problem (not collective)."""
+        return self.problem.body.cloud.comm
+
+    @property
+    def cloud(self) -> Cloud:
+        """Return the particles of this rank with their ghosts (not collective)."""
+        return self.problem.body.cloud
+
+    @cached_property
+    def choice(self) -> Choice:
+        """Return how the tangent is represented."""
+        return choose(self.problem, self._chosen, self.case.solver)
+
+    @cached_property
+    def options(self) -> Options:
+        """Return PETSc's options of this problem: the caller's, the case's, and what suits it."""
+        return Options(self._chosen, default_options(self.problem, self.case.solver, self.choice))
+
+    def solution(self, unknowns: Float | None = None, t: float = 0.0, step: int = 0) -> Solution:
+        """Return a solution, for fields and quantities: the undeformed body by default.
+
+        Parameters
+        ----------
+        unknowns : (n_rows, dim) float64, optional
+            Displacements of the own particles, then the virtual rows of a periodic cell [length].
+        t : float
+            Step time [-].
+        step : int
+            Number of the step.
+        """
+        if unknowns is None:
+            unknowns = np.zeros((self.cloud.n_rows, self.problem.dim))
+        return Solution(self.problem, unknowns, t, step)
+
+    def gathered(self, field: Field, solution: Solution) -> NDArray[Any] | None:
+        """Return a field of a solution, all particles in creation order, on rank 0; None on the others."""
+        return gathered(solution, field)
+
+    def make_solver(
+        self, stop: Callable[[], bool] = lambda: False, allocates: Callable[[int], None] = lambda size: None
+    ) -> Solver:
+        """Return the solver that the case declares; call its ``destroy`` before MPI ends.
+
+        Parameters
+        ----------
+        stop : callable
+            Asked now and then, collectively; True ends the march.
+        allocates : callable
+            Told how many bytes a matrix is about to take over all ranks, where there is one.
+
+        Raises
+        ------
+        CaseError
+            The problem is not one that this solver can solve, or PETSc refuses an option.
+        """
+        declared, steps, problem = self.case.solver, self.case.steps, self.problem
+        make = implementation(declared).make
+        refuse_unmet(problem, declared)
+        filled = None
+        if declared.needs.tangent != "none":
+            if self.choice.matrix_free:
+                with self.phases.timed("kernels"):
+                    rehearse(self.comm, self.case, problem.dim, near=True)
+            with self.phases.timed("pattern"):
+                filled = assembler(problem, self.choice)
+                allocates(predicted_bytes(filled.pattern, problem.dim))
+        with self.options.active():
+            if filled is None:
+                return make(Setting(problem, declared, steps, None, stop))
+            with self.phases.timed("allocation"):
+                return make(Setting(problem, declared, steps, filled, stop))
+
+    def march(
+        self, solver: Solver, start: Start | None = None, on_failure: OnFailure = lambda at, dt, result: None
+    ) -> Iterator[Converged]:
+        """Yield one converged state after the other, with the options of this problem in force inside only.
+
+        Raises
+        ------
+        SolveError
+            No step leads on; what was yielded before stands.
+        """
+        steps = solver.march(Start(self.solution().unknowns) if start is None else start, on_failure)
+        while True:
+            with self.options.active():
+                converged = next(steps, None)
+            if converged is None:
+                return
+            yield converged
+
+
+def prepare(
+    case: Case, comm: Any = None, options: Mapping[str, Any] | None = None, phases: Phases | None = None
+) -> Prepared:
+    """Build the problem of a case, distributed over the ranks of a communicator, without solving it.
+
+    Parameters
+    ----------
+    case : Case
+        What to build.
+    comm : communicator of mpi4py or petsc4py, optional
+        The ranks that share it; all by default.
+    options : mapping, optional
+        PETSc options without dash; they win over the case's.
+    phases : Phases, optional
+        Where it is noted what building takes.
+
+    Raises
+    ------
+    CaseError
+        The case or the name of an option is wrong.
+
+    Notes
+    -----
+    Collective on ``comm``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> prepared = pd.prepare(case)                                  # doctest: +SKIP
+    >>> state = prepared.problem.state(u, t=1.0)                     # doctest: +SKIP
+    >>> forces = prepared.problem.internal_force(state)              # doctest: +SKIP
+    >>> solver = prepared.make_solver()                              # doctest: +SKIP
+    >>> for converged in prepared.march(solver):                     # doctest: +SKIP
+    ...     print(converged.t, prepared.solution(converged.u, converged.t).energies)
+    """
+    ranks = communicator(comm)
+    phases = Phases() if phases is None else phases
+    chosen = {**case.options, **(options or {})}
+    refuse_names(chosen)
+    with phases.timed("particles"):
+        cloud = make_cloud(ranks, case)
+        with agreed(ranks):
+            check_declared(case, cloud.dim)
+    with phases.timed("kernels"):
+        rehearse(ranks, case, cloud.dim)
+    with phases.timed("families"):
+        families = find_families(cloud, case.cracks)
+    with phases.timed("model"):
+        problem = make_problem(case, cloud, families)
+        refuse_rigid_motion(cloud, families, problem.held)
+    return Prepared(case, problem, chosen, phases)

@@ -1,0 +1,146 @@
+"""What a run gives: named results, history, fields and the last solution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.post.solution import Field, Solution
+
+
+class Result(Mapping[str, float]):
+    """What a run gives: a mapping of its named results, with history, fields and summary beside them.
+
+    ``run`` returns it, ``open`` makes it from the folder of a run that has ended; the second has no ``solution``.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the run.
+    history : dict of str to (n_steps,) float64
+        The columns of ``history.csv``: ``step``, ``t`` [-], and the quantities of the case.
+    summary : dict
+        What ``summary.json`` holds: status, steps, timings, options, ...
+    solution : Solution or None
+        The last converged state, of the particles of this rank.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> result = pd.run(case, "out/bar")                 # doctest: +SKIP
+    >>> result["elongation"], result.history["force"]    # doctest: +SKIP
+    >>> pd.open("out/bar").field("stress")[:, 0, 0]      # doctest: +SKIP
+    """
+
+    def __init__(
+        self, folder: Path, results: Mapping[str, float], history: Mapping[str, Any], summary: Mapping[str, Any],
+        solution: Solution | None = None,
+    ) -> None:  # fmt: skip
+        self.folder = folder
+        self.history: dict[str, Float] = {name: np.asarray(values, dtype=float) for name, values in history.items()}
+        self.summary = dict(summary)
+        self.solution = solution
+        self._results = dict(results)
+
+    def __getitem__(self, name: str) -> float:
+        return self._results[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._results)
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{name}={value:.6g}" for name, value in self._results.items())
+        return f"<Result of {self.folder}: {self.summary.get('status')}{f', {named}' if named else ''}>"
+
+    @property
+    def fields(self) -> StoredFields:
+        """Return the fields in the folder, of all steps (not collective).
+
+        Raises
+        ------
+        CaseError
+            The run wrote none.
+        """
+        return StoredFields(self.folder)
+
+    def field(self, name: str, step: int | None = None) -> NDArray[Any]:
+        """Return a field of all particles in creation order, of the last step by default (not collective).
+
+        Vectors are (n, 3) and tensors (n, 3, 3), whatever the dimension of the body.
+
+        Raises
+        ------
+        CaseError
+            The run wrote no such field or step.
+        """
+        return self.fields.field(name, step)
+
+    @property
+    def x(self) -> Float:
+        """Return the reference positions of all particles (n, 3) in creation order [length] (not collective)."""
+        return np.asarray(self.fields.of_particles("position"))
+
+    def gathered(self, field: Field) -> NDArray[Any] | None:
+        """Return a field of the last solution, all particles in creation order, on rank 0; None on the others.
+
+        Parameters
+        ----------
+        field : Field
+            Any function of a solution that returns a row per particle, written by the run or not: ``pd.stress``.
+
+        Raises
+        ------
+        CaseError
+            The run was opened from its folder.
+
+        Notes
+        -----
+        Collective.
+        """
+        if self.solution is None:
+            raise CaseError("A run opened from its folder has the fields that it wrote, by name: use field(name).")
+        return gathered(self.solution, field)
+
+
+def gathered(solution: Solution, field: Field) -> NDArray[Any] | None:
+    """Return a field of a solution, all particles in creation order, on rank 0; None on the others (collective)."""
+    parts = [part for _, part in InCreationOrder(solution.cloud).parts_on_root(np.asarray(field(solution)))]
+    return np.concatenate(parts) if parts else None
+
+
+def open_run(folder: str | Path) -> Result:
+    """Return what a run left in its folder, whether it converged, failed or was stopped.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the run, as given to ``run`` or after ``-o``.
+
+    Raises
+    ------
+    CaseError
+        It holds no run.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> result = pd.open("out/bar")                      # doctest: +SKIP
+    >>> result.summary["status"]                         # doctest: +SKIP
+    'converged'
+    """
+    folder = Path(folder)
+    summary = read_summary(folder)
+    results = {str(name): float(value) for name, value in dict(summary.get("results") or {}).items()}
+    history = read_history(folder) if (folder / "history.csv").exists() else {}
+    return Result(folder, results, history, summary)

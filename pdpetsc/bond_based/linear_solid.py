@@ -29,7 +29,7 @@ class LinearSolid(BondMaterial):
 
     References
     ----------
-    Silling, Epton, Weckner, Xu, Askari (2007), section 15; in 2D Le, Chan, Schwartz (2014).
+    Silling2007, section 15; in 2D Le2014.
     """
 
     def __post_init__(self) -> None:

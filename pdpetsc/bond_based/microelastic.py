@@ -44,8 +44,7 @@ class BondBased(BondMaterial):
 
     References
     ----------
-    Silling (2000); Silling, Askari (2005), section 3; Mikes, Jirasek, Zeman, Rokos, Peerlings, Eq. (2)-(6). Surface:
-    Madenci, Oterkus (2014), section 4.2.
+    Silling2000; Silling2005, section 3; Mikes2021, Eq. (2)-(6). Correction of the surface: Madenci2014, section 4.2.
     """
 
     calibration: Literal["continuum", "lattice", "family"] = "continuum"

@@ -41,7 +41,7 @@ class RelativeAverage(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8). The factor is ours.
+    Breitenfeld2014; Luo2018, Eq. (8). The factor that makes ``C`` a pure number is of this package.
     """
 
     C: float = 0.1
@@ -66,7 +66,7 @@ class AveragedDisplacement(ZeroEnergyControl):
     ``a_i = sum_j omega eta_ij V_j``. The factor omega, which the paper leaves out, makes the force derive from the
     energy ``1/2 C2 sum_i V_i |a_i|^2``; with constant influence it makes no difference. ``C2`` carries a unit and its
     best value depends on the spacing: it is here to compare with papers, ``RelativeAverage`` is the same in all units.
-    The constants of Luo's Table 1 belong to an average without volumes: in a bar of unit cross-section they are
+    The constants of Luo2018, Table 1, belong to an average without volumes: in a bar of unit cross-section they are
     ``C2 / dx`` here.
 
     Parameters
@@ -76,7 +76,7 @@ class AveragedDisplacement(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8) and Table 1.
+    Breitenfeld2014; Luo2018, Eq. (8) and Table 1.
     """
 
     C2: float

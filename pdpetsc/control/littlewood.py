@@ -32,7 +32,7 @@ class Littlewood(ZeroEnergyControl):
 
     References
     ----------
-    Littlewood (2010), IMECE2010-40621; Tupek and Radovitzky (2014).
+    Littlewood2010; Tupek2014.
     """
 
     C: float = 0.1

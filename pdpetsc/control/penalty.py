@@ -29,8 +29,7 @@ class Penalty(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014), third method, as Luo, Sundararaghavan (2018), section 5.1, and
-    Silling (2017), section 5, describe it.
+    Breitenfeld2014, third method, as described in Luo2018, section 5.1, and Silling2017, section 5.
     """
 
     C3: float

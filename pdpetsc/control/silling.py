@@ -41,7 +41,7 @@ class Silling(ZeroEnergyControl):
 
     References
     ----------
-    Silling (2017), section 5; Hashim et al., Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
+    Silling2017, section 5; Hashim, Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
     """
 
     G: float = 0.5
@@ -59,7 +59,7 @@ class Silling(ZeroEnergyControl):
 
 @dataclass(frozen=True)
 class SillingMicromodulus(ZeroEnergyControl):
-    """Silling's control as Hashim et al. print it, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
+    """Silling's control as printed in Hashim, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
 
     ``C = 12 k' / (pi h horizon^4)`` is the micromodulus of a bond-based solid with ``k' = lambda + mu`` in plane strain
     or stress; the thickness h is one unit of length. In 3D ``C = 18 k / (pi horizon^4)`` with the bulk modulus k.
@@ -82,7 +82,7 @@ class SillingMicromodulus(ZeroEnergyControl):
 
     References
     ----------
-    Hashim, Coombs, Augarde, Hattori, Eq. (37)-(44); Silling (2017), section 5.
+    Hashim, Eq. (37)-(44); Silling2017, section 5.
     """
 
     G: float

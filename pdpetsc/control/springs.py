@@ -28,7 +28,7 @@ class RelativeSprings(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (7). The factor is ours.
+    Breitenfeld2014; Luo2018, Eq. (7). The factor that makes ``C`` a pure number is of this package.
     """
 
     C: float = 0.01
@@ -47,8 +47,8 @@ class Springs(ZeroEnergyControl):
     """Linear springs with the constant of the papers, ``T_a = C1 omega eta``.
 
     ``C1`` carries a unit and its best value depends on the spacing and on the softest material: it is here to compare
-    with papers, ``RelativeSprings`` is the same in all units. The constants of Luo's Table 1 belong to sums without the
-    volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
+    with papers, ``RelativeSprings`` is the same in all units. The constants of Luo2018, Table 1, belong to sums without
+    the volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Springs(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (7) and Table 1.
+    Breitenfeld2014; Luo2018, Eq. (7) and Table 1.
     """
 
     C1: float

@@ -24,7 +24,7 @@ class Wan(ZeroEnergyControl):
 
     References
     ----------
-    Wan, Chen, Chu, Liu (2019), Improved method for zero-energy mode suppression in peridynamic correspondence model.
+    Wan2019.
     """
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:

@@ -43,7 +43,7 @@ class BondAssociated(Scheme):
 
     References
     ----------
-    Chen, Spencer (2019), Peridynamic bond-associated correspondence model: stability and convergence properties.
+    Chen2019.
     """
 
     radius: float = 1.0

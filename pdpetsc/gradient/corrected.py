@@ -30,7 +30,7 @@ class Corrected(Scheme):
 
     References
     ----------
-    Chowdhury, Roy, Roy, Reddy, section 3, Eq. (8)-(15), there in one dimension.
+    Chowdhury2018, section 3, Eq. (8)-(15), there in one dimension.
     """
 
     order: int = 2

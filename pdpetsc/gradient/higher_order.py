@@ -37,7 +37,7 @@ class HigherOrder(Scheme):
 
     References
     ----------
-    Yaghoobi, Chorzepa (2017), title, abstract and sections 1-2; the conditions on the moments follow from these.
+    Yaghoobi2017, title, abstract and sections 1-2; the conditions on the moments follow from these.
     """
 
     order: int = 3

@@ -33,7 +33,7 @@ class SmoothedDisplacement(Scheme):
 
     References
     ----------
-    Wu, Ren (2015), as Yaghoobi, Chorzepa (2017), section 1, describe it.
+    Wu2015, as described in Yaghoobi2017, section 1.
     """
 
     radius: float = 0.5

@@ -36,7 +36,7 @@ class StressPoints(Scheme):
 
     References
     ----------
-    Luo, Sundararaghavan (2018), section 3, Fig. 3-5.
+    Luo2018, section 3, Fig. 3-5.
     """
 
     seed: int = 1

@@ -37,7 +37,7 @@ class SubHorizons(Scheme):
 
     References
     ----------
-    Chowdhury, Roy, Roy, Reddy, section 4, Eq. (19)-(34).
+    Chowdhury2018, section 4, Eq. (19)-(34).
     """
 
     sectors: int | None = None

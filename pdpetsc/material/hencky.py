@@ -23,7 +23,7 @@ class Hencky(ElasticMaterial):
 
     References
     ----------
-    Hashim, Coombs, Augarde, Hattori, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.
+    Hashim, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.
     """
 
     def kernels(self, dim: int) -> PointKernels:

@@ -43,7 +43,7 @@ class J2(HistoryMaterial):
 
     References
     ----------
-    Simo (1992), Algorithms for static and dynamic multiplicative plasticity; de Souza Neto, Peric, Owen, section 14.
+    Simo1992; deSouzaNeto2008, section 14.
     """
 
     yield_stress: float = 1.0

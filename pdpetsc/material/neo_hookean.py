@@ -27,7 +27,7 @@ class NeoHookean(ElasticMaterial):
 
     References
     ----------
-    Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, section 6.4.3.
+    Bonet2008, section 6.4.3.
     """
 
     def kernels(self, dim: int) -> PointKernels:

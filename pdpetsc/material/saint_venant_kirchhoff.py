@@ -21,7 +21,7 @@ class SaintVenantKirchhoff(ElasticMaterial):
 
     References
     ----------
-    Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, section 6.3.
+    Bonet2008, section 6.3.
     """
 
     def kernels(self, dim: int) -> PointKernels:

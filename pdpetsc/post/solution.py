@@ -228,7 +228,7 @@ def local_damage(solution: Solution) -> Float:
 
     References
     ----------
-    Silling, Askari (2005), Eq. (29), with the bonds weighted by their stiffness.
+    Silling2005, Eq. (29), with the bonds weighted by their stiffness.
     """
     return solution.problem.matter.local_damage()
 
@@ -240,7 +240,7 @@ def lost_bonds(solution: Solution) -> Float:
 
     References
     ----------
-    Hashim et al., Eq. (46).
+    Hashim, Eq. (46).
     """
     damage = solution.problem.damage
     return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()

@@ -49,7 +49,7 @@ class RelaxationSolver(LoadStepSolver):
 
     References
     ----------
-    Luo, Sundararaghavan (2018), section 4, Eq. (14)-(17); Kilic, Madenci (2010).
+    Luo2018, section 4, Eq. (14)-(17); Kilic2010.
     """
 
     unit = "relaxation"

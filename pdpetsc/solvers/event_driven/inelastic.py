@@ -44,7 +44,7 @@ class InelasticForces:
 
     References
     ----------
-    Jirasek, Bazant (1994), section 4.2.
+    Jirasek1994, section 4.2.
 
     Notes
     -----

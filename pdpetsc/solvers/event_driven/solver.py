@@ -62,7 +62,7 @@ class EventSolver(Solver):
 
     References
     ----------
-    Jirasek, Bazant (1994), section 4; Mikes, Jirasek, Zeman, Rokos, Peerlings, section 2.2.
+    Jirasek1994, section 4; Mikes2021, section 2.2.
     """
 
     unit = "event"

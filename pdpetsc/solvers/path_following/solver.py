@@ -60,7 +60,7 @@ class PathSolver(StepSolver):
 
     References
     ----------
-    de Borst (1987) on control by chosen displacements; Chen, Schreyer (1990) on control by the zone that softens.
+    deBorst1987 on control by chosen displacements; Chen1990 on control by the zone that softens.
     """
 
     unit = "Newton"

@@ -30,6 +30,11 @@ class LinearSolid(BondMaterial):
     References
     ----------
     Silling2007, section 15; in 2D Le2014.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> concrete = pd.LinearSolid(E=30e3, nu=0.2, plane="stress")
     """
 
     def __post_init__(self) -> None:

@@ -45,6 +45,12 @@ class BondBased(BondMaterial):
     References
     ----------
     Silling2000; Silling2005, section 3; Mikes2021, Eq. (2)-(6). Correction of the surface: Madenci2014, section 4.2.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.BondBased(E=30e3, calibration="lattice").elastic(dim=3).nu
+    0.25
     """
 
     calibration: Literal["continuum", "lattice", "family"] = "continuum"

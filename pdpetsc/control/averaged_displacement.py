@@ -42,6 +42,12 @@ class RelativeAverage(ZeroEnergyControl):
     References
     ----------
     Breitenfeld2014; Luo2018, Eq. (8). The factor that makes ``C`` a pure number is of this package.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.RelativeAverage(C=0.2)
+    RelativeAverage(C=0.2)
     """
 
     C: float = 0.1
@@ -77,6 +83,12 @@ class AveragedDisplacement(ZeroEnergyControl):
     References
     ----------
     Breitenfeld2014; Luo2018, Eq. (8) and Table 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.AveragedDisplacement(C2=1e3)
+    AveragedDisplacement(C2=1000.0)
     """
 
     C2: float

@@ -33,6 +33,12 @@ class Littlewood(ZeroEnergyControl):
     References
     ----------
     Littlewood2010; Tupek2014.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Littlewood(C=0.05)
+    Littlewood(C=0.05)
     """
 
     C: float = 0.1

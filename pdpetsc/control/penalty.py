@@ -30,6 +30,12 @@ class Penalty(ZeroEnergyControl):
     References
     ----------
     Breitenfeld2014, third method, as described in Luo2018, section 5.1, and Silling2017, section 5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Penalty(C3=2.0)
+    Penalty(C3=2.0)
     """
 
     C3: float

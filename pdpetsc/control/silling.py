@@ -42,6 +42,12 @@ class Silling(ZeroEnergyControl):
     References
     ----------
     Silling2017, section 5; Hashim, Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Silling(G=0.2)
+    Silling(G=0.2)
     """
 
     G: float = 0.5
@@ -83,6 +89,12 @@ class SillingMicromodulus(ZeroEnergyControl):
     References
     ----------
     Hashim, Eq. (37)-(44); Silling2017, section 5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> printed = pd.SillingMicromodulus(G=0.002, unit_length=1000.0)  # of a paper in m, in a case in mm
+    >>> same = pd.Silling(printed.unit_free(spacing=1.0, horizon=3.015))
     """
 
     G: float

@@ -29,6 +29,12 @@ class RelativeSprings(ZeroEnergyControl):
     References
     ----------
     Breitenfeld2014; Luo2018, Eq. (7). The factor that makes ``C`` a pure number is of this package.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.RelativeSprings(C=0.001)
+    RelativeSprings(C=0.001)
     """
 
     C: float = 0.01
@@ -58,6 +64,13 @@ class Springs(ZeroEnergyControl):
     References
     ----------
     Breitenfeld2014; Luo2018, Eq. (7) and Table 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> dx = 0.002
+    >>> pd.Springs(C1=2.0 / dx)
+    Springs(C1=1000.0)
     """
 
     C1: float

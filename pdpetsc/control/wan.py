@@ -25,6 +25,11 @@ class Wan(ZeroEnergyControl):
     References
     ----------
     Wan2019.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> control = pd.Wan()
     """
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:

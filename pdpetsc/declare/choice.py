@@ -24,6 +24,12 @@ def choose(parameter: str, word: str, choices: Mapping[str, T]) -> T:
     ------
     CaseError
         No choice has that name.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.choose("scheme", "stress_points", pd.SCHEMES)
+    StressPoints(seed=1)
     """
     if word not in choices:
         raise CaseError(f"{parameter} is one of {', '.join(choices)}, not {word!r}.")

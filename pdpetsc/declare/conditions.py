@@ -98,7 +98,14 @@ def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...]
 
 @dataclass(frozen=True)
 class Displacement(_Vector):
-    """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free."""
+    """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> clamped = pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)
+    >>> sheared = pd.Displacement(pd.region.Slab("x", low=9.0), y=lambda x, t: 0.1 * t * x[:, 0])
+    """
 
     def put(self, onto: Any, name: str) -> None:
         """Let what takes conditions in take it, under a name for messages (collective)."""
@@ -107,7 +114,13 @@ class Displacement(_Vector):
 
 @dataclass(frozen=True)
 class Force(_Vector):
-    """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume."""
+    """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.Force(pd.region.Nearest((10.0, 1.0)), y=-50.0)
+    """
 
     def put(self, onto: Any, name: str) -> None:
         """Let what takes conditions in take it, under a name for messages (collective)."""
@@ -116,7 +129,13 @@ class Force(_Vector):
 
 @dataclass(frozen=True)
 class BodyForce(_Vector):
-    """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume]."""
+    """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> weight = pd.BodyForce(pd.region.All(), y=-9.81 * 2400.0)  # [N / m^3]
+    """
 
     def put(self, onto: Any, name: str) -> None:
         """Let what takes conditions in take it, under a name for messages (collective)."""
@@ -139,6 +158,11 @@ class Traction(_Vector):
     area : float, optional
         Area of the face [area; length times thickness in 2D, cross-section in 1D], for particles that do not know their
         faces: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pulled = pd.Traction(pd.region.Slab("x", low=9.0), x=5.0, normal=(1.0, 0.0))
     """
 
     normal: Sequence[float] = ()
@@ -170,7 +194,15 @@ def Pressure(
     schedule: Schedule | None = None,
     area: float | None = None,
 ) -> Traction:
-    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``."""
+    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> top = pd.Pressure(pd.region.Slab("y", low=9.0), 2.0, normal=(0.0, 1.0))
+    >>> top.y
+    -2.0
+    """
     n = np.asarray(normal, dtype=float)
     length = float(np.linalg.norm(n))
     if not (length > 0.0 and math.isfinite(length)):
@@ -216,6 +248,11 @@ class MeanStrain(_Tensor):
     """Prescribed components of the mean strain of a periodic cell [-], ``u(x + n L) = u(x) + strain n L``.
 
     At finite deformation it is the mean stretch less one, ``U - I``, in axes that do not rotate.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> stretched = pd.MeanStrain(xx=0.01)
     """
 
     def put(self, onto: Any, name: str) -> None:
@@ -228,6 +265,11 @@ class MeanStress(_Tensor):
     """Mean stress of a periodic cell [stress], per reference volume; 0 where neither it nor the strain is given.
 
     At finite deformation it is the symmetric part of the mean first Piola-Kirchhoff stress.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> sheared = pd.MeanStress(xy=5.0)
     """
 
     def put(self, onto: Any, name: str) -> None:

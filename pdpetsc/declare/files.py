@@ -41,6 +41,11 @@ class TextFile(Particles):
         Files with particle numbers, counted from 1 in the order of the file; each becomes a set.
     thickness : float
         Out-of-plane thickness [length] already contained in the volumes.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> cloud = pd.TextFile("cloud.txt", node_sets={"clamped": "clamped.txt"})
     """
 
     path: str | Path
@@ -108,6 +113,11 @@ class Mesh(Particles):
     format : str, optional
         ``"gmsh"``, ``"abaqus"``, ``"exodus"``, ``"vtk"``, ``"vtu"``, ``"nastran"``, ``"xdmf"`` or ``"med"``; by the
         ending of the file where absent.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> plate = pd.Mesh("plate.msh", thickness=2.0)
     """
 
     path: str | Path

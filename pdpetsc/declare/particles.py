@@ -94,6 +94,14 @@ class Lattice(Particles):
     fictitious : mapping of {"-x", "+x", "-y", "+y", "-z", "+z"} to float
         Depth [length] of a layer of further particles beyond a side, as many as fit. They form the sets
         ``fictitious`` and ``fictitious -x`` (and so on); the others form the set ``real``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> hole = pd.region.Sphere((50.0, 10.0), radius=4.0)
+    >>> plate = pd.Lattice(low=(0.0, 0.0), high=(100.0, 20.0), spacing=2.0, cut=hole)
+    >>> plate.estimate()  # the cells of the hole among them
+    500
     """
 
     low: float | Sequence[float]
@@ -207,6 +215,13 @@ class Arrays(Particles):
         Named sets.
     thickness : float
         Out-of-plane thickness [length] already contained in the volumes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> x = np.array([[0.5], [1.5], [2.5]])
+    >>> bar = pd.Arrays(x, volume=1.0, sets={"held": [0]})
     """
 
     x: ArrayLike

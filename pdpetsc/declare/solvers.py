@@ -64,7 +64,13 @@ class DeclaredSolver(Declared):
 
 @dataclass(frozen=True)
 class Newton(DeclaredSolver):
-    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``."""
+    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver, options = pd.Newton(), {"snes_rtol": 1e-8}
+    """
 
     title = "Newton's method"
 
@@ -80,6 +86,11 @@ class DynamicRelaxation(DeclaredSolver):
         and reactions must fall below [-].
     most : int
         Largest number of time steps in a load step.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.DynamicRelaxation(tolerance=1e-5)
     """
 
     tolerance: float = 1e-6
@@ -113,6 +124,11 @@ class EventDriven(DeclaredSolver):
         Largest number of events.
     fields_every : int
         Fields are written every so many events, and at the end; 0 for the end only.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.EventDriven(fields_every=100)
     """
 
     updates: int | None = None
@@ -140,6 +156,11 @@ class BondStretch(Declared):
     ----------
     step : float
         Largest growth in a step, over the critical stretch [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.PathFollowing(measure=pd.BondStretch(step=0.05))
     """
 
     step: float = 0.1
@@ -166,6 +187,12 @@ class Opening(Declared):
         What it moves against; the laboratory where absent.
     step, end : float
         Largest growth in a step and where to end [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> right, left = pd.region.Nearest((51.0, 0.0)), pd.region.Nearest((49.0, 0.0))
+    >>> mouth = pd.Opening("x", right, against=left, step=0.01, end=0.5)
     """
 
     component: str
@@ -215,6 +242,11 @@ class PathFollowing(DeclaredSolver):
         Largest number of steps.
     breaks : int, optional
         As in ``Steps``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.PathFollowing(first=0.01, until=0.05)
     """
 
     measure: BondStretch | Opening = field(default_factory=BondStretch)

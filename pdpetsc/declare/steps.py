@@ -38,6 +38,12 @@ class Steps(Declared):
         What becomes of an equilibrium whose tangent has negative pivots, as of a column loaded past its critical force,
         where a factorisation tells. ``warn`` says so and goes on. ``shorten`` takes it as a step that failed, so that
         the run ends within the smallest step of the critical load; ``refuse`` ends it there.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Steps(4).stops()
+    [0.25, 0.5, 0.75, 1.0]
     """
 
     count: int = 1
@@ -86,6 +92,11 @@ class AdaptiveSteps(Declared):
         Step sizes as a share of the whole load.
     breaks, unstable
         As in ``Steps``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steps = pd.AdaptiveSteps(first=0.05, smallest=1e-3, largest=0.2)
     """
 
     first: float = 0.1

@@ -44,6 +44,12 @@ class BondAssociated(Scheme):
     References
     ----------
     Chen2019.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.BondAssociated(radius=1.25)
+    BondAssociated(radius=1.25)
     """
 
     radius: float = 1.0

@@ -31,6 +31,12 @@ class Corrected(Scheme):
     References
     ----------
     Chowdhury2018, section 3, Eq. (8)-(15), there in one dimension.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Corrected(order=3)
+    Corrected(order=3)
     """
 
     order: int = 2

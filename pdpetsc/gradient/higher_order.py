@@ -38,6 +38,12 @@ class HigherOrder(Scheme):
     References
     ----------
     Yaghoobi2017, title, abstract and sections 1-2; the conditions on the moments follow from these.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.HigherOrder(order=5)
+    HigherOrder(order=5)
     """
 
     order: int = 3

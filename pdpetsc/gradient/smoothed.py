@@ -34,6 +34,12 @@ class SmoothedDisplacement(Scheme):
     References
     ----------
     Wu2015, as described in Yaghoobi2017, section 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.SmoothedDisplacement(radius=0.5)
+    SmoothedDisplacement(radius=0.5)
     """
 
     radius: float = 0.5

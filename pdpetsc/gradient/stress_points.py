@@ -37,6 +37,12 @@ class StressPoints(Scheme):
     References
     ----------
     Luo2018, section 3, Fig. 3-5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.StressPoints(seed=3)
+    StressPoints(seed=3)
     """
 
     seed: int = 1

@@ -38,6 +38,13 @@ class SubHorizons(Scheme):
     References
     ----------
     Chowdhury2018, section 4, Eq. (19)-(34).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> eight = pd.SubHorizons(sectors=8)
+    >>> pd.SubHorizons().sectors is None  # halves, quadrants or octants
+    True
     """
 
     sectors: int | None = None

@@ -25,6 +25,12 @@ class Graded(Declared):
         The law; energy, stress and tangent are multiplied.
     factor : callable
         ``factor(x)`` with positions (n, dim) returns positive numbers (n,) [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> soft = pd.LinearElastic(E=1000.0, nu=0.3)
+    >>> material = pd.Graded(soft, factor=lambda x: 1.0 + 0.5 * x[:, 0])
     """
 
     material: Material | BondMaterial

@@ -24,6 +24,12 @@ class Hencky(ElasticMaterial):
     References
     ----------
     Hashim, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Hencky(E=1000.0, nu=0.3)
+    Hencky(E=1000.0, nu=0.3, plane='strain')
     """
 
     def kernels(self, dim: int) -> PointKernels:

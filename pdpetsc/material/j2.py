@@ -44,6 +44,11 @@ class J2(HistoryMaterial):
     References
     ----------
     Simo1992; deSouzaNeto2008, section 14.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steel = pd.J2(E=200e3, nu=0.3, yield_stress=250.0, hardening=1e3)
     """
 
     yield_stress: float = 1.0

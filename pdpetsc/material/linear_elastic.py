@@ -18,6 +18,12 @@ class LinearElastic(ElasticMaterial):
     """Linear elastic material at small strain, ``P = lambda tr(eps) I + 2 mu eps``, ``eps = sym(F - I)``.
 
     Its tangent is constant: a body of nothing else is assembled and factored once.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.LinearElastic(E=200.0, nu=0.25).lame(3)
+    (80.0, 80.0)
     """
 
     linear: ClassVar[bool] = True

@@ -28,6 +28,11 @@ class NeoHookean(ElasticMaterial):
     References
     ----------
     Bonet2008, section 6.4.3.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> rubber = pd.NeoHookean(E=1.0, nu=0.45, plane="stress")
     """
 
     def kernels(self, dim: int) -> PointKernels:

@@ -22,6 +22,12 @@ class SaintVenantKirchhoff(ElasticMaterial):
     References
     ----------
     Bonet2008, section 6.3.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.SaintVenantKirchhoff(E=1000.0, nu=0.3)
+    SaintVenantKirchhoff(E=1000.0, nu=0.3, plane='strain')
     """
 
     def kernels(self, dim: int) -> PointKernels:

@@ -60,6 +60,11 @@ class Mean(Quantity):
         ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
     region : Region
         Where; everywhere by default.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> right = pd.Mean(pd.displacement, "x", pd.region.Slab("x", low=9.0))
     """
 
     field: Field
@@ -85,13 +90,25 @@ class Mean(Quantity):
 
 
 def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:
-    """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones)."""
+    """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.At((10.0, 1.0), pd.displacement, "y")
+    """
     return Mean(field, component, Nearest(point))
 
 
 @dataclass(frozen=True)
 class Reaction(Quantity):
-    """Sum of one component of the support forces in a region [force]."""
+    """Sum of one component of the support forces in a region [force].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> force = pd.Reaction("x", pd.region.Slab("x", high=1.0))
+    """
 
     component: str
     region: Region = EVERYWHERE
@@ -113,7 +130,13 @@ class Reaction(Quantity):
 
 @dataclass(frozen=True)
 class CellStrain(Quantity):
-    """Component of the mean strain of a periodic cell [-]."""
+    """Component of the mean strain of a periodic cell [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> strain = pd.CellStrain("xy")
+    """
 
     component: str
 
@@ -133,7 +156,13 @@ class CellStrain(Quantity):
 
 @dataclass(frozen=True)
 class CellStress(Quantity):
-    """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress]."""
+    """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> stress = pd.CellStress("xx")
+    """
 
     component: str
 
@@ -153,7 +182,13 @@ class CellStress(Quantity):
 
 @dataclass(frozen=True)
 class StrainEnergy(Quantity):
-    """Strain energy of the body without that of its zero-energy control [energy]."""
+    """Strain energy of the body without that of its zero-energy control [energy].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"energy": pd.StrainEnergy()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
@@ -162,7 +197,13 @@ class StrainEnergy(Quantity):
 
 @dataclass(frozen=True)
 class ControlEnergy(Quantity):
-    """Energy of the zero-energy control [energy]: how much it interferes."""
+    """Energy of the zero-energy control [energy]: how much it interferes.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"energy": pd.StrainEnergy(), "of control": pd.ControlEnergy()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
@@ -171,7 +212,13 @@ class ControlEnergy(Quantity):
 
 @dataclass(frozen=True)
 class ExternalWork(Quantity):
-    """What loads and supports have done [energy], by the trapezoidal rule over the steps."""
+    """What loads and supports have done [energy], by the trapezoidal rule over the steps.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"work": pd.ExternalWork()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the work."""
@@ -185,6 +232,11 @@ class DissipatedEnergy(Quantity):
     Of bonds with forces of their own it is what their laws have dissipated, whatever the steps: external work less the
     energy stored is larger by what jumps of a load step have set free, and by the error of the work between steps. In
     other bodies, and where a term of the case has a history, it is that difference.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"work": pd.ExternalWork(), "dissipated": pd.DissipatedEnergy()}
     """
 
     def evaluate(self, solution: Solution) -> float:
@@ -207,6 +259,11 @@ class CrackTip(Quantity):
         Local damage above which a particle is cracked [-]; a straight crack beside it cuts about a third.
     region : Region
         Where the crack is.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.CrackTip(direction=(1.0, 0.0), region=pd.region.Slab("y", low=4.0, high=6.0))
     """
 
     direction: tuple[float, ...]
@@ -237,7 +294,13 @@ class CrackTip(Quantity):
 
 @dataclass(frozen=True)
 class BrokenBonds(Quantity):
-    """How many pairs of particles have lost their bond."""
+    """How many pairs of particles have lost their bond.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"broken": pd.BrokenBonds()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the number."""
@@ -246,7 +309,13 @@ class BrokenBonds(Quantity):
 
 @dataclass(frozen=True)
 class Largest(Quantity):
-    """Largest value of a field component over a region."""
+    """Largest value of a field component over a region.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> peak = pd.Largest(pd.stress, "yy", pd.region.Sphere((5.0, 2.0), radius=1.5))
+    """
 
     field: Field
     component: str = ""
@@ -283,6 +352,11 @@ class RelativeError(Quantity):
         ``reference(x, t)`` with (n, dim) positions returns values of the field's shape.
     region : Region
         Where; particles with zero reference are left out. NaN where it is zero everywhere.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> error = pd.RelativeError(pd.displacement, lambda x, t: 0.01 * t * x)
     """
 
     field: Field
@@ -310,7 +384,13 @@ class RelativeError(Quantity):
 
 @dataclass(frozen=True)
 class LargestError(Quantity):
-    """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region."""
+    """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> error = pd.LargestError(pd.displacement, lambda x, t: 0.01 * t * x)
+    """
 
     field: Field
     reference: Callable[[Float, float], Float]

@@ -23,7 +23,8 @@ class LinearSolid(BondMaterial):
     Parameters
     ----------
     E, plane, kinematics
-        As for every material of bonds.
+        Young's modulus [stress], ``"strain"`` or ``"stress"`` for plane strain or plane stress, and ``"small"`` or
+        ``"finite"`` displacements, as for every ``BondMaterial``.
     nu : float
         Poisson's ratio [-], between -1 and 0.5, both excluded.
 

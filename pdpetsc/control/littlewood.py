@@ -1,4 +1,4 @@
-"""Littlewood's penalty on what a bond's length and a uniform gradient disagree about."""
+"""Littlewood's penalty on how far the elongation of a bond is from that of the uniform gradient of its family."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Littlewood(ZeroEnergyControl):
     ``c_i = 2 dim^2 kappa / sum_j omega |xi| V_j`` is the micromodulus of a bond-based solid on the family at hand
     (``18 kappa / pi horizon^4`` in 3D with many neighbours), so ``C`` is a pure number. The direction of the bond is
     that of the reference configuration and the forces derive from an energy, which makes the matrix constant and
-    symmetric; the original turns with the bond and acts on its two ends alone.
+    symmetric; in Littlewood2010 it turns with the bond, and the force acts on the two ends of the bond alone.
 
     Parameters
     ----------

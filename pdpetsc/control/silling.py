@@ -26,8 +26,8 @@ class Silling(ZeroEnergyControl):
     """Silling's control, ``T_z = G kappa / (sum_j omega |xi|^2 V_j) omega z`` with ``z = eta - (F - I) xi``.
 
     ``kappa = lambda + 2 mu / dim`` is the modulus of the material, so ``G`` is a pure number: the same case in other
-    units has the same answer. It acts on what a uniform gradient of the whole family leaves unexplained and leaves
-    every affine displacement alone.
+    units has the same answer. It resists the part of the deformation that a uniform gradient of the whole family does
+    not describe, so affine displacements have no force.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ class SillingMicromodulus(ZeroEnergyControl):
     G : float
         Strength, not negative: a number for one unit of length.
     unit_length : float
-        That unit in the unit of the case [length]: 1 where the case is in the paper's units, 1000 where the paper
-        computes in m and the case in mm. The same ``G`` and unit give the same answer in every unit of the case.
+        That unit of length, in the unit of the case [length]: 1 where the case is in the paper's units, 1000 where the
+        paper computes in m and the case in mm. The same ``G`` and unit give the same answer in every unit of the case.
 
     Raises
     ------
@@ -117,12 +117,12 @@ class SillingMicromodulus(ZeroEnergyControl):
 
         It is ``G (unit_length / horizon)^2 c sum omega |xi|^2 / (horizon^2 sum omega)`` with c = 12 / pi in 2D and
         18 / pi in 3D, sums over the lattice; families that a boundary cuts have other sums and differ from it. It is
-        proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` leads back.
+        proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` turns it back.
 
         Parameters
         ----------
         spacing, horizon : float
-            Of the lattice [length].
+            Spacing and horizon of the lattice [length].
         dim : int
             2 or 3.
         influence : Influence

@@ -21,6 +21,12 @@ class Hencky(ElasticMaterial):
     ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T``; the tangent is that of ``kernels.principal`` with
     moduli ``lambda + 2 mu delta_ab``.
 
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"`` for plane strain or stress, as
+        for every ``Material``.
+
     References
     ----------
     Hashim, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.

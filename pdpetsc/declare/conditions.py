@@ -15,8 +15,8 @@ from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 
-# A number, multiplied with the schedule, or a function of positions (n, dim) and step time that returns (n,) values,
-# multiplied with the schedule where one is given.
+# A number, which is multiplied by the schedule, or a function of positions (n, dim) and step time that returns (n,)
+# values, which are multiplied by the schedule where one is given.
 Value: TypeAlias = float | Callable[[Float, float], Float]
 
 
@@ -98,7 +98,16 @@ def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...]
 
 @dataclass(frozen=True)
 class Displacement(_Vector):
-    """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free.
+    """Prescribed displacement of a region; components that are not given are free.
+
+    Parameters
+    ----------
+    region : Region
+        Which particles.
+    x, y, z : float or callable, optional
+        Components [length]: numbers, or functions of positions (n, dim) and step time that return (n,) values.
+    schedule : callable, optional
+        Factor on the components as a function of the step time; by default ``Ramp`` for numbers and 1 for functions.
 
     Examples
     --------
@@ -108,13 +117,20 @@ class Displacement(_Vector):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.displacement(self, name)
 
 
 @dataclass(frozen=True)
 class Force(_Vector):
-    """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume.
+    """Total dead force on a region, shared by its particles in proportion to their volumes.
+
+    Parameters
+    ----------
+    region, schedule
+        As for ``Displacement``.
+    x, y, z : float or callable, optional
+        Components [force]: numbers or functions.
 
     Examples
     --------
@@ -123,13 +139,20 @@ class Force(_Vector):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.force(self, name)
 
 
 @dataclass(frozen=True)
 class BodyForce(_Vector):
-    """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume].
+    """Dead force per reference volume on the particles of a region.
+
+    Parameters
+    ----------
+    region, schedule
+        As for ``Displacement``.
+    x, y, z : float or callable, optional
+        Components [force / volume]: numbers or functions.
 
     Examples
     --------
@@ -138,16 +161,22 @@ class BodyForce(_Vector):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.body_force(self, name)
 
 
 @dataclass(frozen=True)
 class Traction(_Vector):
-    """Dead traction ``x``, ``y``, ``z`` [stress] on the face whose outer particles the region selects.
+    """Dead traction on a face of the body.
 
     Parameters
     ----------
+    region : Region
+        The outer particles of the face.
+    x, y, z : float or callable, optional
+        Components [stress]: numbers or functions, as for ``Displacement``.
+    schedule : callable, optional
+        As for ``Displacement``.
     normal : sequence of float
         Outward normal of the face; its length does not matter.
     distribution : {"layer", "consistent"}
@@ -156,8 +185,8 @@ class Traction(_Vector):
         stress ``t (x) n`` in equilibrium: a uniform traction then gives a uniform gradient. It reaches two horizons
         into the body. Both add up to the traction times the area of the face.
     area : float, optional
-        Area of the face [area; length times thickness in 2D, cross-section in 1D], for particles that do not know their
-        faces: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
+        Area of the face [area; length times thickness in 2D, cross-section in 1D], where it does not follow from the
+        particles: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
 
     Examples
     --------
@@ -170,7 +199,7 @@ class Traction(_Vector):
     area: float | None = field(default=None, kw_only=True)
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.traction(self, name)
 
     def unit_normal(self, dim: int) -> Float:
@@ -195,6 +224,8 @@ def Pressure(
     area: float | None = None,
 ) -> Traction:
     """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``.
+
+    The other arguments are those of ``Traction``.
 
     Examples
     --------
@@ -256,7 +287,7 @@ class MeanStrain(_Tensor):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.mean_strain(self, name)
 
 
@@ -273,7 +304,7 @@ class MeanStress(_Tensor):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.mean_stress(self, name)
 
 

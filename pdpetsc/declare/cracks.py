@@ -17,7 +17,7 @@ TOUCHING = 1e-9
 
 
 class Crack(Declared, ABC):
-    """A surface without forces across it from the start."""
+    """A pre-crack: the bonds that cross it are left out from the start."""
 
     @abstractmethod
     def cuts(self, a: Float, b: Float) -> Mask:
@@ -32,7 +32,7 @@ class Crack(Declared, ABC):
 
 @dataclass(frozen=True)
 class Segment(Crack):
-    """A straight crack in the plane from ``start`` to ``end`` [length]; ends count.
+    """A straight crack in the plane from ``start`` to ``end`` [length], both included.
 
     Examples
     --------

@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 
 
 class Influence(Declared, ABC):
-    """How much a bond counts, from its length over the horizon."""
+    """Influence omega of a bond as a function of its length over the horizon [-]."""
 
     @abstractmethod
     def __call__(self, s: Float) -> Float:
@@ -40,7 +40,7 @@ class Constant(Influence):
 
 @dataclass(frozen=True)
 class Linear(Influence):
-    """``omega = 1 - s``; a bond exactly as long as the horizon does not count.
+    """``omega = 1 - s``; a bond exactly as long as the horizon has no influence.
 
     Examples
     --------
@@ -75,6 +75,11 @@ class Cubic(Influence):
 @dataclass(frozen=True)
 class Gaussian(Influence):
     """``omega = exp(-(s / width)^2)``.
+
+    Parameters
+    ----------
+    width : float
+        Length over the horizon at which omega has fallen to 1 / e [-].
 
     Examples
     --------

@@ -15,6 +15,7 @@ from pdpetsc.declare.region import Region, View
 from pdpetsc.declared import Declared, real_numbers, shown
 from pdpetsc.errors import CaseError
 
+# A side may differ from a whole number of cells by this share of it.
 WHOLE_CELLS = 1e-6
 # Numbers of a lattice that differ by less, relatively, are the same.
 ALONG = 1e-6
@@ -68,7 +69,7 @@ class Particles(Declared, ABC):
         Raises
         ------
         CaseError
-            The particles do not know their faces.
+            The area of the free faces does not follow from the particles.
         """
         raise CaseError(
             f"Particles of {type(self).__name__} do not know their faces; give the Traction the area of its face."

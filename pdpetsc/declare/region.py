@@ -1,4 +1,4 @@
-"""Regions: which particles a condition, a material or a quantity speaks of. Combine with ``|``, ``&`` and ``~``."""
+"""Regions: which particles a condition, a material or a quantity applies to. Combine with ``|``, ``&`` and ``~``."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Region(Declared, ABC):
         """Return which particles belong to the region, (n,) bool (collective for ``Nearest``)."""
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the region is one of bodies of other dimensions than ``dim``."""
+        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
 
     def __or__(self, other: Region) -> Region:
         return _Union(self, other)

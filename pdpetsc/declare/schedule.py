@@ -16,7 +16,7 @@ Schedule: TypeAlias = Callable[[float], float]
 
 @dataclass(frozen=True)
 class Ramp:
-    """Factor ``t``: nothing at the start, everything at the end.
+    """Factor ``t``: 0 at the start of the run, 1 at its end, linear in between.
 
     Examples
     --------
@@ -48,7 +48,14 @@ class Hold:
 
 @dataclass(frozen=True)
 class Table(Declared):
-    """Factors at given times, linear in between.
+    """Factors at given step times: linear in between, constant before the first and after the last.
+
+    Parameters
+    ----------
+    times : sequence of float
+        At least two step times, ascending [-].
+    factors : sequence of float
+        The factor at each [-].
 
     Examples
     --------

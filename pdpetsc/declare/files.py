@@ -1,6 +1,6 @@
 """Particles from files: text clouds and finite element meshes.
 
-Every rank reads the file and keeps its own part; only while reading does it hold more.
+Every rank reads the whole file and keeps its own part of the particles.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class Mesh(Particles):
 def _surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, GlobalIndex, Float]:
     """Return the number of cells, the cell of every free facet and its outward vector area.
 
-    It is kept, since every traction asks for it, as long as the file stays the same ``version``.
+    The result is cached, since every traction asks for it, as long as the file has the same ``version``.
     """
     _, points, blocks = mesh._cells()
     surface = facets(points, blocks)

@@ -236,9 +236,10 @@ class ExternalWork(Quantity):
 class DissipatedEnergy(Quantity):
     """Energy that the body has dissipated [energy].
 
-    In bond-based bodies it is what the damage laws of the bonds have dissipated, which does not depend on the steps. In
-    other bodies, and where a term of the case has a history, it is the external work less the stored energy, which also
-    contains the energy set free by jumps within a load step and the error of the trapezoidal rule.
+    In bond-based bodies it is what the damage laws of the bonds have dissipated, which does not depend on the steps; in
+    elastic bodies without damage it is 0. In other bodies, and where a term of the case has a history, it is the
+    external work less the stored energy: that also contains the energy set free by jumps within a load step and the
+    error of the trapezoidal rule.
 
     Examples
     --------

@@ -35,7 +35,7 @@ class Neighbourhood:
     influence : Influence
         The function that gave ``omega``.
     thickness : float
-        What the volumes contain beyond the dimension [length^(3 - dim)].
+        Thickness of a plane body or cross-section of a bar, which the volumes contain [length^(3 - dim)].
     """
 
     cloud: Cloud
@@ -62,7 +62,7 @@ class Neighbourhood:
 
 @dataclass(frozen=True)
 class BondStiffness:
-    """What a material gives to its bonds and particles.
+    """Stiffness that a material gives to its bonds and particles.
 
     The energy is ``sum_ij 1/2 k_ij e_ij^2 + sum_i 1/2 B_i (sum_j a_ij e_ij)^2`` over the bonds ``ij`` of every particle
     ``i``, so that a pair counts twice, once from each end.
@@ -91,9 +91,9 @@ class BondMaterial(Declared, ABC):
     E : float
         Young's modulus [stress], positive.
     nu : float, optional
-        Poisson's ratio [-]. A line ignores it.
+        Poisson's ratio [-]; a bar in 1D needs it for its lateral stretch only.
     plane : {"strain", "stress"}
-        What a two-dimensional body does out of plane.
+        Plane strain or plane stress of a two-dimensional body: no strain or no stress across it.
     kinematics : {"small", "finite"}
         ``small``: bonds keep their direction and elongate by ``n . eta``, the forces are linear in the displacement.
         ``finite``: bonds turn, and elongate by ``|xi + eta| - |xi|``.

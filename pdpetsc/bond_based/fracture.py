@@ -11,12 +11,12 @@ from pdpetsc.bond_based.base import Neighbourhood
 from pdpetsc.damage import BondDamage, ConstantCritical, FractureEnergy
 from pdpetsc.discrete.communicator import largest, total
 
-# Families whose energy is this close to the largest one are whole.
+# Families whose energy is within this share of the largest one count as whole.
 WHOLE = 0.05
 
 
 def resolve(damage: BondDamage, bonds: Neighbourhood, k: Float) -> BondDamage:
-    """Return the law with a fracture energy turned into a critical stretch; any other as it is (collective).
+    """Return the law with a fracture energy turned into a critical stretch; other laws unchanged (collective).
 
     Breaking all bonds across a unit area with normal ``n`` takes ``G = 1 / V_i sum_j w_ij |xi . n|`` with the energy
     ``w_ij`` of a bond from one end, averaged over the axes and the whole families of the body.

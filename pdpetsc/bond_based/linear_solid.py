@@ -23,13 +23,19 @@ class LinearSolid(BondMaterial):
     Parameters
     ----------
     E, plane, kinematics
-        As for every material of bonds.
+        Young's modulus [stress], ``"strain"`` or ``"stress"`` for plane strain or plane stress, and ``"small"`` or
+        ``"finite"`` displacements, as for every ``BondMaterial``.
     nu : float
         Poisson's ratio [-], between -1 and 0.5, both excluded.
 
     References
     ----------
-    Silling, Epton, Weckner, Xu, Askari (2007), section 15; in 2D Le, Chan, Schwartz (2014).
+    Silling2007, section 15; in 2D Le2014.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> concrete = pd.LinearSolid(E=30e3, nu=0.2, plane="stress")
     """
 
     def __post_init__(self) -> None:

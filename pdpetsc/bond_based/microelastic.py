@@ -14,10 +14,12 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.linear_elastic import LinearElastic
 
-# Families whose moment is this close to the largest one are whole.
+# Families whose moment is within this share of the largest one count as whole.
 WHOLE = 0.01
-# A family has at least this share of the energy of a whole one in each direction, or none that could be corrected.
+# A family is corrected as if it had at least this share of the energy of a whole one along each axis: the factor is
+# bounded.
 LEAST = 1e-2
+# A Poisson's ratio that differs from the fixed one by no more than this is accepted [-].
 SAME_RATIO = 1e-3
 
 
@@ -31,7 +33,8 @@ class BondBased(BondMaterial):
     Parameters
     ----------
     E, plane, kinematics
-        As for every material of bonds.
+        Young's modulus [stress], ``"strain"`` or ``"stress"`` for plane strain or plane stress, and ``"small"`` or
+        ``"finite"`` displacements, as for every ``BondMaterial``.
     nu : float, optional
         Poisson's ratio [-]; where given it must be the fixed one.
     calibration : {"continuum", "lattice", "family"}
@@ -44,8 +47,13 @@ class BondBased(BondMaterial):
 
     References
     ----------
-    Silling (2000); Silling, Askari (2005), section 3; Mikes, Jirasek, Zeman, Rokos, Peerlings, Eq. (2)-(6). Surface:
-    Madenci, Oterkus (2014), section 4.2.
+    Silling2000; Silling2005, section 3; Mikes2021, Eq. (2)-(6). Correction of the surface: Madenci2014, section 4.2.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.BondBased(E=30e3, calibration="lattice").elastic(dim=3).nu
+    0.25
     """
 
     calibration: Literal["continuum", "lattice", "family"] = "continuum"
@@ -90,7 +98,7 @@ def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     cloud, families = bonds.cloud, bonds.families
     n = families.bonds(cloud.x) / bonds.length[:, None]
     weight = bonds.omega * bonds.length * cloud.volume[families.neighbours]
-    # Energy of the particle when stretched along each axis, and how much that lacks of the largest in the body.
+    # Energy of the particle when stretched along each axis, and the largest in the body over it.
     W = sum_by(families.centres, weight[:, None] * n**4, cloud.n_owned)
     whole = np.array([largest(cloud.comm, float(column.max(initial=0.0))) for column in W.T])
     g = whole / np.maximum(W, LEAST * whole)

@@ -23,7 +23,7 @@ __all__ = [
     "ZeroEnergyControl",
 ]
 
-# Every control whose strength does not depend on units or spacing, by the word that cases and the command line use.
+# Every control whose strength does not depend on units or spacing, under the word by which it is selected.
 CONTROLS: dict[str, ZeroEnergyControl | None] = {
     "none": None,
     "silling": Silling(),

@@ -1,4 +1,4 @@
-"""Averaged displacement states."""
+"""Zero-energy control by averaged displacement states."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pdpetsc.kernels.control import average_force_kernel
 
 @dataclass(frozen=True)
 class RelativeAverage(ZeroEnergyControl):
-    """Averaged displacement states of a share of the stiffness of the material.
+    """Averaged displacement states whose stiffness is a share of that of the material.
 
     ``T_a = C kappa / (sum_j omega |xi|^2 V_j sum_j omega V_j) omega a_i`` with ``a_i = sum_j omega eta_ij V_j``.
     ``C`` is a pure number, the same in all units and at all spacings. On whole families of a lattice ``a`` vanishes for
@@ -41,7 +41,13 @@ class RelativeAverage(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8). The factor is ours.
+    Breitenfeld2014; Luo2018, Eq. (8). The factor that makes ``C`` a pure number is of this package.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.RelativeAverage(C=0.2)
+    RelativeAverage(C=0.2)
     """
 
     C: float = 0.1
@@ -61,12 +67,12 @@ class RelativeAverage(ZeroEnergyControl):
 
 @dataclass(frozen=True)
 class AveragedDisplacement(ZeroEnergyControl):
-    """Averaged displacement states with the constant of the papers, ``T_a = C2 omega a_i``.
+    """Averaged displacement states with one constant for the whole body, as published, ``T_a = C2 omega a_i``.
 
-    ``a_i = sum_j omega eta_ij V_j``. The factor omega, which the paper leaves out, makes the force derive from the
+    ``a_i = sum_j omega eta_ij V_j``. The factor omega, which Luo2018 leaves out, makes the force derive from the
     energy ``1/2 C2 sum_i V_i |a_i|^2``; with constant influence it makes no difference. ``C2`` carries a unit and its
     best value depends on the spacing: it is here to compare with papers, ``RelativeAverage`` is the same in all units.
-    The constants of Luo's Table 1 belong to an average without volumes: in a bar of unit cross-section they are
+    The constants of Luo2018, Table 1, belong to an average without volumes: in a bar of unit cross-section they are
     ``C2 / dx`` here.
 
     Parameters
@@ -76,7 +82,13 @@ class AveragedDisplacement(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (8) and Table 1.
+    Breitenfeld2014; Luo2018, Eq. (8) and Table 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.AveragedDisplacement(C2=1e3)
+    AveragedDisplacement(C2=1000.0)
     """
 
     C2: float

@@ -49,7 +49,7 @@ class Stiffness:
 def relative_factor(cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Float:
     """Return ``kappa_i / sum_j omega |xi|^2 V_j`` (n_owned,) [force / length^7], 0 for a particle without family.
 
-    A bond force ``C`` times it times ``omega eta`` is a share ``C`` of the stiffness of the material whatever the
+    Bond forces ``C`` times it times ``omega eta`` have the share ``C`` of the stiffness of the material, whatever the
     units, the spacing and the horizon (not collective).
     """
     xi = families.bonds(cloud.x)
@@ -149,9 +149,9 @@ class Control(ABC):
         """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
 
     def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness (n_bonds,) and shape tensors with which H is the gradient of a scheme, if it is.
+        """Return bond stiffness (n_bonds,) and shape tensors where it uses the gradient of ``operator``, else None.
 
-        Then one pass over the families serves both (not collective).
+        One pass over the families can then compute the forces of the material and of the control (not collective).
         """
         return None
 
@@ -170,9 +170,9 @@ class Control(ABC):
         raise CaseError(_NO_DAMAGE)
 
     def faded(self, integrity: Float) -> Control:
-        """Return the control with the force of every bond times its integrity (n_bonds,); its gradient stays.
+        """Return the control with the force of every bond times its integrity (n_bonds,), and its gradient as it is.
 
-        Its matrix is that of a constant integrity.
+        Its matrix takes the integrity as constant.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class Control(ABC):
     def bond_forces(self, u: Float) -> Float:
         """Return the force of every bond on its second end (n_bonds, dim) [force] for displacements with ghosts.
 
-        Without what ``faded`` multiplies it with (not collective).
+        The integrity that ``faded`` multiplies them with is not in them (not collective).
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Littlewood's penalty on what a bond's length and a uniform gradient disagree about."""
+"""Littlewood's penalty on how far the elongation of a bond is from that of the uniform gradient of its family."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Littlewood(ZeroEnergyControl):
     ``c_i = 2 dim^2 kappa / sum_j omega |xi| V_j`` is the micromodulus of a bond-based solid on the family at hand
     (``18 kappa / pi horizon^4`` in 3D with many neighbours), so ``C`` is a pure number. The direction of the bond is
     that of the reference configuration and the forces derive from an energy, which makes the matrix constant and
-    symmetric; the original turns with the bond and acts on its two ends alone.
+    symmetric; in Littlewood2010 it turns with the bond, and the force acts on the two ends of the bond alone.
 
     Parameters
     ----------
@@ -32,7 +32,13 @@ class Littlewood(ZeroEnergyControl):
 
     References
     ----------
-    Littlewood (2010), IMECE2010-40621; Tupek and Radovitzky (2014).
+    Littlewood2010; Tupek2014.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Littlewood(C=0.05)
+    Littlewood(C=0.05)
     """
 
     C: float = 0.1

@@ -1,4 +1,4 @@
-"""Controls on ``z = eta - H xi``, what a gradient of the whole family leaves unexplained."""
+"""Controls on ``z = eta - H xi``: the deformation of a bond less that of the gradient H of its family."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class NonUniform(Control):
     K_inverse : (n_owned, dim, dim) float64
         Inverse of ``sum_j s_ij xi (x) xi``, which makes H the gradient that fits the family best; zero for H = 0.
     integrity : (n_bonds,) float64, optional
-        ``T_ij`` [-], which H does not know of; 1 where absent. The forces have no potential then.
+        ``T_ij`` [-], on the forces but not in H, so that they do not derive from an energy; 1 where absent.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class NonUniform(Control):
         return self._stiffness, np.linalg.inv(self._K_inverse)
 
     def damaged(self, integrity: Float) -> Control:
-        """Return the control with ``s_ij`` times the integrity; a family left flat gives no gradient across it."""
+        """Return the control with ``s_ij`` times the integrity; H is zero in directions without bonds left."""
         stiffness = self._stiffness * integrity
         K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
         held = self._K_inverse.any(axis=(1, 2))
@@ -88,7 +88,7 @@ class NonUniform(Control):
         return NonUniform(self._cloud, self._families, stiffness, K_inverse)
 
     def faded(self, integrity: Float) -> Control:
-        """Return the control with ``T_ij``."""
+        """Return the control with the integrity as ``T_ij``."""
         return NonUniform(self._cloud, self._families, self._stiffness, self._K_inverse, integrity)
 
     def bond_forces(self, u: Float) -> Float:

@@ -1,4 +1,4 @@
-"""The penalty on what a uniform gradient leaves unexplained, with the constant of the papers."""
+"""The penalty on the non-uniform part of the deformation, with one constant for the whole body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pdpetsc.gradient.base import regular_shape_tensors
 class Penalty(ZeroEnergyControl):
     """Penalty of one constant for the whole body, ``T_a = C3 omega z`` with ``z = eta - (F - I) xi``.
 
-    It leaves affine displacements alone. ``C3`` carries a unit and its best value depends on the spacing and the
+    Affine displacements have no force. ``C3`` carries a unit and its best value depends on the spacing and the
     material: it is here to compare with papers. Scaled with the modulus and the family of each particle it is
     ``Silling``, ``G kappa = C3 sum_j omega |xi|^2 V_j``.
 
@@ -29,8 +29,13 @@ class Penalty(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014), third method, as Luo, Sundararaghavan (2018), section 5.1, and
-    Silling (2017), section 5, describe it.
+    Breitenfeld2014, third method, as described in Luo2018, section 5.1, and Silling2017, section 5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Penalty(C3=2.0)
+    Penalty(C3=2.0)
     """
 
     C3: float

@@ -1,4 +1,4 @@
-"""The uniform gradient that a control leaves alone."""
+"""Weights of the uniform gradient of a family, which a control does not resist."""
 
 from __future__ import annotations
 

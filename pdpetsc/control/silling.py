@@ -26,8 +26,8 @@ class Silling(ZeroEnergyControl):
     """Silling's control, ``T_z = G kappa / (sum_j omega |xi|^2 V_j) omega z`` with ``z = eta - (F - I) xi``.
 
     ``kappa = lambda + 2 mu / dim`` is the modulus of the material, so ``G`` is a pure number: the same case in other
-    units has the same answer. It acts on what a uniform gradient of the whole family leaves unexplained and leaves
-    every affine displacement alone.
+    units has the same answer. It resists the part of the deformation that a uniform gradient of the whole family does
+    not describe, so affine displacements have no force.
 
     Parameters
     ----------
@@ -41,7 +41,13 @@ class Silling(ZeroEnergyControl):
 
     References
     ----------
-    Silling (2017), section 5; Hashim et al., Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
+    Silling2017, section 5; Hashim, Eq. (37)-(44), whose coefficient is that of ``SillingMicromodulus``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Silling(G=0.2)
+    Silling(G=0.2)
     """
 
     G: float = 0.5
@@ -59,7 +65,7 @@ class Silling(ZeroEnergyControl):
 
 @dataclass(frozen=True)
 class SillingMicromodulus(ZeroEnergyControl):
-    """Silling's control as Hashim et al. print it, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
+    """Silling's control as printed in Hashim, ``T_z = G C / omega_0 omega z`` with ``omega_0 = sum_j omega V_j``.
 
     ``C = 12 k' / (pi h horizon^4)`` is the micromodulus of a bond-based solid with ``k' = lambda + mu`` in plane strain
     or stress; the thickness h is one unit of length. In 3D ``C = 18 k / (pi horizon^4)`` with the bulk modulus k.
@@ -72,8 +78,8 @@ class SillingMicromodulus(ZeroEnergyControl):
     G : float
         Strength, not negative: a number for one unit of length.
     unit_length : float
-        That unit in the unit of the case [length]: 1 where the case is in the paper's units, 1000 where the paper
-        computes in m and the case in mm. The same ``G`` and unit give the same answer in every unit of the case.
+        That unit of length, in the unit of the case [length]: 1 where the case is in the paper's units, 1000 where the
+        paper computes in m and the case in mm. The same ``G`` and unit give the same answer in every unit of the case.
 
     Raises
     ------
@@ -82,7 +88,13 @@ class SillingMicromodulus(ZeroEnergyControl):
 
     References
     ----------
-    Hashim, Coombs, Augarde, Hattori, Eq. (37)-(44); Silling (2017), section 5.
+    Hashim, Eq. (37)-(44); Silling2017, section 5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> printed = pd.SillingMicromodulus(G=0.002, unit_length=1000.0)  # of a paper in m, in a case in mm
+    >>> same = pd.Silling(printed.unit_free(spacing=1.0, horizon=3.015))
     """
 
     G: float
@@ -105,12 +117,12 @@ class SillingMicromodulus(ZeroEnergyControl):
 
         It is ``G (unit_length / horizon)^2 c sum omega |xi|^2 / (horizon^2 sum omega)`` with c = 12 / pi in 2D and
         18 / pi in 3D, sums over the lattice; families that a boundary cuts have other sums and differ from it. It is
-        proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` leads back.
+        proportional to ``G``: ``G / SillingMicromodulus(1.0, unit_length).unit_free(...)`` turns it back.
 
         Parameters
         ----------
         spacing, horizon : float
-            Of the lattice [length].
+            Spacing and horizon of the lattice [length].
         dim : int
             2 or 3.
         influence : Influence

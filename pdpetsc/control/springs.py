@@ -1,4 +1,4 @@
-"""Springs on the bonds."""
+"""Zero-energy control by springs along the relative displacement of the bonds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pdpetsc.discrete.families import Families
 
 @dataclass(frozen=True)
 class RelativeSprings(ZeroEnergyControl):
-    """Linear springs of a share of the stiffness of the material.
+    """Linear springs on all bonds whose stiffness is a share of that of the material.
 
     ``T_a = C kappa / (sum_j omega |xi|^2 V_j) omega eta`` with the factor of ``Silling``: ``C`` is a pure number,
     the same in all units and at all spacings. Springs resist affine deformation and rotation as well: a bar is stiffer
@@ -28,7 +28,13 @@ class RelativeSprings(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (7). The factor is ours.
+    Breitenfeld2014; Luo2018, Eq. (7). The factor that makes ``C`` a pure number is of this package.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.RelativeSprings(C=0.001)
+    RelativeSprings(C=0.001)
     """
 
     C: float = 0.01
@@ -44,11 +50,11 @@ class RelativeSprings(ZeroEnergyControl):
 
 @dataclass(frozen=True)
 class Springs(ZeroEnergyControl):
-    """Linear springs with the constant of the papers, ``T_a = C1 omega eta``.
+    """Linear springs with one constant for the whole body, as published, ``T_a = C1 omega eta``.
 
     ``C1`` carries a unit and its best value depends on the spacing and on the softest material: it is here to compare
-    with papers, ``RelativeSprings`` is the same in all units. The constants of Luo's Table 1 belong to sums without the
-    volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
+    with papers, ``RelativeSprings`` is the same in all units. The constants of Luo2018, Table 1, belong to sums without
+    the volume of the neighbours: in a bar of unit cross-section they are ``C1 / dx`` here.
 
     Parameters
     ----------
@@ -57,7 +63,14 @@ class Springs(ZeroEnergyControl):
 
     References
     ----------
-    Breitenfeld, Geubelle, Weckner, Silling (2014); Luo, Sundararaghavan (2018), Eq. (7) and Table 1.
+    Breitenfeld2014; Luo2018, Eq. (7) and Table 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> dx = 0.002
+    >>> pd.Springs(C1=2.0 / dx)
+    Springs(C1=1000.0)
     """
 
     C1: float

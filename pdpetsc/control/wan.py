@@ -20,11 +20,16 @@ class Wan(ZeroEnergyControl):
 
     A is the small-strain stiffness of the material and K the shape tensor, so there is nothing to choose. On a regular
     lattice it is Silling's control with ``G kappa = dim (lambda + (dim + 1) mu)``: at nu = 1/4, G = 4 in plane strain
-    and 9 in 3D, stiffer than what bending of thin bodies bears.
+    and 9 in 3D, too stiff for the bending of thin bodies.
 
     References
     ----------
-    Wan, Chen, Chu, Liu (2019), Improved method for zero-energy mode suppression in peridynamic correspondence model.
+    Wan2019.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> control = pd.Wan()
     """
 
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:

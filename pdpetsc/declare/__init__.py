@@ -1,4 +1,4 @@
-"""What a case declares: particles, regions, influence, conditions, schedules, steps and quantities of interest.
+"""What a case declares: particles, regions, influence, conditions, schedules, steps and solvers.
 
-Nothing here knows ranks or PETSc. Particles come in parts, so that no rank needs to hold all of a lattice.
+Nothing here uses MPI or PETSc. Particles come in parts, so that no rank needs to hold all of a lattice.
 """

@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cells import Block, MeshData
 from pdpetsc.errors import CaseError
 
-# Elements that fill space or plane, and lines, by their type; the number is that of the nodes.
+# Element types of solids, plane elements, lines and beams; the number in them is that of the nodes, of beams the order.
 _SOLID = re.compile(r"^(?:A|D|DC)?C3D(\d+)")
 _PLANE = re.compile(r"^(?:CPS|CPE|CPEG|CAX|DC2D|AC2D|DCAX|M3D|SFM3D|R3D|DS|STRI|S)(\d+)")
 _LINE = re.compile(r"^(?:T2D|T3D|R2D|DC1D)(\d)")
@@ -25,7 +25,7 @@ _PLANES = {3: "triangle", 4: "quad", 6: "triangle", 8: "quad", 9: "quad"}
 _NO_CELLS = ("MASS", "ROTARYI", "SPRING", "DASHPOT", "CONN", "DCOUP", "GAP")
 # Keywords that make or move nodes and elements; without them the mesh would be another.
 _REFUSED = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"}
-# Files that include files, at most.
+# Largest depth of files that include files.
 _DEPTH = 8
 
 
@@ -68,7 +68,7 @@ def read(path: Path) -> MeshData:
         deck.instances += keyword == "INSTANCE"
         if keyword == "INSTANCE" and data:
             raise CaseError("it moves an instance of a part; write nodes where they are")
-        # What an assembly defines itself are points of reference; its sets name what is in an instance.
+        # Nodes and elements of an assembly itself are reference points, left out; its sets name members of an instance.
         own = section == "ASSEMBLY" and "INSTANCE" not in options
         if keyword == "NODE" and not own:
             _nodes(deck, options, data)
@@ -263,7 +263,8 @@ def _named(sets: dict[str, list[int]], word: str) -> list[int]:
 
 def _surface(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
     name, kind = _option(options, "NAME", "SURFACE"), options.get("TYPE", "ELEMENT").upper()
-    # Surfaces of other kinds, and those made of others, are of no use to particles; nor is all that is free.
+    # Only surfaces that name elements or nodes select particles: not those of other kinds or made of other surfaces,
+    # nor the whole free surface, whose name is empty.
     if kind not in ("ELEMENT", "NODE") or {"COMBINE", "CROP"} & set(options) or not all(words[0] for words in data):
         return
     for words in data:

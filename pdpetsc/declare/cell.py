@@ -25,6 +25,12 @@ class Cell(Declared):
         Corners of the cell [length]; only the coordinates in periodic directions matter.
     axes : str, optional
         Periodic directions, such as ``"x"`` or ``"xy"``; all of them where absent.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Cell(low=(0.0, 0.0), high=(10.0, 4.0), axes="x").components
+    [(0, 0)]
     """
 
     low: float | Sequence[float]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 
-# Simplices that a cell falls into, by its corner nodes; the first node is shared, so curved nodes are left out.
+# Simplices that a cell is divided into, by its corner nodes; nodes between corners are left out: edges are straight.
 SIMPLICES: dict[str, list[tuple[int, ...]]] = {
     "line": [(0, 1)],
     "triangle": [(0, 1, 2)],
@@ -71,7 +71,7 @@ class MeshData:
     points : (n_points, 1 to 3) float64
         Where the nodes are [length].
     blocks : list of Block
-        All cells, also those of boundaries; they count through the blocks.
+        All cells, also those of boundaries; they are numbered through all blocks.
     cell_sets : mapping of str to (n,) int64
         Named sets of cells.
     side_sets : mapping of str to (n,) int64

@@ -1,4 +1,4 @@
-"""A word of the command line that stands for an object."""
+"""Words that stand for objects, such as ``silling`` for a control on the command line."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 def choose(parameter: str, word: str, choices: Mapping[str, T]) -> T:
-    """Return what a case calls by name.
+    """Return the object that a word stands for.
 
     Parameters
     ----------
@@ -24,6 +24,12 @@ def choose(parameter: str, word: str, choices: Mapping[str, T]) -> T:
     ------
     CaseError
         No choice has that name.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.choose("scheme", "stress_points", pd.SCHEMES)
+    StressPoints(seed=1)
     """
     if word not in choices:
         raise CaseError(f"{parameter} is one of {', '.join(choices)}, not {word!r}.")

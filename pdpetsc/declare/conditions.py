@@ -15,8 +15,8 @@ from pdpetsc.declare.schedule import Hold, Ramp, Schedule
 from pdpetsc.declared import Declared, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 
-# A number, multiplied with the schedule, or a function of positions (n, dim) and step time that returns (n,) values,
-# multiplied with the schedule where one is given.
+# A number, which is multiplied by the schedule, or a function of positions (n, dim) and step time that returns (n,)
+# values, which are multiplied by the schedule where one is given.
 Value: TypeAlias = float | Callable[[Float, float], Float]
 
 
@@ -98,37 +98,85 @@ def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...]
 
 @dataclass(frozen=True)
 class Displacement(_Vector):
-    """Prescribed displacement components ``x``, ``y``, ``z`` [length]; what is not given is free."""
+    """Prescribed displacement of a region; components that are not given are free.
+
+    Parameters
+    ----------
+    region : Region
+        Which particles.
+    x, y, z : float or callable, optional
+        Components [length]: numbers, or functions of positions (n, dim) and step time that return (n,) values.
+    schedule : callable, optional
+        Factor on the components as a function of the step time; by default ``Ramp`` for numbers and 1 for functions.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> clamped = pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)
+    >>> sheared = pd.Displacement(pd.region.Slab("x", low=9.0), y=lambda x, t: 0.1 * t * x[:, 0])
+    """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.displacement(self, name)
 
 
 @dataclass(frozen=True)
 class Force(_Vector):
-    """Total dead force ``x``, ``y``, ``z`` [force], shared by the region's particles by volume."""
+    """Total dead force on a region, shared by its particles in proportion to their volumes.
+
+    Parameters
+    ----------
+    region, schedule
+        As for ``Displacement``.
+    x, y, z : float or callable, optional
+        Components [force]: numbers or functions.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.Force(pd.region.Nearest((10.0, 1.0)), y=-50.0)
+    """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.force(self, name)
 
 
 @dataclass(frozen=True)
 class BodyForce(_Vector):
-    """Dead force per reference volume ``x``, ``y``, ``z`` [force / volume]."""
+    """Dead force per reference volume on the particles of a region.
+
+    Parameters
+    ----------
+    region, schedule
+        As for ``Displacement``.
+    x, y, z : float or callable, optional
+        Components [force / volume]: numbers or functions.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> weight = pd.BodyForce(pd.region.All(), y=-9.81 * 2400.0)  # [N / m^3]
+    """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.body_force(self, name)
 
 
 @dataclass(frozen=True)
 class Traction(_Vector):
-    """Dead traction ``x``, ``y``, ``z`` [stress] on the face whose outer particles the region selects.
+    """Dead traction on a face of the body.
 
     Parameters
     ----------
+    region : Region
+        The outer particles of the face.
+    x, y, z : float or callable, optional
+        Components [stress]: numbers or functions, as for ``Displacement``.
+    schedule : callable, optional
+        As for ``Displacement``.
     normal : sequence of float
         Outward normal of the face; its length does not matter.
     distribution : {"layer", "consistent"}
@@ -137,8 +185,13 @@ class Traction(_Vector):
         stress ``t (x) n`` in equilibrium: a uniform traction then gives a uniform gradient. It reaches two horizons
         into the body. Both add up to the traction times the area of the face.
     area : float, optional
-        Area of the face [area; length times thickness in 2D, cross-section in 1D], for particles that do not know their
-        faces: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
+        Area of the face [area; length times thickness in 2D, cross-section in 1D], where it does not follow from the
+        particles: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pulled = pd.Traction(pd.region.Slab("x", low=9.0), x=5.0, normal=(1.0, 0.0))
     """
 
     normal: Sequence[float] = ()
@@ -146,7 +199,7 @@ class Traction(_Vector):
     area: float | None = field(default=None, kw_only=True)
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.traction(self, name)
 
     def unit_normal(self, dim: int) -> Float:
@@ -170,7 +223,17 @@ def Pressure(
     schedule: Schedule | None = None,
     area: float | None = None,
 ) -> Traction:
-    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``."""
+    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``.
+
+    The other arguments are those of ``Traction``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> top = pd.Pressure(pd.region.Slab("y", low=9.0), 2.0, normal=(0.0, 1.0))
+    >>> top.y
+    -2.0
+    """
     n = np.asarray(normal, dtype=float)
     length = float(np.linalg.norm(n))
     if not (length > 0.0 and math.isfinite(length)):
@@ -216,10 +279,15 @@ class MeanStrain(_Tensor):
     """Prescribed components of the mean strain of a periodic cell [-], ``u(x + n L) = u(x) + strain n L``.
 
     At finite deformation it is the mean stretch less one, ``U - I``, in axes that do not rotate.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> stretched = pd.MeanStrain(xx=0.01)
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.mean_strain(self, name)
 
 
@@ -228,10 +296,15 @@ class MeanStress(_Tensor):
     """Mean stress of a periodic cell [stress], per reference volume; 0 where neither it nor the strain is given.
 
     At finite deformation it is the symmetric part of the mean first Piola-Kirchhoff stress.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> sheared = pd.MeanStress(xy=5.0)
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Let what takes conditions in take it, under a name for messages (collective)."""
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.mean_stress(self, name)
 
 

@@ -17,7 +17,7 @@ TOUCHING = 1e-9
 
 
 class Crack(Declared, ABC):
-    """A surface without forces across it from the start."""
+    """A pre-crack: the bonds that cross it are left out from the start."""
 
     @abstractmethod
     def cuts(self, a: Float, b: Float) -> Mask:
@@ -32,7 +32,16 @@ class Crack(Declared, ABC):
 
 @dataclass(frozen=True)
 class Segment(Crack):
-    """A straight crack in the plane from ``start`` to ``end`` [length]; ends count."""
+    """A straight crack in the plane from ``start`` to ``end`` [length], both included.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> crack = pd.Segment((0.0, 0.5), (0.5, 0.5))
+    >>> crack.cuts(np.array([[0.2, 0.4]]), np.array([[0.2, 0.6]]))
+    array([ True])
+    """
 
     start: Sequence[float]
     end: Sequence[float]
@@ -55,7 +64,13 @@ class Segment(Crack):
 
 @dataclass(frozen=True)
 class Polyline(Crack):
-    """A crack in the plane through several points [length]."""
+    """A crack in the plane through several points [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> kinked = pd.Polyline([(0.0, 0.5), (0.3, 0.5), (0.5, 0.7)])
+    """
 
     points: Sequence[Sequence[float]]
 
@@ -71,7 +86,13 @@ class Polyline(Crack):
 
 @dataclass(frozen=True)
 class PlaneCrack(Crack):
-    """A crack over a whole plane (a line in 2D, a point in 1D) through ``point`` with ``normal``."""
+    """A crack over a whole plane (a line in 2D, a point in 1D) through ``point`` with ``normal``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> cut = pd.PlaneCrack(point=(0.5, 0.0, 0.0), normal=(1.0, 0.0, 0.0))
+    """
 
     point: Sequence[float]
     normal: Sequence[float]
@@ -83,7 +104,13 @@ class PlaneCrack(Crack):
 
 @dataclass(frozen=True)
 class Disc(Crack):
-    """A penny-shaped crack with ``centre``, ``normal`` and ``radius`` [length]."""
+    """A penny-shaped crack with ``centre``, ``normal`` and ``radius`` [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> penny = pd.Disc(centre=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), radius=0.25)
+    """
 
     centre: Sequence[float]
     normal: Sequence[float]
@@ -104,7 +131,13 @@ class Disc(Crack):
 
 @dataclass(frozen=True)
 class PolygonCrack(Crack):
-    """A plane crack inside a closed polygon of at least three points in space [length]."""
+    """A plane crack inside a closed polygon of at least three points in space [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> triangle = pd.PolygonCrack([(0.0, 0.0, 0.5), (1.0, 0.0, 0.5), (0.0, 1.0, 0.5)])
+    """
 
     points: Sequence[Sequence[float]]
 

@@ -29,7 +29,7 @@ def read(path: Path) -> MeshData:
     Raises
     ------
     CaseError
-        It lacks what such a file has, or netCDF4 is not installed.
+        It lacks coordinates or has elements of unknown type, or netCDF4 is not installed.
     """
     try:
         import netCDF4

@@ -1,6 +1,6 @@
 """Particles from files: text clouds and finite element meshes.
 
-Every rank reads the file and keeps its own part; only while reading does it hold more.
+Every rank reads the whole file and keeps its own part of the particles.
 """
 
 from __future__ import annotations
@@ -41,6 +41,11 @@ class TextFile(Particles):
         Files with particle numbers, counted from 1 in the order of the file; each becomes a set.
     thickness : float
         Out-of-plane thickness [length] already contained in the volumes.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> cloud = pd.TextFile("cloud.txt", node_sets={"clamped": "clamped.txt"})
     """
 
     path: str | Path
@@ -108,6 +113,11 @@ class Mesh(Particles):
     format : str, optional
         ``"gmsh"``, ``"abaqus"``, ``"exodus"``, ``"vtk"``, ``"vtu"``, ``"nastran"``, ``"xdmf"`` or ``"med"``; by the
         ending of the file where absent.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> plate = pd.Mesh("plate.msh", thickness=2.0)
     """
 
     path: str | Path
@@ -153,7 +163,7 @@ class Mesh(Particles):
 def _surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, GlobalIndex, Float]:
     """Return the number of cells, the cell of every free facet and its outward vector area.
 
-    It is kept, since every traction asks for it, as long as the file stays the same ``version``.
+    The result is cached, since every traction asks for it, as long as the file has the same ``version``.
     """
     _, points, blocks = mesh._cells()
     surface = facets(points, blocks)

@@ -1,6 +1,7 @@
 """Reading finite element meshes: each format by its own reader, each within a time that grows with the file.
 
-No format is tried where another was meant: a reader that takes a damaged file for one of its own may read it for ever.
+Only the format that the ending or the case names is tried: another reader may take a damaged file for its own and
+never end.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from pdpetsc.errors import CaseError
 
 # A reader may take this long, and this much longer for every byte [s].
 START, PER_BYTE = 60.0, 2e-5
-# It may take this much memory, and this much more for every byte: one damaged number asks for more than there is.
+# A reader may take this much memory, and this much more for every byte of the file [bytes]: one damaged number can ask
+# for more than the machine has.
 ROOM, ROOM_PER_BYTE = 2**30, 100
 # Nodes of cells that are hexahedra and quadrilaterals in another order.
 _REORDERED = {"pixel": ("quad", [0, 1, 3, 2]), "voxel": ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
@@ -64,7 +66,7 @@ def read_mesh(path: Path, name: str | None) -> MeshData:
             room(ROOM + ROOM_PER_BYTE * size),
             within(seconds),
         ):
-            # What numpy warns of it leaves out, and a mesh without its last numbers is another mesh.
+            # numpy only warns where it leaves out the last numbers of a file, and the mesh would be another one.
             warnings.filterwarnings("error", message="string or file could not be read to its end")
             mesh = FORMATS[word][1](path)
             _check(mesh)
@@ -97,7 +99,7 @@ def within(seconds: float) -> Iterator[None]:
         raise _TooLong
 
     handler = signal.signal(signal.SIGALRM, late)
-    # It strikes again, should a reader have caught the first one.
+    # The signal comes again every second, should a reader have caught the first one.
     timer = signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
     try:
         yield

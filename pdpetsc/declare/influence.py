@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 
 
 class Influence(Declared, ABC):
-    """How much a bond counts, from its length over the horizon."""
+    """Influence omega of a bond as a function of its length over the horizon [-]."""
 
     @abstractmethod
     def __call__(self, s: Float) -> Float:
@@ -23,7 +23,15 @@ class Influence(Declared, ABC):
 
 @dataclass(frozen=True)
 class Constant(Influence):
-    """``omega = 1``."""
+    """``omega = 1``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> pd.influence.Constant()(np.array([0.5, 1.0]))
+    array([1., 1.])
+    """
 
     def __call__(self, s: Float) -> Float:
         """Return ones."""
@@ -32,7 +40,15 @@ class Constant(Influence):
 
 @dataclass(frozen=True)
 class Linear(Influence):
-    """``omega = 1 - s``; a bond exactly as long as the horizon does not count."""
+    """``omega = 1 - s``; a bond exactly as long as the horizon has no influence.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> pd.influence.Linear()(np.array([0.25, 1.0]))
+    array([0.75, 0.  ])
+    """
 
     def __call__(self, s: Float) -> Float:
         """Return ``1 - s``."""
@@ -41,7 +57,15 @@ class Linear(Influence):
 
 @dataclass(frozen=True)
 class Cubic(Influence):
-    """Cubic B-spline, ``1 - 6 s^2 + 6 s^3`` for ``s < 1/2``, else ``2 (1 - s)^3``."""
+    """Cubic B-spline, ``1 - 6 s^2 + 6 s^3`` for ``s < 1/2``, else ``2 (1 - s)^3``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> pd.influence.Cubic()(np.array([0.5, 1.0]))
+    array([0.25, 0.  ])
+    """
 
     def __call__(self, s: Float) -> Float:
         """Return the spline."""
@@ -50,7 +74,18 @@ class Cubic(Influence):
 
 @dataclass(frozen=True)
 class Gaussian(Influence):
-    """``omega = exp(-(s / width)^2)``."""
+    """``omega = exp(-(s / width)^2)``.
+
+    Parameters
+    ----------
+    width : float
+        Length over the horizon at which omega has fallen to 1 / e [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> narrow = pd.influence.Gaussian(width=0.3)
+    """
 
     width: float = 0.5
 

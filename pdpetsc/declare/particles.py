@@ -15,6 +15,7 @@ from pdpetsc.declare.region import Region, View
 from pdpetsc.declared import Declared, real_numbers, shown
 from pdpetsc.errors import CaseError
 
+# A side may differ from a whole number of cells by this share of it.
 WHOLE_CELLS = 1e-6
 # Numbers of a lattice that differ by less, relatively, are the same.
 ALONG = 1e-6
@@ -68,7 +69,7 @@ class Particles(Declared, ABC):
         Raises
         ------
         CaseError
-            The particles do not know their faces.
+            The area of the free faces does not follow from the particles.
         """
         raise CaseError(
             f"Particles of {type(self).__name__} do not know their faces; give the Traction the area of its face."
@@ -94,6 +95,14 @@ class Lattice(Particles):
     fictitious : mapping of {"-x", "+x", "-y", "+y", "-z", "+z"} to float
         Depth [length] of a layer of further particles beyond a side, as many as fit. They form the sets
         ``fictitious`` and ``fictitious -x`` (and so on); the others form the set ``real``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> hole = pd.region.Sphere((50.0, 10.0), radius=4.0)
+    >>> plate = pd.Lattice(low=(0.0, 0.0), high=(100.0, 20.0), spacing=2.0, cut=hole)
+    >>> plate.estimate()  # the cells of the hole among them
+    500
     """
 
     low: float | Sequence[float]
@@ -207,6 +216,13 @@ class Arrays(Particles):
         Named sets.
     thickness : float
         Out-of-plane thickness [length] already contained in the volumes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> x = np.array([[0.5], [1.5], [2.5]])
+    >>> bar = pd.Arrays(x, volume=1.0, sets={"held": [0]})
     """
 
     x: ArrayLike

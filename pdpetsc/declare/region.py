@@ -1,4 +1,4 @@
-"""Regions: which particles a condition, a material or a quantity speaks of. Combine with ``|``, ``&`` and ``~``."""
+"""Regions: which particles a condition, a material or a quantity applies to. Combine with ``|``, ``&`` and ``~``."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Region(Declared, ABC):
         """Return which particles belong to the region, (n,) bool (collective for ``Nearest``)."""
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the region is one of bodies of other dimensions than ``dim``."""
+        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
 
     def __or__(self, other: Region) -> Region:
         return _Union(self, other)
@@ -95,7 +95,13 @@ class _Complement(Region):
 
 @dataclass(frozen=True)
 class All(Region):
-    """Every particle."""
+    """Every particle.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> everything = pd.region.All()
+    """
 
     def mask(self, view: View) -> Mask:
         """Return all true."""
@@ -104,7 +110,13 @@ class All(Region):
 
 @dataclass(frozen=True)
 class Box(Region):
-    """Particles with ``low <= x <= high`` in every coordinate [length]."""
+    """Particles with ``low <= x <= high`` in every coordinate [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> plate = pd.region.Box((0.0, 0.0), (10.0, 4.0))
+    """
 
     low: float | Sequence[float]
     high: float | Sequence[float]
@@ -124,7 +136,14 @@ class Box(Region):
 
 @dataclass(frozen=True)
 class Slab(Region):
-    """Particles with ``low <= x <= high`` along one axis [length]."""
+    """Particles with ``low <= x <= high`` along one axis [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> left, low = pd.region.Slab("x", high=1.0), pd.region.Slab("y", high=1.0)
+    >>> corner, neither = left & low, ~(left | low)
+    """
 
     axis: Literal["x", "y", "z"]
     low: float = -np.inf
@@ -144,7 +163,13 @@ class Slab(Region):
 
 @dataclass(frozen=True)
 class Sphere(Region):
-    """Particles within ``radius`` of ``centre`` [length]; a disc in two dimensions."""
+    """Particles within ``radius`` of ``centre`` [length]; a disc in two dimensions.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> hole = pd.region.Sphere((5.0, 2.0), radius=1.0)
+    """
 
     centre: float | Sequence[float]
     radius: float
@@ -166,7 +191,13 @@ class Sphere(Region):
 
 @dataclass(frozen=True)
 class Nearest(Region):
-    """The particle nearest to ``point`` [length], or all that are equally near."""
+    """The particle nearest to ``point`` [length], or all that are equally near.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.region.Nearest((10.0, 2.0))
+    """
 
     point: float | Sequence[float]
 
@@ -183,7 +214,13 @@ class Nearest(Region):
 
 @dataclass(frozen=True)
 class Where(Region):
-    """Particles for which ``predicate(x)`` is true; it gets (n, dim) positions and returns (n,) bool."""
+    """Particles for which ``predicate(x)`` is true; it gets (n, dim) positions and returns (n,) bool.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> above = pd.region.Where(lambda x: x[:, 1] > 0.5 * x[:, 0])
+    """
 
     predicate: Callable[[Float], Mask]
 
@@ -201,7 +238,13 @@ class Where(Region):
 
 @dataclass(frozen=True)
 class Named(Region):
-    """A named set: a mesh group, a node set file, ``real`` or ``fictitious`` of a lattice."""
+    """A named set: a mesh group, a node set file, ``real`` or ``fictitious`` of a lattice.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> real = pd.region.Named("real")
+    """
 
     name: str
 

@@ -16,7 +16,14 @@ Schedule: TypeAlias = Callable[[float], float]
 
 @dataclass(frozen=True)
 class Ramp:
-    """Factor ``t``: nothing at the start, everything at the end."""
+    """Factor ``t``: 0 at the start of the run, 1 at its end, linear in between.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Ramp()(0.25)
+    0.25
+    """
 
     def __call__(self, t: float) -> float:
         """Return ``t``."""
@@ -25,7 +32,14 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Hold:
-    """Factor 1 at every time."""
+    """Factor 1 at every time.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Hold()(0.25)
+    1.0
+    """
 
     def __call__(self, t: float) -> float:
         """Return 1."""
@@ -34,7 +48,21 @@ class Hold:
 
 @dataclass(frozen=True)
 class Table(Declared):
-    """Factors at given times, linear in between."""
+    """Factors at given step times: linear in between, constant before the first and after the last.
+
+    Parameters
+    ----------
+    times : sequence of float
+        At least two step times, ascending [-].
+    factors : sequence of float
+        The factor at each [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Table(times=[0.0, 0.5, 1.0], factors=[0.0, 1.0, 0.0])(0.75)
+    0.5
+    """
 
     times: Sequence[float]
     factors: Sequence[float]

@@ -14,14 +14,15 @@ from pdpetsc.errors import CaseError
 
 @dataclass(frozen=True)
 class Needs:
-    """What a way to equilibrium needs of the body, its conditions and the linear algebra.
+    """What a solver needs of the body, its conditions and the linear algebra.
 
     Attributes
     ----------
     tangent : {"any", "assembled", "none"}
-        Whether its tangent may be applied without a matrix, must be one, or is not asked for.
+        ``any``: the tangent may be a matrix or be applied without one; ``assembled``: it must be a matrix; ``none``:
+        the solver needs no tangent.
     proportional : {"no", "up to the whole load", "at any load"}
-        At which step times all conditions must be their values at step time 1 times the step time.
+        For which step times every condition must be the step time times its value at step time 1.
     piecewise_linear : bool
         Whether forces must be linear in the displacement where no bond fails.
     symmetric : bool
@@ -35,7 +36,7 @@ class Needs:
 
 
 class DeclaredSolver(Declared):
-    """How equilibrium is found, as a scene declares it; ``pdpetsc.solvers.table`` knows what does it.
+    """How equilibrium is found, as a case declares it; ``pdpetsc.solvers.table`` names the class that does it.
 
     Attributes
     ----------
@@ -47,9 +48,9 @@ class DeclaredSolver(Declared):
         Whether its residual is the gradient of an energy where the terms have one, so that a line search may look for
         a zero of the residual along the step.
     finds_load : bool
-        Whether the load factor is among its unknowns: it may be any number, and unstable equilibria are meant.
+        Whether the load factor is one of its unknowns: it may then take any value, and unstable equilibria are wanted.
     restarts : bool
-        Whether it goes on from a checkpoint.
+        Whether a run with it can go on from a checkpoint.
     """
 
     title: ClassVar[str]
@@ -59,12 +60,18 @@ class DeclaredSolver(Declared):
     restarts: ClassVar[bool] = True
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions lacks what this asks for (not collective)."""
+        """Raise CaseError where a body of ``dim`` dimensions lacks what the declaration names (not collective)."""
 
 
 @dataclass(frozen=True)
 class Newton(DeclaredSolver):
-    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``."""
+    """Newton's method with the analytic tangent, on PETSc's SNES; its options come with ``Case.options``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver, options = pd.Newton(), {"snes_rtol": 1e-8}
+    """
 
     title = "Newton's method"
 
@@ -76,10 +83,15 @@ class DynamicRelaxation(DeclaredSolver):
     Parameters
     ----------
     tolerance : float
-        What residual and change of displacement, each over its first value in the step, and the residual over forces
-        and reactions must fall below [-].
+        Bound on the residual and the change of displacement, each over its first value in the load step, and on the
+        residual over the norm of external forces and reactions [-].
     most : int
         Largest number of time steps in a load step.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.DynamicRelaxation(tolerance=1e-5)
     """
 
     tolerance: float = 1e-6
@@ -113,6 +125,11 @@ class EventDriven(DeclaredSolver):
         Largest number of events.
     fields_every : int
         Fields are written every so many events, and at the end; 0 for the end only.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.EventDriven(fields_every=100)
     """
 
     updates: int | None = None
@@ -134,12 +151,19 @@ class EventDriven(DeclaredSolver):
 
 @dataclass(frozen=True)
 class BondStretch(Declared):
-    """The most stretched bonds that have not failed grow longer, whatever the load does.
+    """Measure of a path: the stretch of the most stretched bonds that have not failed.
+
+    It grows from step to step, whatever the load does.
 
     Parameters
     ----------
     step : float
         Largest growth in a step, over the critical stretch [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.PathFollowing(measure=pd.BondStretch(step=0.05))
     """
 
     step: float = 0.1
@@ -154,18 +178,26 @@ class BondStretch(Declared):
 
 @dataclass(frozen=True)
 class Opening(Declared):
-    """The mean displacement of one region against that of another grows, such as that of the lips of a notch.
+    """Measure of a path: the mean displacement of a region relative to another, such as the opening of a notch.
+
+    It grows from step to step, whatever the load does.
 
     Parameters
     ----------
     component : str
         ``"x"``, ``"y"`` or ``"z"``.
     region : Region
-        What moves in its direction.
+        The region that moves in the direction of the component.
     against : Region, optional
-        What it moves against; the laboratory where absent.
+        The region whose mean displacement is subtracted; nothing is where absent.
     step, end : float
-        Largest growth in a step and where to end [length].
+        Largest growth in a step, and the value at which the run ends [length].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> right, left = pd.region.Nearest((51.0, 0.0)), pd.region.Nearest((49.0, 0.0))
+    >>> mouth = pd.Opening("x", right, against=left, step=0.01, end=0.5)
     """
 
     component: str
@@ -180,7 +212,7 @@ class Opening(Declared):
         if self.component not in ("x", "y", "z"):
             raise CaseError(f'An Opening has the component "x", "y" or "z", not {self.component!r}.')
         if not (math.isfinite(self.end) and self.end > 0.0):
-            raise CaseError(f"An Opening ends at a positive value, not {self.end}; turn the regions round.")
+            raise CaseError(f"An Opening ends at a positive value, not {self.end}; exchange the two regions.")
 
     def check(self, dim: int) -> None:
         """Raise CaseError where a body of ``dim`` dimensions has no such component or cannot select its regions."""
@@ -206,15 +238,20 @@ class PathFollowing(DeclaredSolver):
     measure : BondStretch or Opening
         What grows from step to step.
     first : float
-        Load factor of the first step, from which the path is taken up.
+        Growth of the load factor in the first step [-], when no bond is stretched that the measure could prescribe.
     smallest : float
-        Smallest step over the largest one; when it fails too the run ends with exit status 1.
+        Smallest step of the measure over the largest one [-]; when it fails too the run ends with exit status 1.
     until : float
-        The run ends when the forces have fallen to this share of their largest.
+        The run ends when the forces have fallen to this share of the largest so far [-].
     most : int
         Largest number of steps.
     breaks : int, optional
         As in ``Steps``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.PathFollowing(first=0.01, until=0.05)
     """
 
     measure: BondStretch | Opening = field(default_factory=BondStretch)
@@ -226,7 +263,7 @@ class PathFollowing(DeclaredSolver):
 
     title = "Path following"
     needs = Needs(proportional="at any load")
-    # With the row of its constraint the residual is the gradient of nothing.
+    # With the constraint as one more row the residual is not the gradient of an energy.
     of_energy = False
     finds_load = True
 
@@ -249,10 +286,10 @@ def _refuse_step(step: float) -> None:
         raise CaseError(f"The measure of a path needs a positive step, not {step}.")
 
 
-# What a case takes; those of this module are named in messages.
+# What a case takes as its solver; messages name the classes of this module.
 AnySolver: TypeAlias = Newton | DynamicRelaxation | EventDriven | PathFollowing | DeclaredSolver
 
-# The ways to equilibrium by the word that the command line uses.
+# Every solver with its default options, under the word by which the command line selects it.
 SOLVERS: dict[str, DeclaredSolver] = {
     "newton": Newton(),
     "relaxation": DynamicRelaxation(),

@@ -9,7 +9,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
-# Steps are numbered with five digits in the files, and are to end some day.
+# Files number steps with five digits.
 MOST_STEPS = 99_999
 # A shorter step is lost in the rounding of the step time.
 LEAST_STEP = 1e-8
@@ -23,21 +23,29 @@ def refuse_breaks(breaks: int | None) -> None:
 
 @dataclass(frozen=True)
 class Steps(Declared):
-    """Equal load steps; one that does not converge is halved, and grown back after easy ones.
+    """Equal load steps; one that does not converge is halved, and steps grow again after easy ones.
 
     Parameters
     ----------
     count : int
         Number of steps.
     smallest : float
-        Smallest step [-]; when it fails too the run ends with exit status 1. By default 1/64 of a step.
+        Smallest step as a share of the whole load [-]; when it fails too the run ends with exit status 1. By default
+        1/64 of a step.
     breaks : int, optional
         Bonds that break at once before equilibrium is sought again, the worst first. By default one, with those that
         tie with it, where bonds snap, and all that have lost their force where they soften.
     unstable : {"warn", "shorten", "refuse"}
-        What becomes of an equilibrium whose tangent has negative pivots, as of a column loaded past its critical force,
-        where a factorisation tells. ``warn`` says so and goes on. ``shorten`` takes it as a step that failed, so that
-        the run ends within the smallest step of the critical load; ``refuse`` ends it there.
+        What becomes of an equilibrium whose tangent has negative pivots, as of a column loaded past its critical force;
+        only the factorisation of a direct linear solver shows that. ``warn`` says so and goes on. ``shorten`` takes it
+        as a step that failed, so that the run ends within the smallest step of the critical load; ``refuse`` ends the
+        run there.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Steps(4).stops()
+    [0.25, 0.5, 0.75, 1.0]
     """
 
     count: int = 1
@@ -72,7 +80,7 @@ class Steps(Declared):
         return 1.0 / (64.0 * self.count) if self.smallest is None else self.smallest
 
     def stops(self) -> list[float]:
-        """Return the times that are met exactly, ascending, ending with 1."""
+        """Return the step times that are met exactly, ascending, ending with 1."""
         return [(n + 1) / self.count for n in range(self.count)]
 
 
@@ -86,6 +94,11 @@ class AdaptiveSteps(Declared):
         Step sizes as a share of the whole load.
     breaks, unstable
         As in ``Steps``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steps = pd.AdaptiveSteps(first=0.05, smallest=1e-3, largest=0.2)
     """
 
     first: float = 0.1
@@ -111,5 +124,5 @@ class AdaptiveSteps(Declared):
         return self.smallest
 
     def stops(self) -> list[float]:
-        """Return the times that are met exactly."""
+        """Return the step times that are met exactly."""
         return [1.0]

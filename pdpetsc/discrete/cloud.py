@@ -20,8 +20,9 @@ from pdpetsc.errors import CaseError
 
 # Bonds exactly as long as the horizon belong to the family whatever the rounding of the positions.
 HORIZON_TOLERANCE = 1e-9
+# Particles closer than this share of the horizon coincide.
 COINCIDENT = 1e-6
-# Particles one after another that lie this many horizons apart in the mean are not where their neighbours are.
+# Consecutive particles further apart than this many horizons in the mean have their neighbours far away in memory.
 FAR = 4.0
 
 
@@ -46,7 +47,7 @@ class Cloud:
     sets : mapping of str to (n_local,) bool
         Named sets.
     horizon : float
-        [length].
+        Radius of the families [length].
     n_owned, n_global, first : int
         Own particles, all particles, and the row of the first own one.
     halo : Halo
@@ -56,7 +57,7 @@ class Cloud:
     offset : (n_ghost, dim) float64
         How far each ghost is from its particle [length]: whole periods; no rows without a cell.
     place : (n_local,) int64
-        Number of the period that each particle is in: 0 at home; differences tell relative places apart.
+        Number of the period that each particle is in, 0 in the cell itself; differences tell relative places apart.
     n_places : int
         How many such numbers there are.
     """
@@ -123,7 +124,7 @@ def distribute(
     x, volume, sets
         The part of the particles that this rank created; parts in rank order make the whole in creation order.
     horizon : float
-        [length].
+        Radius of the families [length].
     cell : Cell, optional
         The periodic cell that holds the particles.
 

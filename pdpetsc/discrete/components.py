@@ -12,6 +12,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
+# A rigid motion is free where the supports resist it by less than this share of the most resisted one.
 RANK_TOLERANCE = 1e-12
 
 

@@ -16,7 +16,7 @@ from pdpetsc.errors import PdpetscError, places
 
 # Tag of messages that a rank has failed.
 FAILURE = 911
-# What a rank tells that says why the run ends, and will abort it.
+# Message of the rank that prints why the run ends and is about to abort it.
 SPEAKS = ("speaks",)
 # How long a rank that failed waits for others to fail as well [s]: after a signal, which mpirun lets a kill follow in a
 # second; after what a function of the case or a library raised, likely on one rank; after what pdpetsc found, likely on
@@ -24,7 +24,7 @@ SPEAKS = ("speaks",)
 SIGNALLED, SURPRISED, FOUND = 0.4, 1.5, 5.0
 # Longer than any of them [s].
 LONG = 10.0
-# How long the last words take to be passed on [s].
+# Time that the last line on stderr takes to be passed on before an abort [s].
 SPOKEN = 0.5
 
 
@@ -102,7 +102,7 @@ def give_up(failure: PdpetscError) -> NoReturn:
 
 
 def leave(status: int) -> NoReturn:
-    """End all ranks, which are all here, without the ends of MPI and PETSc."""
+    """End all ranks, which all call this, without finalising MPI and PETSc."""
     if MPI.COMM_WORLD.size == 1:
         os._exit(status)
     if MPI.COMM_WORLD.rank > 0:

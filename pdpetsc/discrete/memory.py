@@ -13,7 +13,7 @@ from pdpetsc.declare.cell import Cell
 from pdpetsc.discrete.communicator import Comm, agreed, total
 from pdpetsc.errors import CaseError
 
-# What a particle takes until it has its rank, and a bond until families are found, at least [bytes].
+# Least memory of a particle until it has its rank, and of a bond until families are found [bytes].
 PER_PARTICLE, PER_BOND = 140.0, 40.0
 # Particles whose families are counted.
 SAMPLE = 32
@@ -89,7 +89,7 @@ def predicted_bonds(comm: Comm, x: Float, horizon: float, cell: Cell | None = No
     x : (n, dim) float64
         The part of the particles that this rank holds [length].
     horizon : float
-        [length].
+        Radius of the families [length].
     cell : Cell, optional
         The periodic cell.
 

@@ -1,4 +1,4 @@
-"""Forces that families put on their particles, with the exchange of ghosts behind the work on families without."""
+"""Forces of families, with the exchange of ghosts hidden behind the work on families without ghosts."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from pdpetsc.discrete.communicator import Comm, largest, smallest, total
 
 # Relative size of the other coordinates in the sort key: splits the ties of a lattice plane along the next axis.
 TIE = 1e-6
+# Bisections of the position of a cut; double precision has no more.
 BISECTIONS = 60
 
 

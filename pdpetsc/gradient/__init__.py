@@ -22,7 +22,7 @@ __all__ = [
     "SubHorizons",
 ]
 
-# Every scheme with its customary options, by the word that cases and the command line use.
+# Every scheme with its default options, under the word by which a case or the command line selects it.
 SCHEMES: dict[str, Scheme] = {
     "correspondence": Correspondence(),
     "stress_points": StressPoints(),

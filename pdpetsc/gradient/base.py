@@ -1,4 +1,4 @@
-"""The sparse gradient operator that every correspondence scheme is."""
+"""The sparse gradient operator that every correspondence scheme builds, and what schemes share to build it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_k
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
 FLAT = 1e-6
-# Part of a family is too thin to stand alone below this share: sectors of a lattice stay above 0.2.
+# Below this share a part of a family, such as a sector, gets no gradient point of its own; sectors of a lattice have
+# more than 0.2.
 THIN = 1e-2
+# Particles that an error message lists at most.
 NAMED_IDS = 5
 
 
 @dataclass(frozen=True)
 class Stencils:
-    """Points with weighted neighbours, before the shape tensors are inverted.
+    """Gradient points and the weighted neighbours of each, before the shape tensors are inverted.
 
     Attributes
     ----------
@@ -112,10 +114,10 @@ class GradientOperator:
 
 @dataclass(frozen=True)
 class Scheme(Declared, ABC):
-    """A correspondence scheme."""
+    """A correspondence scheme: where deformation gradients are evaluated, and with which weights."""
 
     def memory(self, dim: int, family: float) -> float:
-        """Return what each bond takes at least while the operator is built, in families of a size [bytes]."""
+        """Return the least memory per bond while the operator is built, in families of ``family`` bonds [bytes]."""
         return 40.0
 
     @abstractmethod
@@ -153,7 +155,7 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     Raises
     ------
     CaseError
-        A family is too small or flat for what ``name`` says, on every rank.
+        A family is too small or flat to give a gradient, on every rank; ``name`` says in the message what needs it.
 
     Notes
     -----
@@ -165,7 +167,7 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
 
 
 def correspondence_weights(families: Families, x: Float, weight: Float, K_inverse: Float) -> Float:
-    """Return ``g_ij = weight_ij K_i^-1 xi_ij`` (n_bonds, dim): the gradient of the whole family, bond by bond."""
+    """Return ``g_ij = weight_ij K_i^-1 xi_ij`` (n_bonds, dim) [1 / length]: the gradient weights of whole families."""
     return np.asarray(weight[:, None] * np.einsum("bmn,bn->bm", K_inverse[families.centres], families.bonds(x)))
 
 
@@ -211,7 +213,7 @@ def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
 
 
 def refuse_flat(comm: Comm, gid: GlobalIndex, what: str) -> None:
-    """Raise FlatFamilies on all ranks if any names a particle with a flat family (collective)."""
+    """Raise FlatFamilies on all ranks if ``gid`` names a particle on any; ``what`` needs the gradient (collective)."""
     count = int(total(comm, len(gid)))
     if count == 0:
         return

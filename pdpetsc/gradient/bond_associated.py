@@ -23,7 +23,7 @@ from pdpetsc.gradient.base import (
 )
 from pdpetsc.kernels.gradient import bond_families_kernel, bond_family_sizes_kernel
 
-# Radii of the family of a bond that are tried in turn, over the one asked for; the last takes in the whole family.
+# Radii of the family of a bond that are tried in turn, as multiples of ``radius``; the last takes the whole family.
 GROWTH = (1.0, 1.25, 1.5, 1.75, 2.0, math.inf)
 
 
@@ -32,9 +32,10 @@ class BondAssociated(Scheme):
     """Bond-associated correspondence: a gradient point for every bond of a particle, over the family of the bond.
 
     The family of bond ``ij`` are the members of the family of ``i`` within ``radius`` horizons of ``j``; the points of
-    a particle share its volume in equal parts. A bond with too flat a family, as on a lattice of nearest neighbours,
-    takes the next of the radii 1.25, 1.5, 1.75, 2 times as large that has a gradient. Forces derive from the energy of
-    the points, so force and moment balance and the tangent is symmetric; the original sums force states bond by bond.
+    a particle share its volume in equal parts. Where that family is too flat, as on a lattice of nearest neighbours,
+    the first of 1.25, 1.5, 1.75 and 2 times the radius is taken that gives a gradient, else the whole family. Forces
+    derive from the energy of the points, so force and moment balance and the tangent is symmetric; Chen2019 sums force
+    states bond by bond.
 
     Parameters
     ----------
@@ -43,7 +44,13 @@ class BondAssociated(Scheme):
 
     References
     ----------
-    Chen, Spencer (2019), Peridynamic bond-associated correspondence model: stability and convergence properties.
+    Chen2019.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.BondAssociated(radius=1.25)
+    BondAssociated(radius=1.25)
     """
 
     radius: float = 1.0
@@ -54,7 +61,7 @@ class BondAssociated(Scheme):
             raise CaseError(f"The radius of a bond's family is a positive number of horizons, not {self.radius}.")
 
     def memory(self, dim: int, family: float) -> float:
-        """Return the family of a bond: about a third of that of its particle [bytes]."""
+        """Return the memory of the family of a bond, about a third of that of its particle [bytes]."""
         return 8.0 * family
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:

@@ -30,7 +30,13 @@ class Corrected(Scheme):
 
     References
     ----------
-    Chowdhury, Roy, Roy, Reddy, section 3, Eq. (8)-(15), there in one dimension.
+    Chowdhury2018, section 3, Eq. (8)-(15), there in one dimension.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Corrected(order=3)
+    Corrected(order=3)
     """
 
     order: int = 2

@@ -19,7 +19,12 @@ class Correspondence(Scheme):
 
     References
     ----------
-    Silling, Epton, Weckner, Xu, Askari (2007), section 18; Hashim et al., Eq. (16).
+    Silling2007, section 18; Hashim, Eq. (16).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> scheme, control = pd.Correspondence(), pd.Silling(G=0.5)
     """
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:

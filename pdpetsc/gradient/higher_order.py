@@ -37,7 +37,13 @@ class HigherOrder(Scheme):
 
     References
     ----------
-    Yaghoobi, Chorzepa (2017), title, abstract and sections 1-2; the conditions on the moments follow from these.
+    Yaghoobi2017, title, abstract and sections 1-2; the conditions on the moments follow from these.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.HigherOrder(order=5)
+    HigherOrder(order=5)
     """
 
     order: int = 3

@@ -15,12 +15,12 @@ from pdpetsc.discrete.communicator import Comm, largest, total
 RANK = 1e-10
 # A condition on a moment holds when it is met to this share of its size.
 MET = 1e-8
-# A gradient is refused where it could exceed the largest relative displacement by more than this over the horizon: its
-# weights then nearly cancel, as for a family with hardly more bonds than conditions.
+# Weights are refused where ``horizon sum_k |g_k|`` exceeds this [-]: they nearly cancel then, as in a family with
+# hardly more bonds than conditions.
 GAIN = 20.0
-# Degrees beyond it cannot be told apart in double precision, and their moment matrices never end.
+# Monomials of higher degrees cannot be told apart in double precision, and their moment matrices take far too long.
 MOST_ORDER = 12
-# Entries of the moment matrices that are held at once.
+# Largest number of entries of moment matrices in memory at once.
 BLOCK = 2**22
 
 
@@ -51,7 +51,7 @@ class Conditions:
 def blocks(
     indptr: GlobalIndex, chosen: GlobalIndex, width: int
 ) -> Iterator[tuple[GlobalIndex, GlobalIndex, GlobalIndex, GlobalIndex]]:
-    """Yield chosen families in blocks: their numbers, their bonds, where each starts among these, and whose each is."""
+    """Yield chosen families in blocks: numbers, bonds, where each family starts in these, family of each bond."""
     size = np.diff(indptr)[chosen]
     start = 0
     while start < len(chosen):
@@ -99,7 +99,7 @@ def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[F
 
 
 def conditioning_note(comm: Comm, worst: float, lowered: int) -> str:
-    """Return what to log of the largest condition number and the orders lowered on this rank (collective)."""
+    """Return the note for the log from the largest condition number and the orders lowered here (collective)."""
     note = f"moment matrices have condition numbers up to {largest(comm, worst):.1e}"
     steps = int(total(comm, lowered))
     return f"{note}; the order was lowered {steps} times where families are too small for it" if steps else note

@@ -33,7 +33,13 @@ class SmoothedDisplacement(Scheme):
 
     References
     ----------
-    Wu, Ren (2015), as Yaghoobi, Chorzepa (2017), section 1, describe it.
+    Wu2015, as described in Yaghoobi2017, section 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.SmoothedDisplacement(radius=0.5)
+    SmoothedDisplacement(radius=0.5)
     """
 
     radius: float = 0.5

@@ -12,7 +12,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.gradient.sectors import sector_operator
 
-# The weighted mean bond of a family that is cut or irregular is longer than this share of the mean bond length.
+# A family counts as cut or irregular where its weighted mean bond is longer than this share of its mean bond length.
 UNBALANCED = 0.02
 # A bond whose angle to the dividing plane has a smaller sine lies in it.
 IN_PLANE = 1e-8
@@ -32,11 +32,17 @@ class StressPoints(Scheme):
     Parameters
     ----------
     seed : int
-        Of the draw, which depends on it and on the particle's number only: it is the same on any rank count.
+        Seed of the draw, which depends on it and on the particle's global id only: the same on any number of ranks.
 
     References
     ----------
-    Luo, Sundararaghavan (2018), section 3, Fig. 3-5.
+    Luo2018, section 3, Fig. 3-5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.StressPoints(seed=3)
+    StressPoints(seed=3)
     """
 
     seed: int = 1

@@ -24,8 +24,8 @@ class SubHorizons(Scheme):
     """Sub-horizons: a gradient point for each sector of the family.
 
     ``F_ia = I + sum_j chi_a omega V_j eta_ij (x) K_ia^-1 xi_ij`` with ``chi_a`` the share of the bond in sector ``a``.
-    A bond on the border of sectors is shared by them in equal parts, which the open sectors of the paper leave out and
-    which a lattice with nearest neighbours needs. A sector whose own bonds are too flat to give a gradient hands them
+    A bond on the border of sectors is shared by them in equal parts: the open sectors of Chowdhury2018 leave it out,
+    but a lattice of nearest neighbours needs it. A sector whose own bonds are too flat to give a gradient hands them
     to the nearest others, in equal parts, and has no point; the others share the volume.
 
     Parameters
@@ -37,7 +37,14 @@ class SubHorizons(Scheme):
 
     References
     ----------
-    Chowdhury, Roy, Roy, Reddy, section 4, Eq. (19)-(34).
+    Chowdhury2018, section 4, Eq. (19)-(34).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> eight = pd.SubHorizons(sectors=8)
+    >>> pd.SubHorizons().sectors is None  # halves, quadrants or octants
+    True
     """
 
     sectors: int | None = None
@@ -48,7 +55,7 @@ class SubHorizons(Scheme):
             raise CaseError(f"Sub-horizons are between 2 and {MOST_SECTORS} sectors, not {self.sectors}.")
 
     def memory(self, dim: int, family: float) -> float:
-        """Return the shares of a bond in all sectors [bytes]."""
+        """Return the memory of the shares of a bond in all sectors [bytes]."""
         return 40.0 * (1 + (2**dim if self.sectors is None else self.sectors))
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
@@ -101,6 +108,7 @@ def _around(xi: Float, count: int) -> Float:
 
 
 def _product(one: Float, other: Float) -> Float:
+    """Return the shares in all pairs of a sector of one division and a sector of the other."""
     return np.asarray(np.einsum("ba,bc->bac", one, other).reshape(len(one), one.shape[1] * other.shape[1]))
 
 

@@ -46,12 +46,12 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cache_trouble() -> str:
-    """Return why kernels are compiled anew in every run, in words, empty where they are not."""
+    """Return in words why kernels cannot be cached and are compiled in every run; empty where they can."""
     return _trouble[0] if _trouble else ""
 
 
 class _Forgiving:
-    """Numba's cache of a function, without which a run goes on: what cannot be read is compiled, and not written then.
+    """Numba's cache of a function, whose failures do not end a run: the function is compiled instead.
 
     Files may be cut off by a full disk, made by another version, or in a folder that another user owns; what reading
     them raises is anything that pickle can.

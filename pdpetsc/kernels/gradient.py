@@ -139,7 +139,7 @@ def determinant_kernel(dim: int) -> Callable[..., Any]:
 
 @compiled
 def bonds_of_entries(owner, point_ptr, members, indptr, neighbours, n_local, bond):  # type: ignore[no-untyped-def]
-    """Write for every entry of the operator the bond from the owner of its point to its member, -1 for the centre."""
+    """Write for every entry of the operator the bond from the owner of its point to its member, -1 for the owner."""
     slot = np.full(n_local, -1, np.int64)
     for p in range(owner.size):
         i = owner[p]

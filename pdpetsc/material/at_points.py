@@ -1,4 +1,4 @@
-"""Materials at the gradient points that obey them."""
+"""Materials at the gradient points that they apply to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdpetsc.material.base import ElasticMaterial, HistoryKernels, HistoryMateri
 
 
 class MaterialAtPoints(ABC):
-    """A material and the gradient points that obey it.
+    """A material and the gradient points that it applies to.
 
     Parameters
     ----------
@@ -21,13 +21,13 @@ class MaterialAtPoints(ABC):
     kernels
         Its compiled loops.
     points : int64
-        Its gradient points.
+        Numbers of its gradient points on this rank.
     dim : int
         Dimension of the body.
     factor : (n_points,) float64 or None
         What multiplies its moduli at each of these points [-], where it is graded.
     history : (n_points, n_history) float64, optional
-        What its loops read besides the constants.
+        State of the last converged step, which its loops read besides the constants.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class MaterialAtPoints(ABC):
         self._scale(psi)
 
     def out_of_plane_stress(self, F: Float) -> Float:
-        """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 but in plane strain."""
+        """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 except in plane strain."""
         if self.dim != 2 or self.material.plane == "stress":
             return np.zeros(len(F))
         return self._out_of_plane_stress(F) * (1.0 if self.factor is None else self.factor)
@@ -82,7 +82,7 @@ class MaterialAtPoints(ABC):
 
     @property
     def history(self) -> Float:
-        """Return what it remembers of converged steps at its points (n, n_history); nothing where it has none."""
+        """Return its state of the last converged step (n, n_history); no columns where it has no history."""
         return np.empty((len(self.points), 0))
 
     def largest_modulus(self) -> float:
@@ -108,7 +108,7 @@ class ElasticAtPoints(MaterialAtPoints):
         return self._out_of_plane(F)
 
     def commit(self, F: Float) -> None:
-        """Remember nothing: the stress depends on F alone."""
+        """Do nothing: the stress depends on F alone."""
 
     def plastic_strain(self) -> Float:
         """Return zeros."""
@@ -133,7 +133,7 @@ class HistoryAtPoints(MaterialAtPoints):
 
     @property
     def history(self) -> Float:
-        """Return what it remembers of converged steps at its points (n, n_history), to be overwritten in place."""
+        """Return its state of the last converged step (n, n_history), to be overwritten in place."""
         return self._history
 
     def _out_of_plane_stress(self, F: Float) -> Float:

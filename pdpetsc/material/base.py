@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
-# Moduli beyond these overflow in products, and factorisations of such matrices crash.
+# Moduli outside of these bounds overflow in products, and factorisations of such matrices crash [stress].
 LEAST_MODULUS, LARGEST_MODULUS = 1e-100, 1e100
 
 
@@ -51,9 +51,9 @@ class Material(Declared, ABC):
     E : float
         Young's modulus [stress], positive.
     nu : float
-        Poisson's ratio [-], between -1 and 0.5, both excluded. A line ignores it.
+        Poisson's ratio [-], between -1 and 0.5, both excluded. A bar in 1D needs it for its lateral stretch only.
     plane : {"strain", "stress"}
-        What a two-dimensional body does out of plane.
+        Plane strain or plane stress of a two-dimensional body: no strain or no stress across it.
 
     Raises
     ------
@@ -65,6 +65,7 @@ class Material(Declared, ABC):
     nu: float = 0.0
     plane: Literal["strain", "stress"] = "strain"
 
+    # Whether the stress is linear in F, so that the tangent is constant.
     linear: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

@@ -22,16 +22,22 @@ class Graded(Declared):
     Parameters
     ----------
     material : Material or BondMaterial
-        The law; energy, stress and tangent are multiplied.
+        The law, whose energy, stress and tangent are multiplied by the factor.
     factor : callable
         ``factor(x)`` with positions (n, dim) returns positive numbers (n,) [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> soft = pd.LinearElastic(E=1000.0, nu=0.3)
+    >>> material = pd.Graded(soft, factor=lambda x: 1.0 + 0.5 * x[:, 0])
     """
 
     material: Material | BondMaterial
     factor: Callable[[Float], Float]
 
     def __post_init__(self) -> None:
-        # Materials of bonds know this module, so their type is looked up here and not from the annotation.
+        # ``bond_based`` imports this package, so its type cannot be imported above, and the fields are checked here.
         from pdpetsc.bond_based import BondMaterial
 
         super().__post_init__()

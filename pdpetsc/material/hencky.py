@@ -21,9 +21,21 @@ class Hencky(ElasticMaterial):
     ``psi = lambda / 2 (tr eps)^2 + mu eps : eps``, ``P = tau F^-T``; the tangent is that of ``kernels.principal`` with
     moduli ``lambda + 2 mu delta_ab``.
 
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"`` for plane strain or stress, as
+        for every ``Material``.
+
     References
     ----------
-    Hashim, Coombs, Augarde, Hattori, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.
+    Hashim, Eq. (5)-(8) and Appendix A, with the factor 1/2 that Eq. (5) lacks.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Hencky(E=1000.0, nu=0.3)
+    Hencky(E=1000.0, nu=0.3, plane='strain')
     """
 
     def kernels(self, dim: int) -> PointKernels:

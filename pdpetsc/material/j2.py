@@ -18,7 +18,7 @@ from pdpetsc.material.base import HistoryKernels, HistoryMaterial
 
 @dataclass(frozen=True)
 class J2(HistoryMaterial):
-    r"""J2 plasticity in Hencky strain, ``F = F_e F_p``, with a return along the deviator that is exact in one step.
+    r"""J2 plasticity in Hencky strain, ``F = F_e F_p``, with a radial return that is exact in one step.
 
     In the principal frame of ``b_e = F G G^T F^T``, ``G = F_p^-1``, with logarithmic strains eps and deviator s::
 
@@ -26,11 +26,13 @@ class J2(HistoryMaterial):
         q > y + H alpha:  d_alpha = (q - y - H alpha) / (3 mu + H),  s := (1 - 3 mu d_alpha / q) s
 
     and ``P = tau F^-T``, ``A = dP/dF`` with the moduli of the return. In a bar the stress is uniaxial and ``3 mu``
-    becomes E. The energy is elastic energy + ``H alpha^2 / 2 + y alpha``, whose derivative the stress of a step is.
+    becomes E. The energy is elastic energy + ``H alpha^2 / 2 + y alpha``; the stress of a step is its derivative.
     History is the factor G, the elastic strain out of plane and alpha; it changes only when a step has converged.
 
     Parameters
     ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-] and ``"strain"``, as for every ``Material``.
     yield_stress : float
         y [stress], positive.
     hardening : float
@@ -43,7 +45,12 @@ class J2(HistoryMaterial):
 
     References
     ----------
-    Simo (1992), Algorithms for static and dynamic multiplicative plasticity; de Souza Neto, Peric, Owen, section 14.
+    Simo1992; deSouzaNeto2008, section 14.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steel = pd.J2(E=200e3, nu=0.3, yield_stress=250.0, hardening=1e3)
     """
 
     yield_stress: float = 1.0
@@ -56,7 +63,7 @@ class J2(HistoryMaterial):
         if not (math.isfinite(self.hardening) and self.hardening >= 0.0):
             raise CaseError(f"J2 needs hardening >= 0, not {self.hardening}.")
         if self.plane == "stress":
-            raise CaseError('J2 is there for plane="strain", bars and solids, not for plane="stress".')
+            raise CaseError('J2 has no plane stress; take plane="strain", or model a bar or a solid.')
 
     def constants(self, dim: int) -> Float:
         """Return ``lambda, mu, y, H``."""

@@ -17,7 +17,19 @@ from pdpetsc.material.base import ElasticMaterial, PointKernels
 class LinearElastic(ElasticMaterial):
     """Linear elastic material at small strain, ``P = lambda tr(eps) I + 2 mu eps``, ``eps = sym(F - I)``.
 
-    Its tangent is constant: a body of nothing else is assembled and factored once.
+    Its tangent is constant: the matrix of a body of this material alone is assembled and factored once.
+
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"`` for plane strain or stress, as
+        for every ``Material``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.LinearElastic(E=200.0, nu=0.25).lame(3)
+    (80.0, 80.0)
     """
 
     linear: ClassVar[bool] = True

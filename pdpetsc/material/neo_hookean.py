@@ -11,6 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
+# Largest number of Newton iterations for the lateral stretch.
 NEWTON_STEPS = 60
 
 
@@ -18,16 +19,27 @@ NEWTON_STEPS = 60
 class NeoHookean(ElasticMaterial):
     r"""Neo-Hookean material, ``psi = mu / 2 (I_1 - 3 - 2 ln J) + lambda / 2 (ln J)^2``.
 
-    In plane stress one, in a bar two equal lateral stretches ``b`` are hidden; they follow from zero lateral stress,
-    ``mu (b^2 - 1) + lambda (ln det F + h ln b) = 0`` with ``h`` their number, and the tangent is condensed::
+    F does not show the lateral stretches ``b``, one in plane stress and two equal ones in a bar: zero lateral stress,
+    ``mu (b^2 - 1) + lambda (ln det F + h ln b) = 0`` with ``h`` their number, gives them; the tangent is condensed::
 
         P = mu (F - F^-T) + lambda ln J F^-T,                 J = det F b^h
         A = mu I + (mu - lambda ln J) F^-T (x) F^-1 + lambda_c F^-T (x) F^-T
         lambda_c = 2 lambda mu b^2 / (2 mu b^2 + h lambda)
 
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"`` for plane strain or stress, as
+        for every ``Material``.
+
     References
     ----------
-    Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, section 6.4.3.
+    Bonet2008, section 6.4.3.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> rubber = pd.NeoHookean(E=1.0, nu=0.45, plane="stress")
     """
 
     def kernels(self, dim: int) -> PointKernels:

@@ -19,9 +19,21 @@ class SaintVenantKirchhoff(ElasticMaterial):
     ``psi = lambda / 2 (tr E)^2 + mu E : E``, ``P = F S`` and
     ``A_imkn = delta_ik S_mn + lambda F_im F_kn + mu (F_in F_km + delta_mn (F F^T)_ik)``.
 
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-], and ``"strain"`` or ``"stress"`` for plane strain or stress, as
+        for every ``Material``.
+
     References
     ----------
-    Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, section 6.3.
+    Bonet2008, section 6.3.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.SaintVenantKirchhoff(E=1000.0, nu=0.3)
+    SaintVenantKirchhoff(E=1000.0, nu=0.3, plane='strain')
     """
 
     def kernels(self, dim: int) -> PointKernels:

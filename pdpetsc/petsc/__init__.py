@@ -5,8 +5,8 @@ import signal
 
 import petsc4py
 
-# Where PETSc has not been started yet, by the command line or a script: its .petscrc files, of the home folder and of
-# wherever one stands, can load any library and change any tolerance, so they are not read.
+# Start PETSc, where the command line or a script has not. Its .petscrc files, of the home and of the working folder,
+# can load any library and change any tolerance, so they are not read.
 petsc4py.init(["pdpetsc", "-skip_petscrc"])
 
 # PETSc ends a process whose reader has gone away, as with `| head`; Python gets an error instead, as it had asked for.

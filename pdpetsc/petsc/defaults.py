@@ -1,4 +1,4 @@
-"""Solver options and scales that a problem suggests."""
+"""Default options of the solvers for a problem."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     Every absolute tolerance is zero: a number with a unit says nothing of how good an answer is. That of ``cp`` would
     end a solve as converged where force and step are small numbers, whatever the residual is.
     Where bonds fail MUMPS looks for pivots that vanish, of particles that lose all their bonds in an iteration.
-    Along a path the residual with its constraint is the gradient of nothing, and full steps are taken. There and with
-    damage linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges (Eisenstat-Walker).
+    Along a path the residual with its constraint is not the gradient of an energy, so full steps are taken. There and
+    with damage linear solves go to 1e-8; else to 1e-3 at first, and further as Newton converges (Eisenstat1996).
     """
     defaults: dict[str, object] = {
         "snes_type": "newtonls",

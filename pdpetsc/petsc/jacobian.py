@@ -23,8 +23,8 @@ from pdpetsc.problem.problem import Problem
 
 # Largest number of unknowns for which the direct solver is the default, by dimension.
 DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
-# Blocks of a row of nearest neighbours on a lattice, by dimension; wider matrices than this many times as wide are not
-# assembled.
+# Blocks of a matrix row of nearest neighbours on a lattice, by dimension; a tangent with more than WIDE times as many
+# blocks in a row is not assembled.
 NEAR_BLOCKS, WIDE = {1: 5, 2: 13, 3: 25}, 1.5
 # Particles of each rank whose neighbours at two horizons are counted.
 SAMPLE = 300
@@ -43,7 +43,7 @@ class Choice:
     matrix_free : bool
         Whether the tangent is applied without a matrix.
     estimate : int
-        About what its assembled matrix takes, over all ranks [bytes]; 0 where nothing was to choose.
+        Estimated memory of the assembled tangent over all ranks [bytes]; 0 where the size was not asked for.
     """
 
     pc: str
@@ -101,7 +101,7 @@ def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> PetscTangent:
 
 
 def words(choice: Choice, predicted: int) -> str:
-    """Return what is about to be allocated, of which the matrix takes ``predicted`` bytes (not collective)."""
+    """Return for the log how the tangent is represented; its matrix takes ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
         return (
             f"tangent: without a matrix, preconditioned by nearest neighbours, {predicted / 2**20:.1f} MiB predicted "

@@ -91,7 +91,7 @@ class TangentMatrix(PetscTangent):
         return False
 
     def holds(self) -> bool:
-        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        """Return whether the problem has not changed since it was filled, at whatever displacement (not collective)."""
         return self._filled == self._assembler.problem.version
 
     def forget(self) -> None:

@@ -14,7 +14,7 @@ from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 
-# A linear solve that takes this many times the iterations per digit of the first one wants a new preconditioner.
+# The preconditioner is made anew when a solve takes this many times the iterations per digit of the first one with it.
 HARDER = 1.3
 # A particle this many times as stiff as when the bounds of the smoother were estimated may lie outside of them.
 STIFFER = 1.05
@@ -98,7 +98,7 @@ class MatrixFreeTangent(PetscTangent):
         return True
 
     def holds(self) -> bool:
-        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        """Return whether the problem has not changed since the update, at whatever displacement (not collective)."""
         return self._breaks == self._problem.breaks and self._version == self._problem.version
 
     def forget(self) -> None:

@@ -1,4 +1,4 @@
-"""PETSc's options: whose they are, which are in force, and which nothing has used."""
+"""PETSc's options: where they come from, which are in force, and which nothing has used."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.errors import CaseError
 from pdpetsc.petsc.library import option_used
 
-# Option that keeps PETSc from reading .petscrc in the home folder and wherever one stands.
+# Option that keeps PETSc from reading .petscrc in the home and the working folder.
 SKIP_FILES = "skip_petscrc"
+# Beginnings of options that PETSc looks up only when it ends.
 READ_AT_THE_END = ("log_", "malloc", "memory_view", "objects_", "options_", "on_error", "debug", "start_in_debugger")
 
 

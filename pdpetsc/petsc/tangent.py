@@ -20,7 +20,7 @@ class PetscTangent(ABC):
     preconditioner : Mat
         What the preconditioner is made from; the tangent itself where it is assembled.
     diagonal : (n_rows * dim,) float64
-        Its diagonal, or a likely one [force / length].
+        Its diagonal, or an estimate of it [force / length].
 
     Notes
     -----
@@ -35,8 +35,8 @@ class PetscTangent(ABC):
     def update(self, state: State, effort: float | None = None) -> None:
         """Make it K at a state.
 
-        ``effort`` is what the last linear solve with it took, in iterations per digit: the matrix of the preconditioner
-        may stay as it is while that does not grow. Without it that is made anew.
+        ``effort`` is what the last linear solve with it took [iterations per digit]: the matrix of the preconditioner
+        may stay as it is while that does not grow. Without ``effort`` that matrix is made anew.
         """
 
     @abstractmethod
@@ -45,7 +45,7 @@ class PetscTangent(ABC):
 
     @abstractmethod
     def holds(self) -> bool:
-        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        """Return whether the problem has not changed since ``update``, at whatever displacement (not collective)."""
 
     @abstractmethod
     def forget(self) -> None:

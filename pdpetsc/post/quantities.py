@@ -29,7 +29,7 @@ from pdpetsc.post.solution import (
 )
 
 EVERYWHERE = All()
-# How many letters a component of the fields of pdpetsc has; those of a user's field are known when it is evaluated.
+# Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
 _LETTERS: dict[Field, int] = {
     **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain), 0),
     **dict.fromkeys((displacement, reaction), 1),
@@ -38,7 +38,7 @@ _LETTERS: dict[Field, int] = {
 
 
 class Quantity(Declared, ABC):
-    """A number that follows from a converged step."""
+    """A number that is computed from every converged step for the history."""
 
     @abstractmethod
     def evaluate(self, solution: Solution) -> float:
@@ -60,6 +60,11 @@ class Mean(Quantity):
         ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
     region : Region
         Where; everywhere by default.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> right = pd.Mean(pd.displacement, "x", pd.region.Slab("x", low=9.0))
     """
 
     field: Field
@@ -85,13 +90,32 @@ class Mean(Quantity):
 
 
 def At(point: tuple[float, ...], field: Field, component: str = "") -> Mean:
-    """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones)."""
+    """Return the quantity for the value at the particle nearest to ``point`` (the mean of equally near ones).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.At((10.0, 1.0), pd.displacement, "y")
+    """
     return Mean(field, component, Nearest(point))
 
 
 @dataclass(frozen=True)
 class Reaction(Quantity):
-    """Sum of one component of the support forces in a region [force]."""
+    """Sum of one component of the support forces in a region [force].
+
+    Parameters
+    ----------
+    component : str
+        ``"x"``, ``"y"`` or ``"z"``.
+    region : Region
+        Where; everywhere by default.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> force = pd.Reaction("x", pd.region.Slab("x", high=1.0))
+    """
 
     component: str
     region: Region = EVERYWHERE
@@ -113,7 +137,13 @@ class Reaction(Quantity):
 
 @dataclass(frozen=True)
 class CellStrain(Quantity):
-    """Component of the mean strain of a periodic cell [-]."""
+    """Component of the mean strain of a periodic cell [-].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> strain = pd.CellStrain("xy")
+    """
 
     component: str
 
@@ -133,7 +163,13 @@ class CellStrain(Quantity):
 
 @dataclass(frozen=True)
 class CellStress(Quantity):
-    """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress]."""
+    """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> stress = pd.CellStress("xx")
+    """
 
     component: str
 
@@ -153,7 +189,13 @@ class CellStress(Quantity):
 
 @dataclass(frozen=True)
 class StrainEnergy(Quantity):
-    """Strain energy of the body without that of its zero-energy control [energy]."""
+    """Strain energy of the body without that of its zero-energy control [energy].
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"energy": pd.StrainEnergy()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
@@ -162,7 +204,13 @@ class StrainEnergy(Quantity):
 
 @dataclass(frozen=True)
 class ControlEnergy(Quantity):
-    """Energy of the zero-energy control [energy]: how much it interferes."""
+    """Energy of the zero-energy control [energy]; small against the strain energy where the control disturbs little.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"energy": pd.StrainEnergy(), "of control": pd.ControlEnergy()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
@@ -171,7 +219,13 @@ class ControlEnergy(Quantity):
 
 @dataclass(frozen=True)
 class ExternalWork(Quantity):
-    """What loads and supports have done [energy], by the trapezoidal rule over the steps."""
+    """Work of loads and supports since the undeformed state [energy], by the trapezoidal rule over the steps.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"work": pd.ExternalWork()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the work."""
@@ -180,11 +234,17 @@ class ExternalWork(Quantity):
 
 @dataclass(frozen=True)
 class DissipatedEnergy(Quantity):
-    """What the body has dissipated [energy].
+    """Energy that the body has dissipated [energy].
 
-    Of bonds with forces of their own it is what their laws have dissipated, whatever the steps: external work less the
-    energy stored is larger by what jumps of a load step have set free, and by the error of the work between steps. In
-    other bodies, and where a term of the case has a history, it is that difference.
+    In bond-based bodies it is what the damage laws of the bonds have dissipated, which does not depend on the steps; in
+    elastic bodies without damage it is 0. In other bodies, and where a term of the case has a history, it is the
+    external work less the stored energy: that also contains the energy set free by jumps within a load step and the
+    error of the trapezoidal rule.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"work": pd.ExternalWork(), "dissipated": pd.DissipatedEnergy()}
     """
 
     def evaluate(self, solution: Solution) -> float:
@@ -197,16 +257,21 @@ class DissipatedEnergy(Quantity):
 
 @dataclass(frozen=True)
 class CrackTip(Quantity):
-    """Furthest place along a direction where bonds have broken, of particles that have lost more than a share of them.
+    """Position of a crack tip: the largest coordinate along a direction among the cracked particles [length].
 
     Parameters
     ----------
     direction : tuple of float
-        In which the crack grows.
+        Direction in which the crack grows; its length does not matter.
     damage : float
-        Local damage above which a particle is cracked [-]; a straight crack beside it cuts about a third.
+        Local damage above which a particle counts as cracked [-]; beside a straight crack it is about a third.
     region : Region
         Where the crack is.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip = pd.CrackTip(direction=(1.0, 0.0), region=pd.region.Slab("y", low=4.0, high=6.0))
     """
 
     direction: tuple[float, ...]
@@ -220,13 +285,13 @@ class CrackTip(Quantity):
             raise CaseError(f"A CrackTip needs a direction that is not zero, not {self.direction}.")
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the direction is one of another body."""
+        """Raise CaseError where the direction or the region does not fit a body of ``dim`` dimensions."""
         if len(self.direction) != dim:
             raise CaseError(f"The direction of a CrackTip has {dim} numbers, not {self.direction}.")
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
-        """Return the coordinate along the direction [length]; that of the end behind where nothing has cracked."""
+        """Return the coordinate [length]; the least one of the whole body where no particle is cracked."""
         self.check(solution.x.shape[1])
         axis = np.asarray(self.direction, dtype=float)
         along = solution.x @ (axis / np.linalg.norm(axis))
@@ -237,7 +302,13 @@ class CrackTip(Quantity):
 
 @dataclass(frozen=True)
 class BrokenBonds(Quantity):
-    """How many pairs of particles have lost their bond."""
+    """Number of broken bonds, each pair of particles counted once; those that a pre-crack cuts are not counted.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"broken": pd.BrokenBonds()}
+    """
 
     def evaluate(self, solution: Solution) -> float:
         """Return the number."""
@@ -246,7 +317,18 @@ class BrokenBonds(Quantity):
 
 @dataclass(frozen=True)
 class Largest(Quantity):
-    """Largest value of a field component over a region."""
+    """Largest value of a field component over a region.
+
+    Parameters
+    ----------
+    field, component, region
+        As for ``Mean``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> peak = pd.Largest(pd.stress, "yy", pd.region.Sphere((5.0, 2.0), radius=1.5))
+    """
 
     field: Field
     component: str = ""
@@ -271,10 +353,6 @@ class Largest(Quantity):
 class RelativeError(Quantity):
     """Volume-weighted mean of ``|a - b| / |b|`` between a field and a reference function of position.
 
-    References
-    ----------
-    Hashim et al., Eq. (56).
-
     Parameters
     ----------
     field : Field
@@ -283,6 +361,15 @@ class RelativeError(Quantity):
         ``reference(x, t)`` with (n, dim) positions returns values of the field's shape.
     region : Region
         Where; particles with zero reference are left out. NaN where it is zero everywhere.
+
+    References
+    ----------
+    Hashim, Eq. (56).
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> error = pd.RelativeError(pd.displacement, lambda x, t: 0.01 * t * x)
     """
 
     field: Field
@@ -290,7 +377,7 @@ class RelativeError(Quantity):
     region: Region = EVERYWHERE
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the region is one of other bodies."""
+        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
@@ -310,14 +397,25 @@ class RelativeError(Quantity):
 
 @dataclass(frozen=True)
 class LargestError(Quantity):
-    """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region."""
+    """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region.
+
+    Parameters
+    ----------
+    field, reference, region
+        As for ``RelativeError``; particles with zero reference count too.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> error = pd.LargestError(pd.displacement, lambda x, t: 0.01 * t * x)
+    """
 
     field: Field
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
 
     def check(self, dim: int) -> None:
-        """Raise CaseError where the region is one of other bodies."""
+        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:

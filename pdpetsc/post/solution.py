@@ -35,7 +35,7 @@ class Solution:
     resume : mapping of str to float
         Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
     tangent_at : (n_rows, dim) float64, optional
-        Where the tangent is of that the next step begins with [length], if it is not of here.
+        Displacements whose tangent the next step begins with [length], where they are not ``unknowns``.
 
     Notes
     -----
@@ -186,9 +186,9 @@ def first_piola_stress(solution: Solution) -> Float:
 
 
 def in_space(field: Field) -> Field:
-    """Return a field as files hold it: tensors of a line or plane body with what they are across it (n, 3, 3).
+    """Return a field as files hold it: tensors of a line or plane body with their entries across it (n, 3, 3).
 
-    Others are as they are.
+    Other fields are returned unchanged.
     """
     across = _ACROSS.get(getattr(field, "__wrapped__", field))
     if across is None:
@@ -228,7 +228,7 @@ def local_damage(solution: Solution) -> Float:
 
     References
     ----------
-    Silling, Askari (2005), Eq. (29), with the bonds weighted by their stiffness.
+    Silling2005, Eq. (29), with the bonds weighted by their stiffness.
     """
     return solution.problem.matter.local_damage()
 
@@ -240,11 +240,11 @@ def lost_bonds(solution: Solution) -> Float:
 
     References
     ----------
-    Hashim et al., Eq. (46).
+    Hashim, Eq. (46).
     """
     damage = solution.problem.damage
     return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()
 
 
-# Which of the numbers across a line or plane body completes a tensor.
+# Which entry of ``Solution.out_of_plane`` completes each tensor.
 _ACROSS: dict[Field, int] = {deformation_gradient: 0, first_piola_stress: 1, stress: 2}

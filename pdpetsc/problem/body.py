@@ -68,7 +68,8 @@ class Body:
         u_local : (n_local, dim) float64
             Displacements with ghosts [length].
         finite : bool
-            Whether elongations are those of the current length, or along the first direction of the bond.
+            Whether an elongation is the change of the length of the bond, or the part of ``eta`` along its reference
+        direction.
         """
         family, e = self.families, np.empty(len(self.families.neighbours))
         kernel = elongation_kernel(self.dim, int(finite))

@@ -1,4 +1,4 @@
-"""Terms that a case declares: what they must keep to, or their forces would be lost without a word."""
+"""Terms that a case declares, and the checks without which forces of theirs could be lost unnoticed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.term import ExtraTerm, Term
 
-# Pairs of members of stencils that are looked up together.
+# Pairs of members of stencils that are looked up at once.
 BLOCK = 1_000_000
 # Ghosts are those of the families of own particles, whose members are two horizons apart at most.
 FURTHEST = 2
@@ -23,8 +23,8 @@ def build_extra(declared: ExtraTerm, number: int, body: Body) -> Term:
     Raises
     ------
     CaseError
-        It is no term, has forces that nothing asks for, couples particles beyond the families, or names arrays that a
-        run which goes on could not fill.
+        It is not a ``Term``, has forces that nothing asks for, couples particles that are in no common family, or gives
+        copies of its arrays, which a continued run could not fill.
     """
     name = type(declared).__name__
     term: Term = called(f"term {number}, {name}: its function", declared.build, body)

@@ -1,4 +1,4 @@
-"""Springs that hold particles which have lost bonds, for solvers."""
+"""Soft springs on particles that have lost bonds, which keep the tangent regular while a solver iterates."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import LinearisedTerm, PointTangent, Term
 
-# Stiffness that holds a particle which has lost bonds, over a typical one.
+# Stiffness of a spring over a typical diagonal of the tangent [-].
 SOFT = 1e-8
 
 
 class LooseSprings(Term):
-    """A piece that has come free stays where it was: soft springs hold particles that have lost bonds.
+    """Soft springs on particles that have lost bonds: a piece that has come free stays where it is.
 
-    The force is that of a spring far softer than a bond to the place where a solve starts; it vanishes where nothing
-    moves any more, and equilibrium counts only there. Outputs do not see it.
+    A spring, far softer than a bond, ties the particle to where it is when a solve starts. Solvers then move the
+    springs with it until they have no force, and only that counts as equilibrium. Outputs leave them out.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class LooseSprings(Term):
 
     @property
     def parts(self) -> list[str]:
-        """Return nothing: they are none of the case."""
+        """Return nothing: the case does not declare them."""
         return []
 
     def hold(self, u: Float) -> None:
@@ -56,7 +56,7 @@ class LooseSprings(Term):
         self.active = int(total(self._body.cloud.comm, np.count_nonzero(held))) > 0
 
     def move(self, u: Float) -> None:
-        """Let the springs have no force at ``u`` (not collective)."""
+        """Move the springs so that they have no force at ``u`` (not collective)."""
         self._anchor = u
 
     def force(self, u: Float) -> Float:

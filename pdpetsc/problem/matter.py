@@ -20,7 +20,7 @@ class Matter(Term):
     note : str
         What a user should know about how it was built; the same on all ranks.
     n_detached : int
-        Particles on all ranks that have too few bonds left for a gradient, and no stress.
+        Particles on all ranks that have too few bonds left for a gradient, and therefore no stress.
 
     Notes
     -----
@@ -64,7 +64,7 @@ class Matter(Term):
 
     @abstractmethod
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
-        """Return what a line or plane body does across itself: stretch [-], P and Cauchy stress [stress], (n_owned,).
+        """Return stretch [-], P and Cauchy stress [stress] across a line or plane body, each (n_owned,).
 
         All three are those of one direction; a line has two equal ones.
         """
@@ -82,7 +82,7 @@ class Matter(Term):
         return np.zeros(self.body.cloud.n_owned)
 
     def dissipated_energy(self) -> float | None:
-        """Return what bonds have dissipated in failing [energy]; None where their laws alone do not tell."""
+        """Return what bonds have dissipated in failing [energy]; None where their laws alone do not give it."""
         return None if self.has_history else 0.0
 
     @abstractmethod

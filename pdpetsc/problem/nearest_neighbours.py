@@ -33,7 +33,7 @@ class NearAssembler(Assembler):
 
     ``G_n^T D G_n + K_control``: ``D_i = sum_p W_p A_p`` of the points of particle i in the body, whatever its scheme,
     materials and damage, and ``G_n`` the gradient over near bonds that are not broken. What couples a particle to
-    itself alone is the body's own. On a square lattice a row has 13 blocks and on a cubic one 25, for any horizon; a
+    itself alone is as in the body. On a square lattice a row has 13 blocks and on a cubic one 25, for any horizon; a
     long wave has the same energy in both bodies, and the energies of short ones differ by a factor that does not depend
     on the size of the body.
 

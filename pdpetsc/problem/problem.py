@@ -36,7 +36,7 @@ class Problem:
     Attributes
     ----------
     springs : LooseSprings or None
-        One of the terms, which solvers move, where bonds can fail.
+        The term that holds loose particles, whose springs solvers move; None where bonds cannot fail.
 
     Notes
     -----
@@ -115,7 +115,7 @@ class Problem:
         return ["families", *(part for term in self.terms for part in term.parts), *damage]
 
     def state(self, u: Float, t: float = 0.0) -> State:
-        """Return the state at unknowns (n_rows, dim) and a step time: the last one where it is still that."""
+        """Return the state at unknowns (n_rows, dim) and a step time, the last one again where nothing has changed."""
         last = self._last
         changed = last is None or last.t != t or self._last_version != self.version or not np.array_equal(last.u, u)
         if last is None or int(total(self.body.cloud.comm, int(changed))) > 0:
@@ -134,7 +134,7 @@ class Problem:
         Without ``of_solver`` terms that only help a solver are left out.
         """
         terms = [term for term in self.terms if not term.load and (of_solver or not term.of_solver)]
-        # Ghosts are there before a term asks for them, which it may do on one rank alone.
+        # Exchange ghosts here: a term might ask for them on one rank alone.
         _ = state.u_local
         here = [term.admissible(state) for term in terms]
         if int(total(self.body.cloud.comm, int(not all(here)))):
@@ -166,7 +166,7 @@ class Problem:
         _ = state.u_local
         parts = [part for part in (term.linearised(state) for term in self.terms) if part is not None]
         if state is self._last:
-            # Moduli take its place in memory.
+            # The memory of this state goes to the moduli, so it is not kept for reuse.
             self._last = None
         return Tangent(self.body, parts)
 
@@ -215,7 +215,7 @@ class Problem:
         return self.damage is not None and self.damage.softens
 
     def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement (not collective)."""
+        """Hold damage as it is, or let it follow the displacement (not collective)."""
         if self.damage is not None:
             self.damage.freeze(frozen)
 

@@ -1,4 +1,4 @@
-"""Whether a problem scales with its load factor, which path following and the event-driven solver count on."""
+"""Whether loads and prescribed unknowns are proportional to the load factor, as two of the solvers need."""
 
 from __future__ import annotations
 

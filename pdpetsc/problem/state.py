@@ -1,4 +1,4 @@
-"""One point at which a problem is evaluated."""
+"""State of a problem: unknowns, step time, and what is computed from them."""
 
 from __future__ import annotations
 

@@ -107,8 +107,8 @@ class Supports:
     def held_at_cut_families(self) -> int:
         """Return how many particles are held in the direction in which their family is cut, beside ones that are free.
 
-        There the weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the stress of
-        the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
+        There the gradient weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the
+        stress of the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
         """
         cloud, families = self.body.cloud, self.body.families
         n, dim = cloud.n_owned, cloud.dim

@@ -36,7 +36,7 @@ class KeptArray:
     Raises
     ------
     CaseError
-        The arrays are not these.
+        There is not one row of float64 for each owner, or the owners do not ascend.
     """
 
     owner: LocalIndex
@@ -108,11 +108,11 @@ class LinearisedTerm:
         return None if D is None else np.asarray(np.einsum("pikik->p", D))
 
     def absorb(self, other: LinearisedTerm) -> bool:
-        """Take the product of another term into the pass of this one, if that is quicker; return whether it does."""
+        """Compute the product of another term in the same loop, if that is quicker; return whether it does."""
         return False
 
     def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness and shape tensors with which it is a penalty on what a gradient leaves unexplained."""
+        """Return bond stiffness and shape tensors where it is a control on the gradient of ``operator``, else None."""
         return None
 
 
@@ -148,10 +148,10 @@ class Term(ABC):
     symmetric : bool
         Whether its tangent is symmetric.
     load : bool
-        Whether it is a load, which the residual is judged against, like the reactions. A foundation is none. Along a
-        path, and from event to event, loads are dead and proportional to the step time.
+        Whether it is a load: the residual is compared with loads and reactions. A foundation is not a load. For path
+        following and the event-driven solver loads must be dead and proportional to the step time.
     of_solver : bool
-        Whether it only helps a solver on its way and outputs leave it out.
+        Whether it only helps a solver to converge; outputs leave it out.
     horizons : int
         Over how many horizons it couples particles: 0 for each with itself alone, 1 for the two ends of a bond, 2 for
         members of one family.

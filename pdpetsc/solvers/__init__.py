@@ -1,4 +1,4 @@
-"""Ways to equilibrium: Newton's method in load steps, path following, events, dynamic relaxation.
+"""Solvers: Newton's method in load steps, path following, from event to event, dynamic relaxation.
 
 ``table`` says which class solves what a case declares; ``protocol`` is what all of them offer.
 """

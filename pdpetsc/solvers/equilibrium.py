@@ -22,12 +22,13 @@ from pdpetsc.solvers.protocol import StepResult
 FLOOR = 20.0
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
-# Solves in which loose pieces must come to rest, so that equilibrium needs no springs.
+# Largest number of further solves, each with the springs of loose pieces moved along, until they have no force.
 RESTS = 5
 # A norm that is computed once more, in another order of the sums, may differ by this factor.
 SLACK = 1.0 + 1e-6
 # Why a piece on which a load acts is not in equilibrium.
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
+# Largest number of halvings of a Newton step to keep det F > 0.
 HALVINGS = 40
 # A step with no more iterations may be followed by a longer one.
 EASY_ITERATIONS = 6
@@ -52,9 +53,9 @@ class Equilibrium:
     prescribed, external : (n_rows, dim) float64
         The prescribed unknowns [length] there, and the loads where the residual was last computed [force].
     scales : Scales
-        What displacements, forces and the tangent are over in PETSc.
+        Units by which displacements, forces and the tangent are divided for PETSc.
     tangent : PetscTangent
-        At the displacement it was last filled for.
+        The tangent at the displacement for which it was last updated.
     norms : list of float
         Residual norms of the present solve [force].
     reference : float
@@ -117,12 +118,12 @@ class Equilibrium:
         return np.where(self.free, residual, self.scales.stiffness * (values - self.prescribed))
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
-        """Make the tangent that at ``x``; ``effort`` is what the last linear solve took (``PetscTangent.update``)."""
+        """Update the tangent to that at ``x`` after a linear solve of some ``effort`` (``PetscTangent.update``)."""
         with stage(TANGENT):
             self.tangent.update(self.state(x), effort)
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
-        """Return the part of a Newton step, halved as often as det F > 0 asks.
+        """Return the part of a Newton step that keeps det F > 0: 1, halved as often as needed.
 
         Parameters
         ----------
@@ -156,14 +157,14 @@ class Equilibrium:
     def judge(self, x: Float, rtol: float) -> bool:
         """Return whether ``x`` is in equilibrium, whatever the reason for which a solve has ended.
 
-        The residual is computed here: a reason of PETSc may rest on a number that is not relative to anything, and the
-        norm that it keeps may be that of another vector, as of a preconditioned residual.
+        The residual is computed here: PETSc may have ended on an absolute tolerance, and the norm that it keeps may be
+        that of another vector, such as a preconditioned residual.
         """
         residual = self.residual(x)
         if residual is None:
             return False
         norm = float(np.sqrt(total(self.problem.body.cloud.comm, (residual**2).sum())))
-        if not self.norms:  # a solver of PETSc that does not ask
+        if not self.norms:  # a solver of PETSc that calls no convergence test
             self.norms.append(norm)
         return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol))
 
@@ -185,9 +186,9 @@ class Equilibrium:
         return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
 
     def begin(self, u: Float) -> bool:
-        """Start to record a solve from ``u``, and hold loose particles there; return whether there is a new ``Mat``.
+        """Start to record a solve from ``u``, and hold loose particles there.
 
-        That of the preconditioner is, where bonds have broken.
+        Return whether the preconditioner has a new ``Mat``, as it may after bonds have broken.
         """
         self.norms, self.reason = [], ""
         if self.problem.springs is not None:
@@ -219,7 +220,7 @@ class Equilibrium:
         return self.problem.springs is None or not self.problem.springs.active
 
     def move_springs(self, u: Float) -> None:
-        """Let the springs of loose particles have no force at ``u`` (not collective)."""
+        """Move the springs of loose particles so that they have no force at ``u`` (not collective)."""
         if self.problem.springs is not None:
             self.problem.springs.move(u)
 

@@ -1,4 +1,4 @@
-"""Load stepping with cut-back and growth."""
+"""Load stepping: steps that fail are halved, and steps grow after easy ones."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.damage import Damage
 from pdpetsc.solvers.protocol import Converged, OnFailure, Start, StepResult, StepSolver
 
+# Step times that differ by less are the same.
 SAME_TIME = 1e-9
-# What a run that goes on finds the next load step under.
+# Name under which a checkpoint keeps the size of the next load step.
 LOAD_STEP = "load_step"
+# Size of the step after an easy one, over that one.
 GROWTH = 1.5
-# Newton's answer counts where it changes no integrity by more: a longer jump has passed unstable states, and which of
-# the states beyond it finds is left to round-off.
+# Newton's answer counts where it changes no integrity by more than this: a larger jump has passed unstable states, and
+# round-off decides which of the states beyond them is found.
 GENTLE = 0.3
-# Damage has settled where no integrity changes by more in a sweep, and Newton with damage that follows the displacement
-# ends close by; where that fails, where no integrity changes by more than LAST. It has this many sweeps.
+# Damage has settled where a sweep changes no integrity by more than SETTLED and Newton with damage that follows the
+# displacement then changes none by more than CLOSE; where that fails, where a sweep changes none by more than LAST.
+# There are at most SWEEPS of them.
 SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
-# Solves in which Newton's answer and the damage there agree; more are left to the sweeps.
+# Largest number of solves until Newton's answer and the damage at it agree; after that sweeps take over.
 FOLLOWING = 50
 
 
@@ -41,12 +44,12 @@ class LoadStepSolver(StepSolver):
     stop: Callable[[], bool]
 
     def resume(self, start: Start) -> None:
-        """Begin the next step as the run did that this one goes on from (collective)."""
+        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective)."""
         dt = start.resume.get(LOAD_STEP, 1.0)
         if not (dt > 0.0 and start.t + dt > start.t):
             raise CaseError(
-                f"The checkpoint's next load step, {dt:g} from step time {start.t:g}, leads nowhere; it is damaged, so "
-                f"restart from another one."
+                f"The checkpoint is damaged: its next load step, {dt:g} from step time {start.t:g}, leads nowhere; "
+                f"restart from another checkpoint."
             )
         super().resume(start)
 
@@ -58,14 +61,14 @@ class LoadStepSolver(StepSolver):
 def load_steps(
     solver: StepSolver, steps: Steps | AdaptiveSteps, start: Start, stop: Callable[[], bool], on_failure: OnFailure
 ) -> Iterator[Converged]:
-    """Yield converged steps from ``start`` to step time 1, with the load step that a run before would have gone on.
+    """Yield converged steps from ``start`` to step time 1, beginning with the step size that a checkpoint names.
 
     Bonds break at equilibrium, the most overstretched ones first, and the same load is solved again until none does.
     Where Newton with damage that follows the displacement fails, or jumps, equilibrium with damage held and damage at
-    that equilibrium alternate until neither changes: damage only grows, so this ends. Bonds that heal
-    also break where Newton converges gently; in sweeps their damage only grows, and Newton ends them.
-    A step that fails is halved and starts again from the last converged state; after a success the step grows by half,
-    up to the largest, if it was easy.
+    that equilibrium alternate (sweeps) until neither changes: damage only grows, so this ends. Bonds of a law that lets
+    them heal also break where Newton converges without a jump; in sweeps they do not heal, and a last solve by Newton
+    lets them. A step that fails is halved and starts again from the last converged state; after an easy one the step
+    grows by half, up to the largest.
 
     Raises
     ------
@@ -165,15 +168,15 @@ def followed(
 ) -> tuple[Float, StepResult, float]:
     """Take the damage at ``u`` and solve again until that changes nothing; return the last change of an integrity.
 
-    A control has the damage of the last equilibrium, so what Newton found is no equilibrium with the damage there. A
-    change of more than ``most`` is not taken and ends the search.
+    A zero-energy control has the damage of the equilibrium before, so what Newton found is not yet an equilibrium with
+    its own damage. A change of more than ``most`` is not taken and ends the search.
 
     Returns
     -------
     u, result
-        The last equilibrium and how it went.
+        The last equilibrium and the outcome of its solve.
     change : float
-        At most ``LAST`` where it is one with the damage that has been taken [-].
+        Last change of an integrity [-]; at most ``LAST`` where ``u`` is in equilibrium with its own damage.
     """
     iterations, linear, change = result.iterations, result.linear_iterations, 1.0
     damage = damage_of(solver)
@@ -197,14 +200,15 @@ def settle(
 ) -> tuple[Float, StepResult, int, int]:
     """Alternate equilibrium at ``target`` with damage held and damage at that equilibrium until neither changes.
 
-    The last sweep leaves equilibrium with the damage before it, so Newton with damage that follows the displacement
-    ends the search: what is returned is equilibrium with the damage that is kept. Bonds that heal do not in sweeps,
-    which would not end then, and break only where damage has settled; that Newton lets them, and must converge.
+    A sweep leaves equilibrium with the damage before it, so Newton with damage that follows the displacement ends the
+    search: what is returned is in equilibrium with its own damage. Bonds of a law that lets them heal do not heal in
+    sweeps, which might never end then, and break only where damage has settled; the last Newton lets them heal and must
+    converge.
 
     Parameters
     ----------
     most : int
-        Sweeps in which this happens.
+        Largest number of sweeps.
     fail : callable
         Breaks bonds at an equilibrium and returns how many.
 
@@ -235,7 +239,7 @@ def settle(
                 u, result = attempt, closed
                 more = fail(u)
             elif heals:
-                reason = "no equilibrium was found in which bonds heal after the damage had settled without"
+                reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
                 return u, replace(closed, converged=False, reason=reason), broken, sweep
             else:
                 solver.load = load

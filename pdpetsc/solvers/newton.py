@@ -27,7 +27,8 @@ from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Setting, Start, StepResult
 
-# The line search that looks for a zero along the step; it crawls where a loose piece turns, and full steps do not.
+# The line search for a zero of the residual along the step; where a loose piece rotates its steps get tiny, full steps
+# do not.
 SECANTS = "cp"
 ONE_STEP = Steps()
 
@@ -91,7 +92,7 @@ class StaticSolver(LoadStepSolver):
         return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
 
     def resume(self, start: Start) -> None:
-        """Begin the next step as the run did that this one goes on from (collective)."""
+        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective)."""
         super().resume(start)
         self._resumed_from = self.problem.supports.prescribed(start.t)
 
@@ -101,7 +102,7 @@ class StaticSolver(LoadStepSolver):
         return self._equilibrium.tangent.bytes
 
     def description(self) -> str:
-        """Return the solver in force in a few words."""
+        """Return the nonlinear and the linear solver in a few words."""
         return f"snes {self.snes.getType()}, {linear_solver(self.snes.getKSP())}"
 
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
@@ -130,7 +131,7 @@ class StaticSolver(LoadStepSolver):
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
-            # Once more from where it came to rest: the springs have no force there.
+            # Solve again from this state, to which the springs move: they have no force there.
             rest = sought.at_prescribed(self._displacement(self._x))
             sought.move_springs(rest)
             sought.reason = ""
@@ -216,7 +217,7 @@ class StaticSolver(LoadStepSolver):
             sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
         b = external - force - self.problem.linearised(state)(jump)
-        # Nothing of it is needed while the tangent is factored.
+        # What the state keeps is not needed while the tangent is factored, which takes the most memory.
         state.forget()
         self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
         ksp = self.snes.getKSP()

@@ -1,4 +1,4 @@
-"""What every solver is: from the state that a run starts from it marches from one converged state to the next."""
+"""What every solver offers: a march from the state that a run starts from, one converged state after another."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pdpetsc.problem.state import State
 
 @dataclass(frozen=True)
 class StepResult:
-    """What one attempt at a load step did.
+    """Outcome of one attempt at a load step.
 
     Attributes
     ----------
     converged : bool
         Whether the solver met its tolerance, or the residual stagnated at the round-off floor.
     reason : str
-        In words.
+        Why it ended, in words.
     norms : list of float
         Residual norms over the free degrees of freedom, at the start and after iterations [force].
     reference : float
@@ -60,13 +60,13 @@ class Converged:
     t : float
         Step time [-].
     result : StepResult
-        How it went.
+        Its outcome.
     failures : list of StepResult
         Failed attempts before it.
     broken : int
         Bonds that broke in it.
     sweeps : int
-        Equilibria with damage held, where Newton with damage failed; 0 where it did not.
+        Number of equilibria that were found with the damage held, where Newton with damage failed; else 0.
     resume : mapping of str to float
         Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
     write_fields : bool
@@ -96,7 +96,7 @@ class Start:
     resume : mapping of str to float
         What the solver of the run before named in ``Converged.resume``; empty at the start of a run.
     tangent_at : (n_rows, dim) float64 or None
-        Where the tangent is of that the first step begins with [length], where it is not that of ``u``.
+        Displacements whose tangent the first step begins with [length], where they are not ``u``.
     """
 
     u: Float
@@ -105,7 +105,7 @@ class Start:
     tangent_at: Float | None = None
 
 
-# Told of a failed attempt: the step time that stands, the step that is tried next, and how the attempt went.
+# Called after a failed attempt with the last converged step time, the step that is tried next, and the outcome.
 OnFailure: TypeAlias = Callable[[float, float, StepResult], None]
 
 
@@ -118,7 +118,7 @@ class Setting:
     problem : Problem
         What is solved.
     declared : DeclaredSolver
-        What the scene declares, of the class that the table of solvers has it under.
+        What the case declares, of a class in the table of solvers.
     steps : Steps or AdaptiveSteps
         How the load is applied, for those that step it.
     filled : Assembler or None
@@ -146,11 +146,11 @@ class Solver(ABC):
     Attributes
     ----------
     unit : str
-        What its iterations are called.
+        Name of its iterations in messages.
     advice : str
         What a user may try when it failed.
     resumed : (n_rows, dim) float64 or None
-        Where the tangent is of that the first step begins with [length], where it is not that of its start.
+        Displacements whose tangent the first step begins with [length], where they are not those it starts from.
     """
 
     unit: str
@@ -177,23 +177,23 @@ class Solver(ABC):
         Raises
         ------
         SolveError
-            No step leads on; what was yielded before stands.
+            No further state was found; what was yielded before stands.
         Interrupted
             A signal asked to stop.
         """
 
     @property
     def tangent_at(self) -> Float | None:
-        """Return where the tangent is of that the next step begins with (n_rows, dim) [length]; None for its start."""
+        """Return the displacements whose tangent begins the next step (n_rows, dim) [length]; None: the last."""
         return None
 
     def resume(self, start: Start) -> None:
-        """Begin the next step as the run did that this one goes on from (collective).
+        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective).
 
         Raises
         ------
         CaseError
-            The numbers that the run before left lead nowhere.
+            The numbers in the checkpoint cannot be those of a run.
         """
         self.resumed = start.tangent_at
 
@@ -218,7 +218,7 @@ class Solver(ABC):
 
     @abstractmethod
     def description(self) -> str:
-        """Return the solver in force in a few words."""
+        """Return the solver and its options in a few words, for the log."""
 
     @abstractmethod
     def destroy(self) -> None:

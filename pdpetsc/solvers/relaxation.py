@@ -20,9 +20,9 @@ POWER_ITERATIONS = 30
 SAFETY = 0.9
 # A new stable time step is estimated this often: the stiffness changes with the deformation.
 RENEWED = 2000
-# Norms are kept at this rate, and signals looked for.
+# Time steps after which a norm is recorded and signals are looked for.
 KEPT = 100
-# Where a body is unloaded, its residual is judged by this share of the largest forces that it has borne.
+# An unloaded body has no forces to compare its residual with: it is compared with this share of the largest so far.
 UNLOADED = 1e-3
 
 
@@ -41,7 +41,7 @@ class RelaxationSolver(LoadStepSolver):
     problem : Problem
         What is solved.
     options : DynamicRelaxation
-        When it stops.
+        Tolerance and largest number of time steps.
     steps : Steps or AdaptiveSteps
         How the load is applied.
     stop : callable
@@ -49,7 +49,7 @@ class RelaxationSolver(LoadStepSolver):
 
     References
     ----------
-    Luo, Sundararaghavan (2018), section 4, Eq. (14)-(17); Kilic, Madenci (2010).
+    Luo2018, section 4, Eq. (14)-(17); Kilic2010.
     """
 
     unit = "relaxation"
@@ -101,7 +101,7 @@ class RelaxationSolver(LoadStepSolver):
         density = self._norm(residual / self._mass)
         self._largest = max(self._largest, reference)
         if norms[0] <= self._options.tolerance * max(reference, UNLOADED * self._largest):
-            # It is at rest already; its own first residual is too small a measure to fall below.
+            # It is in equilibrium already: the first residual is too small to be the reference of the others.
             return moved, StepResult(True, "at rest", norms, reference, 0)
         for iteration in range(1, self._options.most + 1):
             if iteration % RENEWED == 0:

@@ -1,4 +1,4 @@
-"""Which solver does what a scene declares, and what a solver must find in a problem."""
+"""The solver class of each declared solver, and the check that a problem has what a solver needs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
 
 
 def implementation(declared: DeclaredSolver) -> type[Solver]:
-    """Return what does what a scene declares (not collective); raise CaseError where the table has nothing."""
+    """Return the solver class of a declared solver (not collective); raise CaseError where the table has none."""
     for kind in type(declared).__mro__:
         if kind in SOLVERS:
             return SOLVERS[kind]
@@ -33,7 +33,7 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 
 
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
-    """Raise CaseError on all ranks where a problem has not what a solver declares to need (collective)."""
+    """Raise CaseError on all ranks where a problem lacks what a solver declares to need (collective)."""
     implementation(declared).refuse(problem)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:

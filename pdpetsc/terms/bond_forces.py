@@ -74,7 +74,7 @@ class BondForces(Matter):
         Raises
         ------
         CaseError
-            There is a dilatation.
+            The material has a dilatation.
         """
         if self.a is not None:
             raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
@@ -167,7 +167,7 @@ class BondForces(Matter):
         return np.asarray(np.bincount(self.body.families.centres, self.a * e, n), dtype=float)
 
     def admissible(self, state: State) -> bool:
-        """Return whether no bond has lost its length on this rank."""
+        """Return whether every bond on this rank has a length above zero."""
         least = state.elongated(self.finite)[1]
         return not self.finite or least > 0.0
 

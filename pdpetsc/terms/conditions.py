@@ -1,4 +1,4 @@
-"""From declared conditions to supports and loads."""
+"""Supports and loads from the conditions that a case declares."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from pdpetsc.terms.dead_loads import DeadLoads
 
 
 class Applied:
-    """Takes in one condition after the other; conditions call the method of their kind.
+    """Supports and loads of a body, collected from its conditions, each of which calls the method of its kind.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ class Applied:
     Attributes
     ----------
     supports : Supports
-        What is prescribed.
+        Prescribed unknowns.
     loads : DeadLoads
-        What acts.
+        External forces.
     """
 
     def __init__(self, body: Body, matter: Matter, particles: Particles) -> None:
@@ -106,7 +106,7 @@ class Applied:
 def apply(
     body: Body, matter: Matter, conditions: Sequence[Condition], particles: Particles
 ) -> tuple[Supports, DeadLoads]:
-    """Return what conditions prescribe and what they let act (collective).
+    """Return the supports and the loads of conditions (collective).
 
     Raises
     ------

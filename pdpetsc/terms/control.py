@@ -64,7 +64,7 @@ class ControlForces(Term):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether damage does not change it while the displacement does."""
+        """Return whether its forces are linear: damage does not change them together with the displacement."""
         return self.damage is None or not self.damage.bonds.softens or not self._fades
 
     @property
@@ -93,7 +93,7 @@ class ControlForces(Term):
         fading = self._effect.fading(self.damage.at(state)[0])
         if fading is None:
             return self.control
-        # One object a state: its matrix is made once.
+        # Kept with the state, so that its matrix is made once.
         return state.kept(("control", self.damage.version, id(self.control)), lambda: self.control.faded(fading))
 
     def add_force(self, state: State, f: Float) -> None:
@@ -122,13 +122,13 @@ class ControlForces(Term):
         return self._matrix[2]
 
     def shared_gradient(self, control: Control, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return stiffness and shape tensors with which it penalises what an operator leaves unexplained, if so."""
+        """Return bond stiffness and shape tensors where the control uses the gradient of ``operator``, else None."""
         if self._shared is None or self._shared[0] is not control or self._shared[1] is not operator:
             self._shared = control, operator, control.of_gradient(operator)
         return self._shared[2]
 
     def _follow(self, rebuild: bool) -> None:
-        """Take the integrity of the bonds."""
+        """Rebuild the control with the present integrity of the bonds."""
         assert self.damage is not None
         self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.integrity))
 
@@ -153,7 +153,7 @@ class ControlTangent(LinearisedTerm):
             self._falling.add_rows(entries)
 
     def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return what lets a gradient's pass do it too."""
+        """Return bond stiffness and shape tensors where it can share the loop over a gradient, else None."""
         return None if self._falling is not None else self._term.shared_gradient(self._control, operator)
 
 

@@ -1,4 +1,4 @@
-"""Loads that keep direction and nominal size."""
+"""Dead loads: external forces that do not depend on the displacement."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import LinearisedTerm, Term
 
-# A consistent traction whose forces add up to a share of traction times face outside of these is not that of one face.
+# The forces of a consistent traction add up to this share of traction times face, or the region is not one whole face.
 WHOLE_FACE = (0.5, 2.0)
-# That share is round-off where it differs from 1 by less.
+# A share that differs from 1 by less than this differs by round-off.
 EXACT = 1e-9
-# Step times at which loads are looked at for the record.
+# The record has the resultant of a load at the first of these step times at which it is not zero.
 SHOWN = (1.0, 0.75, 0.5, 0.25)
 
 
@@ -58,9 +58,9 @@ class DeadLoads(Term):
     body : Body
         Particles and bonds.
     matter : Matter
-        The material, which knows what forces hold a uniform stress.
+        The material, which gives the forces that balance a uniform stress.
     particles : Particles
-        As declared; they tell thickness and faces.
+        As declared; they give the areas of free faces.
     cell : CellRows, optional
         The virtual unknowns of a periodic cell.
 

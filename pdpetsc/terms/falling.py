@@ -1,4 +1,4 @@
-"""What the derivative of the integrity of bonds adds to a tangent."""
+"""The part of a tangent that comes from the derivative of the integrity of bonds by the displacement."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class MaterialPoints(Matter):
             F += np.eye(self.body.dim)
             return F
 
-        # The state holds the operator too, so that its id stays its own.
+        # The operator is kept too: while it lives no other object can have its id.
         return state.kept(("F", id(operator)), lambda: (operator, make()))[1]
 
     def admissible(self, state: State) -> bool:
@@ -269,14 +269,14 @@ class PointsTangent(LinearisedTerm):
         self._shared: tuple[Float, Float] | None = None
 
     def absorb(self, other: LinearisedTerm) -> bool:
-        """Take a control that penalises what this gradient leaves unexplained into the pass."""
+        """Compute the forces of a control on the same gradient in the same loop; return whether ``other`` is one."""
         if self._shared is not None or self._h is not self.operator.g:
             return False
         self._shared = other.shared_gradient(self.operator)
         return self._shared is not None
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of moduli, and of a control that shares the pass."""
+        """Add the forces of the moduli, and of a control that shares the loop."""
         operator = self.operator
         gradient_times_kernel(self.points.body.dim, int(self._shared is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,

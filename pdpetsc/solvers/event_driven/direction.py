@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float
 from pdpetsc.errors import SolveError
 
-# A rate below this share of the largest one is none.
+# A rate below this share of the largest one counts as zero.
 NONE = 1e-11
-# Modes of all bonds that are tried for each bond that can change its own.
+# Combinations of failing and unloading bonds that are tried, per bond that can be either.
 TRIED = 4
 
 
@@ -104,13 +104,13 @@ class Direction:
     Attributes
     ----------
     rate : float
-        Of the step time.
+        Rate of the step time along it [-].
     p : (r,) float64
         Inelastic forces of the changed bonds [force].
     force, elongation : (r,) float64
-        Rates of tension and elongation of the changed bonds.
+        Rates of tension [force] and elongation [length] of the changed bonds.
     failing : list of int
-        Bonds that fail on; those that it leaves out unload.
+        Bonds that go on failing; others at their limit unload.
     """
 
     rate: float
@@ -123,16 +123,17 @@ class Direction:
 def find_direction(bonds: Changed, waiting: list[int]) -> Direction:
     """Return the direction in which every bond at its limit either loses force or shortens.
 
-    Without failing bonds the load grows. Otherwise the last of them loses force at a fixed rate and the load follows;
-    bonds in a wrong mode change it, all at once from all of them failing on, then one by one from that one failing
-    alone; where that leads to no solution another one sets the pace.
+    Without failing bonds the load grows. Otherwise the bond that began to fail last loses force at a fixed rate, and
+    the load follows. Bonds whose mode, failing or unloading, contradicts the direction switch it: all at once,
+    beginning with all failing bonds failing on; then one by one, beginning with that bond alone and with all of them.
+    Where no direction is consistent another failing bond gets the fixed rate.
 
     Parameters
     ----------
     bonds : Changed
         The changed bonds.
     waiting : list of int
-        Those at their limit that do not fail at present.
+        Bonds at their limit that are not failing.
 
     Raises
     ------

@@ -38,13 +38,13 @@ class InelasticForces:
     numbers : dict of Key to int
         The changed bonds.
     local : list of int
-        The pair of each here, -1 where it is not.
+        Number of each changed bond among the pairs of this rank, -1 where it is not here.
     elastic : (n_rows, dim) float64
         Displacement under the whole load with the factored stiffness [length].
 
     References
     ----------
-    Jirasek, Bazant (1994), section 4.2.
+    Jirasek1994, section 4.2.
 
     Notes
     -----
@@ -128,8 +128,8 @@ class InelasticForces:
         u: Float = np.where(self._free, self._scales.length * self._x.array.reshape(self._free.shape), 0.0)
         if self.ksp.getConvergedReason() < 0 or not self._solved():
             raise SolveError(
-                "The linear solver failed: a piece of the body has come free, or choose a direct one with "
-                "-pc_type cholesky."
+                "The linear solver failed: a piece of the body may have come free, or the iterations did not converge; "
+                "for those take a direct solver, -pc_type cholesky."
             )
         return u
 

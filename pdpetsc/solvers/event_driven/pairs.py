@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
 from pdpetsc.terms.bond_forces import BondForces
 
-# What names a bond on every rank: ids of both ends and the relative place of the second.
+# The same name of a bond on every rank: ids of both ends, and the period that the second is in relative to the first.
 Key: TypeAlias = tuple[int, int, int]
 
 
@@ -36,7 +36,7 @@ class Pairs:
     limit : (n,) float64
         Elongation at which each first fails [length].
     reported : (n,) bool
-        Whether this rank speaks for the pair; one rank does.
+        Whether this rank reports the pair to the others; exactly one does.
     """
 
     keys: GlobalIndex

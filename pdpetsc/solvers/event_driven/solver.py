@@ -31,7 +31,7 @@ UNLOADED = 1e-9
 # Changed bonds at which the matrix is factored anew: this times the root of the number of unknowns, within limits.
 UPDATES = 2.0
 FEWEST, MOST = 32, 400
-# So many events at one load, and nothing has moved: the path goes in circles.
+# After this many events in a row in which nothing moves the path goes in circles.
 STANDSTILL = 1000
 # Events of which every one is printed, and how many there are to a line after these.
 FIRST_EVENTS, EVENTS_A_LINE = 10, 100
@@ -62,14 +62,14 @@ class EventSolver(Solver):
 
     References
     ----------
-    Jirasek, Bazant (1994), section 4; Mikes, Jirasek, Zeman, Rokos, Peerlings, section 2.2.
+    Jirasek1994, section 4; Mikes2021, section 2.2.
     """
 
     unit = "event"
     advice = "perturb the positions, so that fewer bonds fail at once"
 
     def __init__(self, problem: Problem, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]) -> None:
-        # Events change the integrity; between them it stays.
+        # Only events change the integrity; between them the body is linear.
         problem.freeze(True)
         damage = problem.damage
         self._law = None if damage is None else _law_of(damage)
@@ -135,12 +135,12 @@ class EventSolver(Solver):
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield the state at every event, from the unloaded body to the end of the load (collective).
 
-        The start is the unloaded body, and no attempt fails.
+        The path begins at the unloaded body, whatever ``start`` is, and ``on_failure`` is never called.
 
         Raises
         ------
         SolveError
-            No way goes on, or there are too many events; what was yielded before stands.
+            No direction of the path was found, or there are too many events; what was yielded before stands.
         Interrupted
             A signal asked to stop.
         """

@@ -27,7 +27,7 @@ class Bordered:
     ksp : KSP
         Solver of the tangent, with the options of the command line.
     iterations : int
-        Krylov iterations so far; whoever counts sets it to 0.
+        Krylov iterations so far; the caller sets it back to 0.
 
     Notes
     -----
@@ -66,7 +66,7 @@ class Bordered:
             x.array[self._n] = last
 
     def split(self, x: PETSc.Vec) -> tuple[Float, float]:
-        """Return the part of this rank without the last unknown, and that."""
+        """Return the part of this rank without the last unknown, and the last unknown."""
         values = x.array_r
         last = float(values[self._n]) if self._comm.rank == self._last else 0.0
         return values[: self._n], float(self._comm.bcast(last, root=self._last))
@@ -76,7 +76,7 @@ class Bordered:
         self._b.array, self._c.array, self._d = b.ravel(), c.ravel(), d
 
     def solve_in(self, outer: PETSc.KSP) -> None:
-        """Make the linear solver of SNES, whose options have the prefix ``bordered_``, this one."""
+        """Let this solve the linear systems of SNES, whose own linear solver gets the options prefix ``bordered_``."""
         outer.setOptionsPrefix("bordered_")
         outer.setType("preonly")
         pc = outer.getPC()

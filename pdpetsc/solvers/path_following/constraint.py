@@ -1,4 +1,4 @@
-"""What is prescribed along a path instead of the load."""
+"""The constraint that replaces the prescribed load along a path."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Constraint:
     share : float
         Weight of the load factor.
     u0, load0
-        Where the step begins.
+        Unknowns [length] and load factor [-] where the step begins.
     """
 
     of: Float

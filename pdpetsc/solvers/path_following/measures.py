@@ -1,4 +1,4 @@
-"""What grows along a path of equilibria: how far it has come, and the constraint of the next step."""
+"""Measures of a path: how far each has grown, and the constraint of the next step."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.path_following.constraint import Constraint
 
-# Bonds whose stretch over the critical one is within this of the largest share the measure, relatively.
+# The measure is the mean over the bonds whose stretch over the critical one is within this share of the largest.
 BAND = 0.05
 
 
 class Measure(ABC):
-    """What grows from step to step of a path.
+    """A measure of a path, which grows from step to step.
 
     Attributes
     ----------
@@ -104,18 +104,18 @@ class OpeningMeasure(Measure):
         return Constraint(self._weights, 0.0, u, load), False
 
     def left(self, u: Float) -> float:
-        """Return what is missing to the end."""
+        """Return the opening that is left to the end [length]."""
         return self._end - self._opened(u)
 
     def at_end(self, u: Float) -> bool:
-        """Return whether nothing is, but for round-off."""
+        """Return whether the end is reached, up to round-off."""
         return self._opened(u) >= self._end * (1.0 - 1e-9)
 
     def _opened(self, u: Float) -> float:
         return float(total(self._comm, float((self._weights * u).sum())))
 
 
-# What follows the measures that a case declares.
+# The class that computes each measure that a case can declare.
 MEASURES: dict[type, Callable[..., Measure]] = {BondStretch: StretchMeasure, Opening: OpeningMeasure}
 
 

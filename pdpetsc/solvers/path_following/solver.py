@@ -22,15 +22,15 @@ from pdpetsc.solvers.path_following.constraint import Constraint
 from pdpetsc.solvers.path_following.measures import measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult, StepSolver
 
-# A load factor this much above the highest one so far is that of a body which carries nothing.
+# A load factor this many times the highest one so far is that of a body which carries nothing any more.
 LEAP = 10.0
-# A load factor that changes by more than this share of the highest one in a step is of another branch, likely, and a
-# shorter step is tried, down to this share of the largest one.
+# A step that changes the load factor by more than JUMP times the highest one has probably left the branch: a shorter
+# one is tried, as long as it was longer than PATIENCE times the largest step.
 JUMP, PATIENCE = 0.4, 0.05
-# Sweeps with damage held in which it settles, or a shorter step is tried.
+# Largest number of sweeps with damage held until it has settled; then a shorter step is tried.
 SWEEPS = 100
-# What a run that goes on finds: the step of the measure, the largest forces [force], the highest load factor [-], and
-# the forces of the last equilibrium [force].
+# Names under which a checkpoint keeps the step of the measure, the largest forces [force], the highest load factor [-],
+# and the forces of the last equilibrium [force].
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
 
 
@@ -60,7 +60,7 @@ class PathSolver(StepSolver):
 
     References
     ----------
-    de Borst (1987) on control by chosen displacements; Chen, Schreyer (1990) on control by the zone that softens.
+    deBorst1987 on control by chosen displacements; Chen1990 on control by the zone that softens.
     """
 
     unit = "Newton"
@@ -102,7 +102,7 @@ class PathSolver(StepSolver):
         return self._equilibrium.tangent.bytes
 
     def description(self) -> str:
-        """Return the solver in force in a few words."""
+        """Return the measure, the nonlinear and the linear solver in a few words."""
         measure = type(self._options.measure).__name__
         return f"path following by {measure}, snes {self.snes.getType()}, {linear_solver(self._bordered.ksp)}"
 
@@ -120,11 +120,14 @@ class PathSolver(StepSolver):
         return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
 
     def resume(self, start: Start) -> None:
-        """Begin the next step as the run did that this one goes on from (collective)."""
+        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective)."""
         super().resume(start)
         found = [start.resume[name] for name in RESUMED if name in start.resume]
         if min(found, default=0.0) < 0.0 or start.resume.get(RESUMED[0], 1.0) <= 0.0:
-            raise CaseError("The checkpoint's place on its path has no meaning; restart from another one.")
+            raise CaseError(
+                "The checkpoint is damaged: a negative step, force or load factor of the path has no meaning; restart "
+                "from another checkpoint."
+            )
 
     def march(self, start: Start, on_failure: OnFailure) -> Iterator[Converged]:
         """Yield one equilibrium along the path after the other, from a load factor (collective).
@@ -139,7 +142,7 @@ class PathSolver(StepSolver):
         options = self._options
         u, load = start.u, start.t
         self.load = load
-        # A checkpoint of load steps says nothing of a path.
+        # A checkpoint of load stepping has none of these numbers.
         at_first = (options.measure.step, 0.0, 0.0, 0.0)
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
         step, highest, self._highest, self._equilibrium.reference = known
@@ -150,7 +153,7 @@ class PathSolver(StepSolver):
             attempt, result, broken, sweeps = self._advance(u, size)
             far = abs(self.load - load) > JUMP * self._highest > 0.0
             if result.converged and far and step > PATIENCE * options.measure.step and self._constraint.share == 0.0:
-                result = replace(result, converged=False, reason="the load jumped")
+                result = replace(result, converged=False, reason="the load factor jumped")
             if self._stop():
                 self.problem.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
@@ -196,14 +199,14 @@ class PathSolver(StepSolver):
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
                 break
-            # Once more from where it came to rest: the springs have no force there.
+            # Solve again from this state, to which the springs move: they have no force there.
             sought.move_springs(self._displacement(self._x))
             sought.reason = ""
             self.snes.solve(None, self._x)
             resting = sought.at_rest(self._take(self._x)[0], self._rtol)
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
-        # Only the test of this solver knows the constraint too.
+        # Only the convergence test of this solver includes the constraint.
         converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
         self.load = self.t = load if converged else of.load0
         result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
@@ -222,13 +225,13 @@ class PathSolver(StepSolver):
             more = problem.break_bonds(self.state(attempt), options.breaks)
             if not more:
                 break
-            # The bonds that are now the most stretched ones stay as they are while the rest adapts.
+            # The stretch of the bonds that are now the most stretched is held while the others adapt.
             broken += more
             self._aim(attempt, 1.0)
             before, load = attempt, self.load
             attempt, result, sweeps = self._settle(before, 0.0)
             if not result.converged or abs(self.load) > LEAP * self._highest:
-                # Nothing holds them any more against the load: what is left is found under the load as it is.
+                # There is no equilibrium with that stretch any more: it is sought with the load factor held instead.
                 self.load = load
                 self._constraint = Constraint(np.zeros_like(u), 1.0, before, load)
                 attempt, result, sweeps = self._settle(before, 0.0)
@@ -264,7 +267,7 @@ class PathSolver(StepSolver):
         return min(step, self._measure.left(u))
 
     def _take(self, x: PETSc.Vec) -> tuple[Float, float]:
-        """Return the unknowns without the load factor, and that; the conditions follow it."""
+        """Return the unknowns without the load factor, and the load factor, which the conditions are set to."""
         sought = self._equilibrium
         values, load = self._bordered.split(x)
         sought.impose(load, load * self._whole[0], load * self._whole[1])

@@ -102,7 +102,7 @@ def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
 
 
 @dataclass(frozen=True)
-class Facets:
+class CellFacets:
     """All facets of cells, those of one cell one after another; cells count through the blocks.
 
     Attributes
@@ -113,11 +113,21 @@ class Facets:
         The cell that each belongs to.
     area : (n_facets, dim) float64
         Outward vector areas; lengths in the plane, 1 on a line.
+    centre : (n_facets, dim) float64
+        Centroids.
     """
 
     key: GlobalIndex
     cell: GlobalIndex
     area: Float
+    centre: Float
+
+    @property
+    def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
+        """Return the facets that two cells share, as seen from the one and from the other (n, ) each."""
+        order = np.lexsort(self.key.T)
+        same = np.flatnonzero((self.key[order[1:]] == self.key[order[:-1]]).all(axis=1))
+        return order[same], order[same + 1]
 
     @property
     def free(self) -> Mask:
@@ -126,7 +136,7 @@ class Facets:
         return np.asarray(count[np.ravel(inverse)] == 1)
 
 
-def facets(points: Float, blocks: list[Block]) -> Facets:
+def facets(points: Float, blocks: list[Block]) -> CellFacets:
     """Return the facets of cells that fill their space.
 
     Parameters
@@ -136,7 +146,7 @@ def facets(points: Float, blocks: list[Block]) -> Facets:
     blocks : list of Block
         Cells of dimension ``dim``.
     """
-    keys, cells, areas = [], [], []
+    keys, cells, areas, centres = [], [], [], []
     before = 0
     for block in blocks:
         number = before + np.arange(len(block.nodes))
@@ -147,7 +157,8 @@ def facets(points: Float, blocks: list[Block]) -> Facets:
             keys.append(facet_keys(nodes))
             cells.append(number)
             areas.append(sign[:, None] * _vector_area(points[nodes], place))
-    return Facets(np.concatenate(keys), np.concatenate(cells), np.concatenate(areas))
+            centres.append(_centroid(points[nodes]))
+    return CellFacets(np.concatenate(keys), np.concatenate(cells), np.concatenate(areas), np.concatenate(centres))
 
 
 def facet_keys(nodes: NDArray[np.int64]) -> GlobalIndex:
@@ -161,14 +172,29 @@ def facet_keys(nodes: NDArray[np.int64]) -> GlobalIndex:
     return key
 
 
-def owners(wanted: GlobalIndex, surface: Facets) -> GlobalIndex:
+def owners(wanted: GlobalIndex, surface: CellFacets) -> GlobalIndex:
     """Return the cells that have one of the wanted facets, given by their keys (n, 4)."""
+    return np.asarray(np.unique(surface.cell[having(wanted, surface)]), dtype=np.int64)
+
+
+def having(wanted: GlobalIndex, surface: CellFacets) -> Mask:
+    """Return which facets have one of the wanted keys (n, 4)."""
     both = np.concatenate([wanted, surface.key])
     _, inverse = np.unique(both, axis=0, return_inverse=True)
     number = np.ravel(inverse)
     asked = np.zeros(number.max(initial=0) + 1, dtype=bool)
     asked[number[: len(wanted)]] = True
-    return np.asarray(np.unique(surface.cell[asked[number[len(wanted) :]]]), dtype=np.int64)
+    return np.asarray(asked[number[len(wanted) :]])
+
+
+def _centroid(x: Float) -> Float:
+    """Return the centroids (n, dim) of facets with corners (n, m, dim); of two triangles where there are four."""
+    if x.shape[1] < 4:
+        return np.asarray(x.mean(axis=1))
+    halves = [x[:, [0, 1, 2]], x[:, [0, 2, 3]]]
+    sizes = [np.linalg.norm(np.cross(half[:, 1] - half[:, 0], half[:, 2] - half[:, 0]), axis=1) for half in halves]
+    share = (sizes[0] / np.maximum(sizes[0] + sizes[1], np.finfo(float).tiny))[:, None]
+    return np.asarray(share * halves[0].mean(axis=1) + (1.0 - share) * halves[1].mean(axis=1))
 
 
 def _vector_area(x: Float, place: int) -> Float:

@@ -6,7 +6,7 @@ Every rank reads the whole file and keeps its own part of the particles.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -14,10 +14,21 @@ from pathlib import Path
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.declare.cells import Block, MeshData, facet_keys, facets, owners, volumes_and_moments
+from pdpetsc.declare.cells import (
+    Block,
+    CellFacets,
+    MeshData,
+    facet_keys,
+    facets,
+    having,
+    owners,
+    volumes_and_moments,
+)
 from pdpetsc.declare.choice import choose
+from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.formats import FORMATS, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
+from pdpetsc.declare.surface import Facets
 from pdpetsc.errors import CaseError
 
 # What the columns of a text cloud are called; PeriLab says block_id.
@@ -63,6 +74,10 @@ class TextFile(Particles):
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return what Arrays of the same particles return."""
         return self._arrays().faces(part, parts, normal)
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return what Arrays of the same particles return."""
+        return self._arrays().surface(part, parts, cracks)
 
     def _arrays(self) -> Arrays:
         path = Path(self.path)
@@ -143,6 +158,29 @@ class Mesh(Particles):
         rows = slice(part * count // parts, (part + 1) * count // parts)
         along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
         return np.bincount(cell, along, count).astype(float)[rows]
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return the facets of the cells of a part that belong to one cell only, or that a crack frees.
+
+        Groups of boundary lines and faces are their tags.
+        """
+        mesh, points, blocks = self._cells()
+        found = facets(points, blocks)
+        free = found.free
+        _, x = _volumes_and_centroids(Path(self.path), points, blocks)
+        if cracks:
+            one, other = found.shared
+            cut = np.zeros(len(one), dtype=bool)
+            for crack in cracks:
+                cut |= crack.cuts(x[found.cell[one]], x[found.cell[other]])
+            free[one[cut]] = free[other[cut]] = True
+        tags = _tags(mesh, found, points.shape[1])
+        first, last = part * len(x) // parts, (part + 1) * len(x) // parts
+        mine = np.flatnonzero(free & (found.cell >= first) & (found.cell < last))
+        return Facets(
+            found.centre[mine], found.area[mine] * self._depth(points), found.cell[mine] - first,
+            {name: flags[mine] for name, flags in tags.items()},
+        )  # fmt: skip
 
     def _cells(self) -> tuple[MeshData, Float, list[Block]]:
         """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
@@ -313,6 +351,19 @@ def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]
         touched = np.concatenate([inside[block.nodes].any(axis=1) for block in blocks])
         add(f"{name} nodes" if name in taken else name, np.flatnonzero(touched))
     return sets
+
+
+def _tags(mesh: MeshData, found: CellFacets, dim: int) -> dict[str, Mask]:
+    """Return which facets belong to the named groups of boundary cells of a mesh."""
+    tags: dict[str, Mask] = {}
+    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
+    for name, cells in mesh.cell_sets.items():
+        for block, start in zip(mesh.blocks, starts, strict=False):
+            mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
+            if len(mine) and block.dim == dim - 1:
+                flags = having(facet_keys(block.corners[mine]), found)
+                tags[name] = tags.get(name, np.zeros(len(flags), dtype=bool)) | flags
+    return tags
 
 
 def _particles(mesh: MeshData, blocks: list[Block]) -> GlobalIndex:

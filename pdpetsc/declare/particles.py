@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import Region, View
+from pdpetsc.declare.surface import Facets
 from pdpetsc.declared import Declared, real_numbers, shown
 from pdpetsc.errors import CaseError
 
@@ -34,6 +36,26 @@ class Particles(Declared, ABC):
     """A cloud of particles that can be created in parts."""
 
     thickness: float
+
+    def surface(self, part: int, parts: int, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return the facets of the cells of a part that nothing lies behind, particles counted from its first one.
+
+        Parameters
+        ----------
+        part, parts : int
+            As for ``chunk``.
+        cracks : sequence of Crack
+            Faces between two cells whose centres a crack separates are facets of both.
+
+        Raises
+        ------
+        CaseError
+            The particles do not know the faces of their cells.
+        """
+        raise CaseError(
+            f"Particles of {type(self).__name__} have no known surface, which conforming weights and tractions on a "
+            f"surface need; take a Lattice or a Mesh, or give Arrays(..., facets=pd.Facets(...))."
+        )
 
     @abstractmethod
     def chunk(self, part: int, parts: int) -> Chunk:
@@ -166,18 +188,31 @@ class Lattice(Particles):
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the free face of each particle of a part, seen along a normal: cells without a neighbour there."""
         x = self.chunk(part, parts).x
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
-        first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
-        last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         side = _cell_sides(np.full(self.dim, self.spacing), self.thickness)
         area = np.zeros(len(x))
         for axis in np.flatnonzero(np.abs(normal) > ALONG):
             beyond = x + np.sign(normal[axis]) * self.spacing * np.eye(self.dim)[axis]
-            inside = np.all((beyond > first) & (beyond < last), axis=1)
-            real = np.all((beyond > low) & (beyond < high), axis=1)
-            inside[inside] = self._kept(beyond[inside], self._sets(beyond[inside], real[inside]))
-            area += np.where(inside, 0.0, abs(normal[axis]) * side[axis])
+            area += np.where(self._has(beyond), 0.0, abs(normal[axis]) * side[axis])
         return area
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return the faces of the cells of a part without a neighbour, or with a crack before it.
+
+        They have the tags ``-x``, ``+x`` and so on by the direction that they look in. A boundary that is curved or at
+        an angle is a staircase of them.
+        """
+        x = self.chunk(part, parts).x
+        return _lattice_facets(x, np.full(self.dim, self.spacing), self.thickness, self._has, cracks)
+
+    def _has(self, x: Float) -> Mask:
+        """Return which places (n, dim) are centres of cells with a particle."""
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
+        last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
+        inside = np.all((x > first) & (x < last), axis=1)
+        real = np.all((x > low) & (x < high), axis=1)
+        inside[inside] = self._kept(x[inside], self._sets(x[inside], real[inside]))
+        return np.asarray(inside)
 
     def _kept(self, x: Float, sets: Mapping[str, Mask]) -> Mask:
         """Return which cells have a particle."""
@@ -216,6 +251,8 @@ class Arrays(Particles):
         Named sets.
     thickness : float
         Out-of-plane thickness [length] already contained in the volumes.
+    facets : Facets, optional
+        The surface of the cells of the particles, where they are not those of a lattice.
 
     Examples
     --------
@@ -229,6 +266,7 @@ class Arrays(Particles):
     volume: ArrayLike
     sets: Mapping[str, ArrayLike] = field(default_factory=dict)
     thickness: float = 1.0
+    facets: Facets | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -241,6 +279,43 @@ class Arrays(Particles):
             raise CaseError(f"Arrays need a positive thickness, not {self.thickness}.")
         for name, members in self.sets.items():
             _refuse_members(name, members, len(x))
+        if self.facets is not None:
+            places, _, particle, _ = self.facets.arrays
+            if places.shape[1] != x.shape[1] or particle.max(initial=0) >= len(x):
+                raise CaseError(
+                    f"The facets of Arrays have {places.shape[1]} coordinates and particles up to "
+                    f"{particle.max(initial=0)}; there are {len(x)} particles of {x.shape[1]} coordinates."
+                )
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return the facets that were given, or those of the lattice whose cells the particles fill.
+
+        Raises
+        ------
+        CaseError
+            None were given, and the particles are no lattice; or cracks cut cells whose faces are not known.
+        """
+        x = np.asarray(self.x, dtype=float)
+        first, last = part * len(x) // parts, (part + 1) * len(x) // parts
+        if self.facets is not None:
+            if cracks:
+                raise CaseError(
+                    "Cracks and given facets do not go together: nobody knows the faces between the cells; take a "
+                    "Lattice or a Mesh."
+                )
+            return self.facets.of_particles(first, last)
+        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
+        try:
+            cell, sizes = _cells(x, volume, self.thickness)
+        except CaseError:
+            return super().surface(part, parts, cracks)
+        low, taken = x.min(axis=0), {tuple(row) for row in cell.tolist()}
+
+        def has(places: Float) -> Mask:
+            rows = np.round((places - low) / sizes).astype(np.int64).tolist()
+            return np.array([tuple(row) in taken for row in rows], dtype=bool)
+
+        return _lattice_facets(x[first:last], sizes, self.thickness, has, cracks)
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return rows ``part`` of ``parts`` of the arrays."""
@@ -300,6 +375,30 @@ def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
         raise CaseError(f"Set {name!r} of Arrays is ({n},) bool or a list of indices, not {shown(members)}.")
     if found.size and not (found.min() >= 0 and found.max() < n):
         raise CaseError(f"Set {name!r} of Arrays has indices from {found.min()} to {found.max()} of {n} particles.")
+
+
+def _lattice_facets(
+    x: Float, sizes: Float, thickness: float, has: Callable[[Float], Mask], cracks: Sequence[Crack]
+) -> Facets:
+    """Return the free faces of box cells of equal sizes (dim,) with centres ``x``, and those that cracks free."""
+    dim = x.shape[1]
+    side = _cell_sides(sizes, thickness)
+    places, areas, particles, directions = [np.empty((0, dim))], [np.empty((0, dim))], [np.empty(0, np.int64)], []
+    for axis in range(dim):
+        for sign in (-1.0, 1.0):
+            step = sign * np.eye(dim)[axis]
+            beyond = x + sizes * step
+            free = ~has(beyond)
+            for crack in cracks:
+                free |= crack.cuts(x, beyond)
+            found = np.flatnonzero(free)
+            places.append(x[found] + 0.5 * sizes * step)
+            areas.append(np.tile(side[axis] * step, (len(found), 1)))
+            particles.append(found)
+            directions += [f"{'-' if sign < 0.0 else '+'}{'xyz'[axis]}"] * len(found)
+    named = np.array(directions, dtype="U2")
+    tags = {f"{sign}{axis}": named == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
+    return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), tags)
 
 
 def _cell_sides(sizes: Float, thickness: float) -> Float:

@@ -1,0 +1,79 @@
+"""The surface of a body as facets: what the divergence theorem and loads on faces are made with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declared import Declared, real_numbers, shown
+from pdpetsc.errors import CaseError
+
+
+@dataclass(frozen=True)
+class Facets(Declared):
+    """Flat pieces of the surface of a body, each a face of the cell of one particle.
+
+    Parameters
+    ----------
+    x : (n, dim) array_like
+        Centroids [length].
+    area : (n, dim) array_like
+        Outward vector areas [area; length times thickness in the plane, the cross-section on a line].
+    particle : (n,) array_like of int
+        The particle whose cell each facet bounds, in the order of creation.
+    tags : mapping of str to (n,) bool
+        Names of parts of the surface, for loads.
+
+    Examples
+    --------
+    A bar of two particles between 0 and 2 with a cross-section of 3:
+
+    >>> import pdpetsc as pd
+    >>> ends = pd.Facets(x=[[0.0], [2.0]], area=[[-3.0], [3.0]], particle=[0, 1], tags={"right": [False, True]})
+    >>> bar = pd.Arrays([[0.5], [1.5]], 3.0, thickness=3.0, facets=ends)
+    """
+
+    x: ArrayLike
+    area: ArrayLike
+    particle: ArrayLike
+    tags: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        x, area = real_numbers(self.x), real_numbers(self.area)
+        if x is None or area is None or x.ndim != 2 or x.shape != area.shape or not 1 <= x.shape[1] <= 3:
+            raise CaseError(
+                f"Facets take centroids and vector areas of the same shape, (n, 1), (n, 2) or (n, 3), not "
+                f"{np.shape(self.x)} and {np.shape(self.area)}."
+            )
+        if not (np.isfinite(x).all() and np.isfinite(area).all()):
+            raise CaseError("Facets have centroids or vector areas that are not finite.")
+        particle = np.asarray(self.particle)
+        if particle.shape != (len(x),) or not (np.issubdtype(particle.dtype, np.integer) or len(x) == 0):
+            raise CaseError(f"Facets take the number of one particle each, ({len(x)},), not {shown(self.particle)}.")
+        if particle.size and particle.min() < 0:
+            raise CaseError(f"Facets have a particle number {particle.min()}.")
+        for name, flags in self.tags.items():
+            found = np.asarray(flags)
+            if found.dtype != bool or found.shape != (len(x),):
+                raise CaseError(f"Tag {name!r} of Facets is ({len(x)},) bool, not {shown(flags)}.")
+
+    @property
+    def arrays(self) -> tuple[Float, Float, GlobalIndex, dict[str, Mask]]:
+        """Return centroids, vector areas, particles and tags as arrays."""
+        return (
+            np.asarray(self.x, dtype=float),
+            np.asarray(self.area, dtype=float),
+            np.asarray(self.particle, dtype=np.int64),
+            {name: np.asarray(flags, dtype=bool) for name, flags in self.tags.items()},
+        )
+
+    def of_particles(self, first: int, last: int) -> Facets:
+        """Return the facets of the particles from ``first`` to before ``last``, which is then counted from 0."""
+        x, area, particle, tags = self.arrays
+        mine = (particle >= first) & (particle < last)
+        return Facets(x[mine], area[mine], particle[mine] - first, {name: flags[mine] for name, flags in tags.items()})

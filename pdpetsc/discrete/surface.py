@@ -1,0 +1,189 @@
+"""The surface of a distributed cloud, and the interpolation between its facets and the particles near them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.declare.region import Region, View
+from pdpetsc.declare.surface import Facets
+from pdpetsc.discrete.cloud import Cloud, from_parts
+from pdpetsc.discrete.communicator import agreed, fetch, offset, smallest, total
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+
+# A surface is closed, and encloses the volume of its particles, up to this share of its area and of that volume.
+CLOSED = 1e-8
+# A facet lies on the side of a periodic cell where it is this near to it, as a share of the period.
+ON_SIDE = 1e-9
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Facets of the own particles of a rank, interpolated from the families of these.
+
+    ``N_f(x_k)`` is linear-exact: ``sum_k N_f(x_k) = 1`` and ``sum_k N_f(x_k) x_k = x_f``, by moving least squares over
+    the particle whose cell the facet bounds and its family. No crack lies between these.
+
+    Attributes
+    ----------
+    x, area : (n_facets, dim) float64
+        Centroids [length] and outward vector areas [area].
+    owner : (n_facets,) int64
+        The own particle whose cell each bounds.
+    tags : mapping of str to (n_facets,) bool
+        Named parts.
+    ptr : (n_facets + 1,) int64
+        Where the particles of each facet start.
+    members : (n_entries,) int32
+        Local particles.
+    N : (n_entries,) float64
+        ``N_f(x_k)`` [-].
+    """
+
+    x: Float
+    area: Float
+    owner: GlobalIndex
+    tags: Mapping[str, Mask]
+    ptr: GlobalIndex
+    members: LocalIndex
+    N: Float
+
+    def spread(self, values: Float, onto: Float) -> None:
+        """Add ``sum_f N_f(x_k) v_f`` to ``onto`` (n_local, dim) for ``values`` (n_facets, dim) (not collective)."""
+        of = np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
+        for axis in range(onto.shape[1]):
+            onto[:, axis] += np.bincount(self.members, self.N * values[of, axis], len(onto))
+
+    def select(self, cloud: Cloud, region: Region, what: str) -> Mask:
+        """Return which facets have their centroid in a region; named regions are tags, or sets of their particles.
+
+        Raises
+        ------
+        CaseError
+            The region selects no facet of any rank.
+
+        Notes
+        -----
+        Collective.
+        """
+        sets = {name: flags[self.owner] for name, flags in cloud.sets.items()} | dict(self.tags)
+        view = View(self.x, sets, minimum=lambda value: smallest(cloud.comm, value))
+        with agreed(cloud.comm):
+            mask = np.asarray(region.mask(view))
+        if int(total(cloud.comm, np.count_nonzero(mask))) == 0:
+            raise CaseError(
+                f"The region of {what} holds no facet of the surface: let it hold the face itself, not only the "
+                f"centres of the particles behind it."
+            )
+        return mask
+
+
+def surface_of(cloud: Cloud, families: Families, created: Facets, n_created: int) -> Surface:
+    """Return the surface of the own particles from the facets that this rank created with its part of the particles.
+
+    Parameters
+    ----------
+    created : Facets
+        Facets of the particles that this rank created, counted from its first one.
+    n_created : int
+        How many particles that were.
+
+    Raises
+    ------
+    CaseError
+        The surface is not closed, or does not enclose the volume of the particles, on every rank.
+
+    Notes
+    -----
+    Collective.
+    """
+    comm, dim = cloud.comm, cloud.dim
+    x, area, particle, tags = created.arrays
+    names = sorted({name for part in comm.allgather(sorted(tags)) for name in part})
+    order = np.argsort(particle, kind="stable")
+    empty = np.zeros(len(x), dtype=bool)
+    flags = np.array([tags.get(name, empty) for name in names], dtype=float).reshape(len(names), len(x)).T
+    packed = np.concatenate([x, area, flags], axis=1)[order]
+    counts = np.bincount(particle, minlength=n_created).astype(np.int64)
+    count = from_parts(cloud, counts)
+    start = from_parts(cloud, np.cumsum(counts) - counts)
+    starts = np.array(comm.allgather(offset(comm, n_created)), dtype=np.int64)
+    creator = np.searchsorted(starts, cloud.gid[: cloud.n_owned], side="right") - 1
+    owner = np.repeat(np.arange(cloud.n_owned), count)
+    first = np.cumsum(count) - count
+    rows = np.arange(len(owner)) - np.repeat(first, count) + np.repeat(start, count)
+    packed = fetch(comm, np.repeat(creator, count), rows, packed)
+    x, area = packed[:, :dim], packed[:, dim : 2 * dim]
+    kept = ~_on_periodic_side(cloud, x, area)
+    x, area, owner = np.ascontiguousarray(x[kept]), np.ascontiguousarray(area[kept]), owner[kept]
+    tagged = {name: packed[kept, 2 * dim + n] > 0.5 for n, name in enumerate(names)}
+    _refuse_open(cloud, x, area)
+    return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, owner))
+
+
+def _on_periodic_side(cloud: Cloud, x: Float, area: Float) -> Mask:
+    """Return which facets lie on a side of the periodic cell, behind which there are images."""
+    found = np.zeros(len(x), dtype=bool)
+    if cloud.images is None:
+        return found
+    cell = cloud.images.cell
+    size = np.linalg.norm(area, axis=1)
+    for axis in cell.periodic:
+        place = (x[:, axis] - cell.origin[axis]) / cell.lengths[axis]
+        across = np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size
+        found |= across & ((np.abs(place) <= ON_SIDE) | (np.abs(place - 1.0) <= ON_SIDE))
+    return found
+
+
+def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
+    """Raise on all ranks unless ``sum a_f = 0`` and ``sum x_f (x) a_f = V I`` (collective)."""
+    comm, dim = cloud.comm, cloud.dim
+    volume = float(total(comm, float(cloud.volume[: cloud.n_owned].sum())))
+    size = float(total(comm, float(np.linalg.norm(area, axis=1).sum())))
+    sums = total(comm, area.sum(axis=0))
+    centre = total(comm, (cloud.x[: cloud.n_owned]).sum(axis=0)) / cloud.n_global
+    moment = total(comm, (x - centre).T @ area)
+    periodic = [] if cloud.images is None else list(cloud.images.cell.periodic)
+    if np.abs(sums).max(initial=0.0) > CLOSED * size:
+        raise CaseError(
+            f"The surface of the particles is open: the vector areas of its facets add up to {sums}, not zero; give "
+            f"all facets, with areas that point out of the body."
+        )
+    wrong = np.abs(moment - volume * np.eye(dim))
+    wrong[periodic] = 0.0
+    if wrong.max() > CLOSED * max(volume, float(np.abs(moment).max())):
+        enclosed = np.diagonal(moment)
+        raise CaseError(
+            f"The surface of the particles encloses a volume of {enclosed[enclosed != 0.0].mean():.8g}, seen along the "
+            f"axes {enclosed}, and the particles have {volume:.8g}; give volumes and facets of the same cells, with "
+            f"areas that point out of the body."
+        )
+
+
+def _interpolated(
+    cloud: Cloud, families: Families, x: Float, owner: GlobalIndex
+) -> tuple[GlobalIndex, LocalIndex, Float]:
+    """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
+    dim, size = cloud.dim, np.diff(families.indptr)[owner]
+    ptr = np.concatenate([[0], np.cumsum(size + 1)]).astype(np.int64)
+    of = np.repeat(np.arange(len(x)), size + 1)
+    place = np.arange(ptr[-1]) - ptr[of]
+    bond = np.minimum(families.indptr[owner][of] + place - 1, max(len(families.neighbours) - 1, 0))
+    members = np.where(place == 0, owner[of], families.neighbours[bond] if len(families.neighbours) else 0)
+    members = members.astype(np.int32)
+    if len(x) == 0:
+        return ptr, members, np.empty(0)
+    apart = cloud.x[members] - x[of]
+    # Distances in units of that of the particle behind the facet, which is half a spacing.
+    unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
+    unit = np.where(unit > 0.0, unit, cloud.horizon)
+    apart = apart / unit
+    phi = np.concatenate([np.ones((len(of), 1)), apart], axis=1)
+    weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4
+    moments = np.add.reduceat(weight[:, None, None] * phi[:, :, None] * phi[:, None, :], ptr[:-1], axis=0)
+    first = np.linalg.solve(moments, np.broadcast_to(np.eye(dim + 1)[:, :1], (len(x), dim + 1, 1)))[:, :, 0]
+    return ptr, members, weight * (phi * first[of]).sum(axis=1)

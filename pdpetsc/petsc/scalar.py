@@ -1,0 +1,136 @@
+"""Symmetric systems with one number per particle, preconditioned by a sparse matrix that resembles them."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.sparse import csr_matrix
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.petsc.options import Options
+
+# What is added to the diagonal of the preconditioner, as a share of it: its null space has none of its own.
+LIFTED = 1e-8
+PREFIX = "weights_"
+DEFAULTS = {
+    "weights_ksp_type": "cg",
+    "weights_ksp_norm_type": "unpreconditioned",
+    "weights_pc_type": "gamg",
+    "weights_pc_gamg_threshold": 0.0,
+    "weights_mg_levels_ksp_max_it": 3,
+    "weights_mg_coarse_pc_type": "svd",
+}
+MOST = 5000
+
+
+class ScalarSystem(Protocol):
+    """A symmetric positive semidefinite system on the particles of a cloud."""
+
+    cloud: Cloud
+
+    def product(self, values: Float) -> Float:
+        """Return the product with numbers of the own particles (n_owned, columns) (collective)."""
+        ...
+
+
+class _Product:
+    """The system as PETSc calls it."""
+
+    def __init__(self, system: ScalarSystem) -> None:
+        self._system = system
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write the product."""
+        with y as values:
+            values[:] = self._system.product(x.getArray(readonly=True)[:, None])[:, 0]
+
+
+def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float) -> tuple[Float, int]:
+    """Return the solutions of a system whose null space are linear functions, and the iterations of all of them.
+
+    Parameters
+    ----------
+    near : (n_local, n_local) sparse
+        What the rank adds to the matrix that preconditions it, over its particles with ghosts.
+    rhs : (n_owned, n) float64
+        Right-hand sides, of which every one is solved for.
+    rtol : float
+        Relative tolerance of the residual.
+
+    Notes
+    -----
+    Collective. Whether the solution is good is for the caller to judge.
+    """
+    cloud = system.cloud
+    sizes = (cloud.n_owned, cloud.n_global)
+    found = np.zeros_like(rhs)
+    options = Options({}, DEFAULTS)
+    operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
+    operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    operator.setUp()
+    matrix, vectors = _assembled(cloud, near), _linear_functions(cloud)
+    null_space = PETSc.NullSpace().create(vectors=vectors, comm=cloud.comm)
+    matrix.setNearNullSpace(null_space)
+    ksp = PETSc.KSP().create(comm=cloud.comm)
+    ksp.setOptionsPrefix(PREFIX)
+    ksp.setOperators(operator, matrix)
+    ksp.setTolerances(rtol=rtol, atol=0.0, max_it=MOST)
+    b, x = matrix.createVecs()
+    iterations = 0
+    try:
+        with options.active():
+            ksp.setFromOptions()
+            for column in range(rhs.shape[1]):
+                b.setArray(rhs[:, column])
+                x.set(0.0)
+                ksp.solve(b, x)
+                iterations += ksp.getIterationNumber()
+                found[:, column] = x.getArray(readonly=True)
+    finally:
+        for thing in (ksp, b, x, operator, matrix, null_space, *vectors):
+            thing.destroy()
+    return found, iterations
+
+
+def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
+    """Return the sum over ranks of what each adds (collective)."""
+    sizes = (cloud.n_owned, cloud.n_global)
+    entries = near.tocoo()
+    # Rows of a cloud count its particles first, in the order of ranks; its virtual rows are the last ones.
+    rows = cloud.row.astype(PETSc.IntType)
+    mat = PETSc.Mat().create(comm=cloud.comm)
+    mat.setSizes((sizes, sizes))
+    mat.setType("aij")
+    mat.setPreallocationCOO(rows[entries.row], rows[entries.col])
+    values: Any = entries.data
+    mat.setValuesCOO(values)
+    diagonal = mat.getDiagonal()
+    diagonal.scale(LIFTED)
+    lifted = diagonal.duplicate()
+    diagonal.copy(lifted)
+    lifted.shift(float(diagonal.max()[1]) * LIFTED)
+    mat.setDiagonal(lifted, addv=True)
+    mat.assemble()
+    mat.setOption(PETSc.Mat.Option.SPD, True)
+    diagonal.destroy()
+    lifted.destroy()
+    return mat
+
+
+def _linear_functions(cloud: Cloud) -> list[PETSc.Vec]:
+    """Return an orthonormal basis of the linear functions on the particles (collective)."""
+    n = cloud.n_owned
+    made: list[PETSc.Vec] = []
+    for values in (np.ones(n), *cloud.x[:n].T):
+        vector = PETSc.Vec().createMPI((n, cloud.n_global), comm=cloud.comm)
+        vector.setArray(values)
+        for _ in range(2):
+            for other in made:
+                vector.axpy(-vector.dot(other), other)
+        if vector.norm() > 0.0:
+            vector.normalize()
+            made.append(vector)
+    return made

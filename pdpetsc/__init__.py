@@ -35,23 +35,37 @@ from pdpetsc.damage import (
 from pdpetsc.declare import influence, region
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.choice import choose
-from pdpetsc.declare.conditions import BodyForce, Displacement, Force, MeanStrain, MeanStress, Pressure, Traction
+from pdpetsc.declare.conditions import (
+    BodyForce,
+    Displacement,
+    Force,
+    MeanStrain,
+    MeanStress,
+    Pressure,
+    SurfacePressure,
+    Traction,
+)
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.declare.files import Mesh, TextFile
 from pdpetsc.declare.particles import Arrays, Lattice
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.declare.surface import Facets
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import (
     SCHEMES,
+    WEIGHTS,
     BondAssociated,
+    Conforming,
     Corrected,
     Correspondence,
     HigherOrder,
     SmoothedDisplacement,
+    Standard,
     StressPoints,
     SubHorizons,
+    Weights,
 )
 from pdpetsc.material import J2, Graded, Hencky, LinearElastic, NeoHookean, SaintVenantKirchhoff
 from pdpetsc.output.picture import Picture
@@ -102,6 +116,7 @@ __all__ = [
     "J2",
     "SCHEMES",
     "SOLVERS",
+    "WEIGHTS",
     "AdaptiveSteps",
     "Arrays",
     "At",
@@ -118,6 +133,7 @@ __all__ = [
     "Cell",
     "CellStrain",
     "CellStress",
+    "Conforming",
     "ConstantCritical",
     "ControlEnergy",
     "Corrected",
@@ -132,6 +148,7 @@ __all__ = [
     "ExponentialSoftening",
     "ExternalWork",
     "ExtraTerm",
+    "Facets",
     "Force",
     "FractureEnergy",
     "Graded",
@@ -185,16 +202,19 @@ __all__ = [
     "Solution",
     "SolveError",
     "Springs",
+    "Standard",
     "State",
     "Steps",
     "StrainEnergy",
     "StressPoints",
     "SubHorizons",
+    "SurfacePressure",
     "Table",
     "Term",
     "TextFile",
     "Traction",
     "Wan",
+    "Weights",
     "choose",
     "deformation_gradient",
     "displacement",

@@ -22,7 +22,7 @@ from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient import Scheme, SubHorizons
+from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
 from pdpetsc.post.quantities import Quantity, refuse_component
@@ -74,6 +74,9 @@ class Case(Declared):
         Materials of bonds have none.
     influence : Influence
         How much a bond counts.
+    weights : Weights
+        ``Conforming()`` lets the gradients satisfy the divergence theorem up to the surface; ``Standard()`` leaves them
+        as the scheme has them.
     control : ZeroEnergyControl, optional
         Zero-energy control; none where absent.
     cracks : sequence of Crack
@@ -109,6 +112,7 @@ class Case(Declared):
     conditions: Sequence[Condition]
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
+    weights: Weights = field(default_factory=Standard)
     control: ZeroEnergyControl | None = None
     cracks: Sequence[Crack] = ()
     damage: BondDamage | None = None
@@ -134,6 +138,11 @@ class Case(Declared):
     def of_bonds(self) -> bool:
         """Return whether the forces act along bonds."""
         return any(isinstance(ungraded(material), BondMaterial) for _, material in self.materials)
+
+    @property
+    def needs_surface(self) -> bool:
+        """Return whether weights or loads need the facets of the surface."""
+        return self.weights.conform or any(getattr(condition, "on_surface", False) for condition in self.conditions)
 
     @property
     def gradients(self) -> Scheme:
@@ -194,7 +203,8 @@ class Case(Declared):
         if self.of_bonds:
             if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):
                 raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")
-            for name, given in (("scheme", self.scheme), ("control", self.control)):
+            weights = self.weights if self.weights.conform else None
+            for name, given in (("scheme", self.scheme), ("control", self.control), ("weights", weights)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
             if self.damage is not None and self.damage.effect.heals:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -172,18 +172,23 @@ class Traction(_Vector):
     Parameters
     ----------
     region : Region
-        The outer particles of the face.
+        The facets of the surface in it, or a tag of them; with ``layer`` and ``consistent`` the outer particles of the
+        face.
     x, y, z : float or callable, optional
         Components [stress]: numbers or functions, as for ``Displacement``.
     schedule : callable, optional
         As for ``Displacement``.
-    normal : sequence of float
-        Outward normal of the face; its length does not matter.
-    distribution : {"layer", "consistent"}
-        ``layer`` puts ``t`` times the free face of the particle on every particle of the region; particles without a
-        free face get none. ``consistent`` applies ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform
-        stress ``t (x) n`` in equilibrium: a uniform traction then gives a uniform gradient. It reaches two horizons
-        into the body. Both add up to the traction times the area of the face.
+    normal : sequence of float, optional
+        Outward normal of the face; its length does not matter. ``layer`` and ``consistent`` need it; of ``surface`` it
+        leaves out facets that do not look in its direction, within 45 degrees.
+    distribution : {"surface", "layer", "consistent"}, optional
+        ``surface``, the default without a normal, puts the traction on every facet and that on the particles near it,
+        ``f_k = sum_f N_f(x_k) t |a_f|`` with linear-exact weights ``N_f``: on any face, flat or curved, with the
+        resultant and the moment of the traction. ``layer``, the default with a normal, puts ``t`` times the free face
+        of the particle on every particle of the region; particles without a free face get none. ``consistent`` applies
+        ``f = G^T W (t (x) n)`` near the face, the forces that hold a uniform stress ``t (x) n`` in equilibrium: a
+        uniform traction then gives a uniform gradient. It reaches two horizons into the body. All add up to the
+        traction times the area of the face.
     area : float, optional
         Area of the face [area; length times thickness in 2D, cross-section in 1D], where it does not follow from the
         particles: a cloud of arrays or of a text file that is no lattice. ``layer`` divides it as ``V^((d - 1) / d)``.
@@ -191,16 +196,22 @@ class Traction(_Vector):
     Examples
     --------
     >>> import pdpetsc as pd
-    >>> pulled = pd.Traction(pd.region.Slab("x", low=9.0), x=5.0, normal=(1.0, 0.0))
+    >>> pulled = pd.Traction(pd.region.Slab("x", low=10.0), x=5.0)
+    >>> as_in_papers = pd.Traction(pd.region.Slab("x", low=9.0), x=5.0, normal=(1.0, 0.0), distribution="layer")
     """
 
     normal: Sequence[float] = ()
-    distribution: Literal["layer", "consistent"] = "layer"
+    distribution: Literal["surface", "layer", "consistent"] | None = None
     area: float | None = field(default=None, kw_only=True)
 
     def put(self, onto: Any, name: str) -> None:
         """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
-        onto.traction(self, name)
+        onto.surface_traction(self, name) if self.on_surface else onto.traction(self, name)
+
+    @property
+    def on_surface(self) -> bool:
+        """Return whether it acts on facets of the surface."""
+        return self.distribution == "surface" or (self.distribution is None and not len(self.normal))
 
     def unit_normal(self, dim: int) -> Float:
         """Return the outward unit normal (dim,)."""
@@ -208,24 +219,61 @@ class Traction(_Vector):
         length = float(np.linalg.norm(normal)) if normal.shape == (dim,) else 0.0
         if not (math.isfinite(length) and length > 0.0):
             raise CaseError(f"A Traction needs an outward normal of {dim} numbers, not {list(np.ravel(normal))}.")
-        if self.distribution not in ("layer", "consistent"):
-            raise CaseError(f'A Traction takes distribution="layer" or "consistent", not {self.distribution!r}.')
+        if self.distribution not in ("surface", "layer", "consistent", None):
+            raise CaseError(
+                f'A Traction takes distribution="surface", "layer" or "consistent", not {self.distribution!r}.'
+            )
         if self.area is not None and not (math.isfinite(self.area) and self.area > 0.0):
             raise CaseError(f"The area of the face of a Traction is positive, not {self.area}.")
         return normal / length
 
 
+@dataclass(frozen=True)
+class SurfacePressure(Declared):
+    """Dead pressure on facets of the surface, ``t = -p n`` with the reference normal of each; ``Pressure`` makes it.
+
+    Parameters
+    ----------
+    region : Region
+        The facets of the surface in it, or a tag of them.
+    value : float or callable
+        ``p`` [stress]: a number, multiplied with the schedule, or a function of positions (n, dim) and step time.
+    schedule : callable, optional
+        As for ``Displacement``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> inside = pd.SurfacePressure(pd.region.Sphere((0.0, 0.0), 1.01), 3.0)
+    """
+
+    region: Region
+    value: Value
+    schedule: Schedule | None = None
+
+    on_surface: ClassVar[bool] = True
+
+    def put(self, onto: Any, name: str) -> None:
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        onto.surface_pressure(self, name)
+
+    def values(self, x: Float, t: float) -> Float:
+        """Return ``p`` (n,) [stress] at facets ``x`` (n, dim) and step time ``t``; raises SolveError where it fails."""
+        return _Vector(self.region, self.value, schedule=self.schedule).value(self.value, x, t)
+
+
 def Pressure(
     region: Region,
-    value: float,
-    normal: Sequence[float],
-    distribution: Literal["layer", "consistent"] = "layer",
+    value: Value,
+    normal: Sequence[float] = (),
+    distribution: Literal["surface", "layer", "consistent"] | None = None,
     schedule: Schedule | None = None,
     area: float | None = None,
-) -> Traction:
-    """Return the dead traction ``-value n`` of a pressure [stress] on a face with outward normal ``n``.
+) -> Traction | SurfacePressure:
+    """Return the dead traction ``-value n`` of a pressure [stress] on a surface.
 
-    The other arguments are those of ``Traction``.
+    Without a normal it acts on every facet of the region along its own normal, on any surface. With one, ``n``, it is a
+    ``Traction``, whose other arguments these are.
 
     Examples
     --------
@@ -233,7 +281,14 @@ def Pressure(
     >>> top = pd.Pressure(pd.region.Slab("y", low=9.0), 2.0, normal=(0.0, 1.0))
     >>> top.y
     -2.0
+    >>> hole = pd.Pressure(pd.region.Named("hole"), 2.0)
     """
+    if not len(normal) and distribution in (None, "surface"):
+        if area is not None:
+            raise CaseError("A Pressure on the surface takes no area: it is that of its facets.")
+        return SurfacePressure(region, value, schedule)
+    if callable(value):
+        raise CaseError("A Pressure that is a function acts on the surface; leave its normal out.")
     n = np.asarray(normal, dtype=float)
     length = float(np.linalg.norm(n))
     if not (length > 0.0 and math.isfinite(length)):
@@ -308,4 +363,4 @@ class MeanStress(_Tensor):
         onto.mean_stress(self, name)
 
 
-Condition: TypeAlias = Displacement | Force | BodyForce | Traction | MeanStrain | MeanStress
+Condition: TypeAlias = Displacement | Force | BodyForce | Traction | SurfacePressure | MeanStrain | MeanStress

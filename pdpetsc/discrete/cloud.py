@@ -60,6 +60,8 @@ class Cloud:
         Number of the period that each particle is in, 0 in the cell itself; differences tell relative places apart.
     n_places : int
         How many such numbers there are.
+    n_created : int
+        How many particles this rank created.
     """
 
     comm: Comm
@@ -77,6 +79,7 @@ class Cloud:
     offset: Float
     place: GlobalIndex
     n_places: int
+    n_created: int
 
     @property
     def order(self) -> GlobalIndex:
@@ -149,7 +152,7 @@ def distribute(
         .T
     )
     gid = offset(comm, len(x)) + np.arange(len(x), dtype=np.int64)
-    n_global = int(total(comm, len(x)))
+    n_created, n_global = len(x), int(total(comm, len(x)))
     if n_global < comm.size:
         raise CaseError(f"The case has {n_global} particles for {comm.size} ranks; run it on at most {n_global} ranks.")
 
@@ -188,6 +191,7 @@ def distribute(
         offset=np.array(offsets)[number] if cell is not None else np.empty((0, dim)),
         place=np.concatenate([np.zeros(n_owned, dtype=np.int64), number - len(offsets) // 2]),
         n_places=len(offsets),
+        n_created=n_created,
     )
 
 

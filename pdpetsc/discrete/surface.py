@@ -82,15 +82,13 @@ class Surface:
         return mask
 
 
-def surface_of(cloud: Cloud, families: Families, created: Facets, n_created: int) -> Surface:
+def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     """Return the surface of the own particles from the facets that this rank created with its part of the particles.
 
     Parameters
     ----------
     created : Facets
         Facets of the particles that this rank created, counted from its first one.
-    n_created : int
-        How many particles that were.
 
     Raises
     ------
@@ -108,10 +106,10 @@ def surface_of(cloud: Cloud, families: Families, created: Facets, n_created: int
     empty = np.zeros(len(x), dtype=bool)
     flags = np.array([tags.get(name, empty) for name in names], dtype=float).reshape(len(names), len(x)).T
     packed = np.concatenate([x, area, flags], axis=1)[order]
-    counts = np.bincount(particle, minlength=n_created).astype(np.int64)
+    counts = np.bincount(particle, minlength=cloud.n_created).astype(np.int64)
     count = from_parts(cloud, counts)
     start = from_parts(cloud, np.cumsum(counts) - counts)
-    starts = np.array(comm.allgather(offset(comm, n_created)), dtype=np.int64)
+    starts = np.array(comm.allgather(offset(comm, cloud.n_created)), dtype=np.int64)
     creator = np.searchsorted(starts, cloud.gid[: cloud.n_owned], side="right") - 1
     owner = np.repeat(np.arange(cloud.n_owned), count)
     first = np.cumsum(count) - count

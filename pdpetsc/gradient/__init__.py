@@ -8,18 +8,23 @@ from pdpetsc.gradient.higher_order import HigherOrder
 from pdpetsc.gradient.smoothed import SmoothedDisplacement
 from pdpetsc.gradient.stress_points import StressPoints
 from pdpetsc.gradient.sub_horizons import SubHorizons
+from pdpetsc.gradient.weights import WEIGHTS, Conforming, Standard, Weights
 
 __all__ = [
     "SCHEMES",
+    "WEIGHTS",
     "BondAssociated",
+    "Conforming",
     "Corrected",
     "Correspondence",
     "GradientOperator",
     "HigherOrder",
     "Scheme",
     "SmoothedDisplacement",
+    "Standard",
     "StressPoints",
     "SubHorizons",
+    "Weights",
 ]
 
 # Every scheme with its default options, under the word by which a case or the command line selects it.

@@ -123,26 +123,28 @@ def gathered_rest_kernel(dim: int, columns: int) -> Callable[..., Any]:
 def near_members_kernel(dim: int) -> Callable[..., Any]:
     """Return ``near(indptr, neighbours, x, reach, taken)``: which bonds are short against the others of their family.
 
-    A bond is taken up to ``reach`` times the length of the ``dim``-th shortest one of its centre.
+    A bond is taken up to ``reach`` times the length of the ``2 dim``-th shortest one of its centre, all where
+    there are fewer.
     """
+    count = 2 * dim
 
     @compiled
     def near(indptr, neighbours, x, reach, taken):  # type: ignore[no-untyped-def]
-        least = np.empty(dim)
+        least = np.empty(count)
         for i in range(indptr.size - 1):
             least[:] = np.inf
             for b in range(indptr[i], indptr[i + 1]):
                 length = 0.0
                 for m in range(dim):
                     length += (x[neighbours[b], m] - x[i, m]) ** 2
-                place = dim
+                place = count
                 while place > 0 and length < least[place - 1]:
-                    if place < dim:
+                    if place < count:
                         least[place] = least[place - 1]
                     place -= 1
-                if place < dim:
+                if place < count:
                     least[place] = length
-            limit = reach * reach * least[dim - 1]
+            limit = reach * reach * least[count - 1]
             for b in range(indptr[i], indptr[i + 1]):
                 length = 0.0
                 for m in range(dim):

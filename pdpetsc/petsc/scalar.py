@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -10,14 +11,13 @@ from scipy.sparse import csr_matrix
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import exchange
 from pdpetsc.petsc.options import Options
 
 # What is added to the diagonal of the preconditioner, as a share of it: its null space has none of its own.
 LIFTED = 1e-8
 PREFIX = "weights_"
 DEFAULTS = {
-    "weights_ksp_type": "cg",
-    "weights_ksp_norm_type": "unpreconditioned",
     "weights_pc_type": "gamg",
     "weights_pc_gamg_threshold": 0.0,
     "weights_mg_levels_ksp_max_it": 3,
@@ -48,6 +48,17 @@ class _Product:
             values[:] = self._system.product(x.getArray(readonly=True)[:, None])[:, 0]
 
 
+class _Preconditioner:
+    """The cycle of the near matrix alone: PETSc's own would smooth with the system on its finest level."""
+
+    def __init__(self, inner: PETSc.PC) -> None:
+        self._inner = inner
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write the cycle's correction."""
+        self._inner.apply(x, y)
+
+
 def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float) -> tuple[Float, int]:
     """Return the solutions of a system whose null space are linear functions, and the iterations of all of them.
 
@@ -71,18 +82,30 @@ def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float
     operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()
-    matrix, vectors = _assembled(cloud, near), _linear_functions(cloud)
-    null_space = PETSc.NullSpace().create(vectors=vectors, comm=cloud.comm)
-    matrix.setNearNullSpace(null_space)
+    matrix, vectors = _assembled(cloud, near), _linear_functions(cloud, [])
+    near_null_space = PETSc.NullSpace().create(vectors=vectors, comm=cloud.comm)
+    matrix.setNearNullSpace(near_null_space)
+    # A linear function along a period is none on the images.
+    periodic = [] if cloud.images is None else list(cloud.images.cell.periodic)
+    exact = _linear_functions(cloud, periodic)
+    null_space = PETSc.NullSpace().create(vectors=exact, comm=cloud.comm)
+    operator.setNullSpace(null_space)
     ksp = PETSc.KSP().create(comm=cloud.comm)
-    ksp.setOptionsPrefix(PREFIX)
-    ksp.setOperators(operator, matrix)
+    ksp.setType("cg")
+    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+    ksp.setOperators(operator)
+    inner = PETSc.PC().create(comm=cloud.comm)
+    inner.setOptionsPrefix(PREFIX)
+    inner.setOperators(matrix)
+    ksp.getPC().setType("python")
+    ksp.getPC().setPythonContext(_Preconditioner(inner))
     ksp.setTolerances(rtol=rtol, atol=0.0, max_it=MOST)
     b, x = matrix.createVecs()
     iterations = 0
     try:
         with options.active():
-            ksp.setFromOptions()
+            inner.setFromOptions()
+            inner.setUp()
             for column in range(rhs.shape[1]):
                 b.setArray(rhs[:, column])
                 x.set(0.0)
@@ -90,7 +113,7 @@ def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float
                 iterations += ksp.getIterationNumber()
                 found[:, column] = x.getArray(readonly=True)
     finally:
-        for thing in (ksp, b, x, operator, matrix, null_space, *vectors):
+        for thing in (ksp, inner, b, x, operator, matrix, near_null_space, null_space, *vectors, *exact):
             thing.destroy()
     return found, iterations
 
@@ -99,19 +122,21 @@ def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
     """Return the sum over ranks of what each adds (collective)."""
     sizes = (cloud.n_owned, cloud.n_global)
     entries = near.tocoo()
-    # Rows of a cloud count its particles first, in the order of ranks; its virtual rows are the last ones.
-    rows = cloud.row.astype(PETSc.IntType)
-    mat = PETSc.Mat().create(comm=cloud.comm)
-    mat.setSizes((sizes, sizes))
-    mat.setType("aij")
-    mat.setPreallocationCOO(rows[entries.row], rows[entries.col])
-    values: Any = entries.data
-    mat.setValuesCOO(values)
+    # Rows of a cloud count its particles first, in the order of ranks.
+    rows, columns = cloud.row[entries.row], cloud.row[entries.col]
+    firsts = np.array(cloud.comm.allgather(cloud.first))
+    owner = np.searchsorted(firsts, rows, side="right") - 1
+    (rows, columns, values), _ = exchange(cloud.comm, owner, [rows, columns, entries.data])
+    own = csr_matrix((values, (rows - cloud.first, columns)), shape=sizes)
+    own.sum_duplicates()
+    csr = own.indptr.astype(PETSc.IntType), own.indices.astype(PETSc.IntType), own.data
+    mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=cloud.comm)
     diagonal = mat.getDiagonal()
     diagonal.scale(LIFTED)
     lifted = diagonal.duplicate()
     diagonal.copy(lifted)
     lifted.shift(float(diagonal.max()[1]) * LIFTED)
+    mat.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     mat.setDiagonal(lifted, addv=True)
     mat.assemble()
     mat.setOption(PETSc.Mat.Option.SPD, True)
@@ -120,11 +145,16 @@ def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
     return mat
 
 
-def _linear_functions(cloud: Cloud) -> list[PETSc.Vec]:
-    """Return an orthonormal basis of the linear functions on the particles (collective)."""
+def _linear_functions(cloud: Cloud, without: Sequence[int]) -> list[PETSc.Vec]:
+    """Return an orthonormal basis of the functions on the particles that are linear, constant along some axes.
+
+    Notes
+    -----
+    Collective.
+    """
     n = cloud.n_owned
     made: list[PETSc.Vec] = []
-    for values in (np.ones(n), *cloud.x[:n].T):
+    for values in (np.ones(n), *(cloud.x[:n, axis] for axis in range(cloud.dim) if axis not in without)):
         vector = PETSc.Vec().createMPI((n, cloud.n_global), comm=cloud.comm)
         vector.setArray(values)
         for _ in range(2):

@@ -10,6 +10,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.overlap import Overlap, start_displacements, start_forces
+from pdpetsc.discrete.surface import Surface
 from pdpetsc.gradient.base import Stencils, whole_families
 from pdpetsc.kernels.bonds import elongation_kernel
 
@@ -26,9 +27,10 @@ class Body:
         Particles of this rank and their bonds.
     """
 
-    def __init__(self, cloud: Cloud, families: Families) -> None:
+    def __init__(self, cloud: Cloud, families: Families, surface: Surface | None = None) -> None:
         self.cloud = cloud
         self.families = families
+        self.surface = surface
 
     @property
     def dim(self) -> int:

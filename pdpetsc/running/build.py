@@ -15,16 +15,19 @@ from pdpetsc.case import Case, ungraded
 from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declare.influence import evaluate
-from pdpetsc.declare.particles import Chunk
+from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
+from pdpetsc.discrete.surface import surface_of
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
+from pdpetsc.petsc.scalar import solve_scalar
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
@@ -76,7 +79,12 @@ def make_problem(case: Case, cloud: Cloud, families: Families) -> Problem:
             f"the cracks cut less."
         )
     materials, material_of, factor = _materials(case, cloud)
-    return _problem(case, Body(cloud, families), materials, material_of, factor)
+    surface = None
+    if case.needs_surface:
+        with agreed(cloud.comm):
+            facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
+        surface = surface_of(cloud, families, facets)
+    return _problem(case, Body(cloud, families, surface), materials, material_of, factor)
 
 
 def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
@@ -101,7 +109,9 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 if case.damage is not None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
                 bare = replace(case, damage=damage, conditions=[], cell=None, terms=())
-                problem = _problem(bare, Body(cloud, find_families(cloud)), materials, alternating, None)
+                families = find_families(cloud)
+                surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if case.weights.conform else None
+                problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
                 assembler = NearAssembler(problem) if near else Assembler(problem)
                 state = problem.state(np.zeros_like(x))
                 size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
@@ -130,7 +140,7 @@ def _problem(
     extra = []
     for number, declared in enumerate(case.terms, 1):
         extra.append(build_extra(declared, number, body))
-    problem = Problem(body, matter, [*others, loads, *extra], supports, damage)
+    problem = Problem(body, matter, [*others, *loads, *extra], supports, damage)
     if damage is not None:
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
         problem.terms.append(problem.springs)
@@ -158,13 +168,17 @@ def _points(
     continuum = cast(Sequence[Material], materials)
     damage: Damage | None = None
     matter: Matter
+
+    def weigh(operator: GradientOperator) -> GradientOperator:
+        return case.weights.of(operator, body.cloud, body.families, body.surface, solve_scalar)
+
     if case.damage is not None:
         alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in continuum]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         damage = _failing(case.damage, body, bonds, k, finite=True)
-        matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage)
+        matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
-        matter = MaterialPoints(body, bonds.omega, case.gradients, continuum, material_of, factor)
+        matter = MaterialPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, weigh)
     if case.control is None:
         return matter, [], damage
     stiffness = stiffness_of(body, continuum, material_of, factor)

@@ -14,6 +14,7 @@ from pdpetsc.declare.conditions import (
     Force,
     MeanStrain,
     MeanStress,
+    SurfacePressure,
     Traction,
     Value,
 )
@@ -25,7 +26,9 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.supports import Supports
+from pdpetsc.problem.term import Term
 from pdpetsc.terms.dead_loads import DeadLoads
+from pdpetsc.terms.surface_loads import SurfaceLoads
 
 
 class Applied:
@@ -49,6 +52,7 @@ class Applied:
         self.cell = None if body.cloud.images is None else CellRows(body.cloud, particles.thickness)
         self.supports = Supports(body, self.cell)
         self.loads = DeadLoads(body, matter, particles, self.cell)
+        self.surface_loads = SurfaceLoads(body)
         self._of_cell: set[int] = set()
 
     def displacement(self, condition: Displacement, name: str) -> None:
@@ -72,6 +76,14 @@ class Applied:
         with agreed(self.body.cloud.comm):
             normal = condition.unit_normal(self.body.dim)
         self.loads.add_traction(condition, components, mask, normal, name)
+
+    def surface_traction(self, condition: Traction, name: str) -> None:
+        """Add a traction on facets."""
+        self.surface_loads.add_traction(condition, name)
+
+    def surface_pressure(self, condition: SurfacePressure, name: str) -> None:
+        """Add a pressure on facets."""
+        self.surface_loads.add_pressure(condition, name)
 
     def mean_strain(self, condition: MeanStrain, name: str) -> None:
         """Prescribe components of the mean strain of the cell."""
@@ -105,7 +117,7 @@ class Applied:
 
 def apply(
     body: Body, matter: Matter, conditions: Sequence[Condition], particles: Particles
-) -> tuple[Supports, DeadLoads]:
+) -> tuple[Supports, list[Term]]:
     """Return the supports and the loads of conditions (collective).
 
     Raises
@@ -120,6 +132,8 @@ def apply(
     try:
         onto.supports.prescribed(1.0)
         onto.loads.forces(1.0)
+        if body.surface is not None:
+            onto.surface_loads.forces(1.0)
     except SolveError as error:
         raise CaseError(str(error)) from error
-    return onto.supports, onto.loads
+    return onto.supports, [onto.loads, onto.surface_loads] if body.surface is not None else [onto.loads]

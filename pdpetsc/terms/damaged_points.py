@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Scheme
@@ -37,6 +37,8 @@ class DamagedPoints(MaterialPoints):
         As for ``MaterialPoints``.
     damage : Damage
         The bonds that fail.
+    weigh : callable, optional
+        As for ``MaterialPoints``.
 
     References
     ----------
@@ -51,9 +53,10 @@ class DamagedPoints(MaterialPoints):
 
     def __init__(
         self, body: Body, omega: Float, scheme: Scheme, materials: Sequence[Material], material_of: LocalIndex,
-        factor: Float | None, damage: Damage,
+        factor: Float | None, damage: Damage, weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(body, omega, scheme, materials, material_of, factor)
+        super().__init__(body, omega, scheme, materials, material_of, factor, weigh)
+        self._whole = None if weigh is None else self.operator
         if any(at_points.has_history for at_points in self.materials):
             raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
         self._omega = omega
@@ -200,7 +203,23 @@ class DamagedPoints(MaterialPoints):
                 detached |= more
         self.n_detached = int(total(cloud.comm, np.count_nonzero(detached)))
         volume = np.where(detached[operator.owner], 0.0, self._by_bonds_left(operator))
-        return replace(operator, volume=volume)
+        return replace(operator, g=self._weights_left(operator), volume=volume)
+
+    def _weights_left(self, operator: GradientOperator) -> Float:
+        """Return the weights (n_entries, dim): of families that have lost no bond those they had at the start.
+
+        Conforming weights are of the whole body, and a bond that breaks changes those of its two ends alone: the faces
+        of a crack that grows have no facets.
+        """
+        if self._whole is None:
+            return operator.g
+        n = self.body.cloud.n_owned
+        hurt = np.zeros(n, dtype=bool)
+        hurt[self.body.families.centres[~self.damage.bonds.intact]] = True
+        g, whole = operator.g.copy(), self._whole
+        of, before = operator.owner[_points(operator)], whole.owner[_points(whole)]
+        g[~hurt[of]] = whole.g[~hurt[before]]
+        return g
 
     def _by_bonds_left(self, operator: GradientOperator) -> Float:
         """Return the volumes of the points: where the effect says so, bonds that are gone take their share with them.
@@ -219,6 +238,11 @@ class DamagedPoints(MaterialPoints):
         share = of_point / np.bincount(operator.owner, of_point, n)[operator.owner]
         hurt = (left < 1.0)[operator.owner]
         return np.where(hurt, (cloud.volume[:n] * left)[operator.owner] * share, operator.volume)
+
+
+def _points(operator: GradientOperator) -> GlobalIndex:
+    """Return the point of every entry (n_entries,)."""
+    return np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
 
 
 class DamagedTangent(PointsTangent):

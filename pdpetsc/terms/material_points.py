@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,8 @@ class MaterialPoints(Matter):
         Index into ``materials`` of each own particle.
     factor : (n_owned,) float64, optional
         What multiplies the moduli of each own particle [-].
+    weigh : callable, optional
+        Gives the gradient of the scheme other weights (collective).
 
     Raises
     ------
@@ -58,9 +60,11 @@ class MaterialPoints(Matter):
         materials: Sequence[Material],
         material_of: LocalIndex,
         factor: Float | None = None,
+        weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:
         super().__init__(body)
-        self.operator: GradientOperator = scheme.build(body.cloud, body.families, omega)
+        operator = scheme.build(body.cloud, body.families, omega)
+        self.operator: GradientOperator = operator if weigh is None else weigh(operator)
         self.note = self.operator.note
         number_of = material_of[self.operator.owner]
         self.materials: list[MaterialAtPoints] = []

@@ -2,6 +2,9 @@
 
 With ``distribution=consistent`` the deformation gradient is uniform and exact, whatever the horizon: the patch test of
 a traction. ``distribution=layer`` loads the outer particles and shows what that costs near the ends.
+
+``shake`` moves particles by up to that share of the spacing, whose cells and facets stay those of the lattice:
+``weights=conforming`` with ``distribution=surface`` then gives the same uniform gradient.
 """
 
 import math
@@ -24,9 +27,17 @@ def exact_gradient(dim, traction):
     return np.diag([math.exp(strain)] + [math.exp(lateral * strain)] * (dim - 1))
 
 
+def shaken(lattice, shake, seed=0):
+    """Return the particles of a lattice moved by up to ``shake`` spacings, with the cells and facets of the lattice."""
+    x = lattice.chunk(0, 1).x
+    moved = x + shake * lattice.spacing * np.random.default_rng(seed).uniform(-1.0, 1.0, x.shape)
+    return pd.Arrays(moved, lattice.spacing**lattice.dim, facets=lattice.surface())
+
+
 def case(
-    dim=2, n=10, horizon=2.015, traction=100.0, G=0.5, scheme="correspondence", distribution="consistent", steps=1
-):
+    dim=2, n=10, horizon=2.015, traction=100.0, G=0.5, scheme="correspondence", distribution="consistent", steps=1,
+    shake=0.0, weights="standard", seed=0,
+):  # fmt: skip
     if dim not in (1, 2, 3):
         raise pd.CaseError(f"dim is 1, 2 or 3, not {dim}.")
     size = np.array([2.0] + [1.0] * (dim - 1))
@@ -34,19 +45,28 @@ def case(
     normal = [1.0] + [0.0] * (dim - 1)
     region = pd.region
     ends = [(1.0, region.Slab("x", low=2.0 - dx)), (-1.0, region.Slab("x", high=dx))]
+    lattice = pd.Lattice([0.0] * dim, size, dx)
+    particles = shaken(lattice, shake, seed) if shake else lattice
     corner = np.full(dim, 0.5 * dx)
     far = [corner + np.eye(dim)[d] * (size[d] - dx) for d in range(dim)]
-    held = [pd.Displacement(region.Nearest(corner), **dict.fromkeys("xyz"[:dim], 0.0))]
-    if dim > 1:
-        held.append(pd.Displacement(region.Nearest(far[0]), **dict.fromkeys("yz"[: dim - 1], 0.0)))
-    if dim > 2:
-        held.append(pd.Displacement(region.Nearest(far[1]), z=0.0))
     F = exact_gradient(dim, traction)
+
+    def along(axis):
+        """Return the exact displacement along an axis, which is none at the corners of the lattice."""
+        return lambda x, t: (F[axis, axis] - 1.0) * (x[:, axis] - corner[axis])
+
+    exact = {name: along(axis) for axis, name in enumerate("xyz"[:dim])}
+    held = [pd.Displacement(region.Nearest(corner), **exact)]
+    if dim > 1:
+        held.append(pd.Displacement(region.Nearest(far[0]), **{name: exact[name] for name in "yz"[: dim - 1]}))
+    if dim > 2:
+        held.append(pd.Displacement(region.Nearest(far[1]), z=exact["z"]))
     return pd.Case(
-        particles=pd.Lattice([0.0] * dim, size, dx),
+        particles=particles,
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
         control=pd.Silling(G) if G else None,
         conditions=[
             *held,

@@ -1,0 +1,83 @@
+"""Whose weights a gradient has: those of its scheme, or the nearest ones that conform to the surface."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from pdpetsc.declared import Declared
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.surface import Surface
+from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.conforming import SolveSystem, conforming
+
+
+class Weights(Declared, ABC):
+    """What becomes of the weights of a scheme."""
+
+    @property
+    @abstractmethod
+    def conform(self) -> bool:
+        """Return whether they need the surface of the body."""
+
+    @abstractmethod
+    def of(
+        self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
+    ) -> GradientOperator:
+        """Return the gradient of a scheme with these weights (collective)."""
+
+
+@dataclass(frozen=True)
+class Standard(Weights):
+    """The weights of the scheme as published.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Standard().conform
+    False
+    """
+
+    @property
+    def conform(self) -> bool:
+        """Return False."""
+        return False
+
+    def of(
+        self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
+    ) -> GradientOperator:
+        """Return the gradient as it is."""
+        return operator
+
+
+@dataclass(frozen=True)
+class Conforming(Weights):
+    """The nearest weights with which a uniform stress is in equilibrium with its tractions, on any cloud.
+
+    ``sum_p W_p g_pk = s_k`` for every particle, with ``s_k`` from the facets of the surface, and linear fields exact:
+    see ``conforming``. Uniform tension is then exact with every scheme, bending converges with second order. It takes
+    particles that know their surface: a ``Lattice``, a ``Mesh``, or ``Arrays`` with facets.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Conforming().conform
+    True
+    """
+
+    @property
+    def conform(self) -> bool:
+        """Return True."""
+        return True
+
+    def of(
+        self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
+    ) -> GradientOperator:
+        """Return the conforming gradient."""
+        assert surface is not None
+        return conforming(cloud, families, operator, surface, solve)
+
+
+# The weights by the word that case files use.
+WEIGHTS: dict[str, Weights] = {"standard": Standard(), "conforming": Conforming()}

@@ -73,7 +73,7 @@ class DamagedPoints(MaterialPoints):
 
     @property
     def whole_families(self) -> bool:
-        """Return True: the pattern is that of whole families, which no broken bond changes."""
+        """Return True: the sparsity is that of whole families, which no broken bond changes."""
         return True
 
     @property

@@ -1,4 +1,4 @@
-"""What a scene declares is right, or one sentence says what is wrong."""
+"""What a case declares is right, or one sentence says what is wrong."""
 
 import dataclasses
 import inspect
@@ -32,7 +32,7 @@ def case(**changes):
     return pd.Case(**{**valid, **changes})
 
 
-# One valid object of everything that a scene can declare.
+# One valid object of everything that a case can declare.
 VALID = [
     case(),
     pd.AdaptiveSteps(), pd.Steps(), pd.Table([0.0, 1.0], [0.0, 1.0]), pd.Cell((0.0, 0.0), (4.0, 4.0)),

@@ -1,4 +1,4 @@
-"""What a zero-energy control declares and what the model asks of it."""
+"""What a zero-energy control declares and what a body asks of it."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class Needs:
 
 
 class DeclaredSolver(Declared):
-    """How equilibrium is found, as a scene declares it; ``pdpetsc.solvers.table`` knows what does it.
+    """How equilibrium is found, as a case declares it; ``pdpetsc.solvers.table`` knows what does it.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Constitutive laws: one file per model, each giving energy, first Piola-Kirchhoff stress and tangent at a point."""
+"""Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
 from pdpetsc.material.base import ElasticMaterial, HistoryKernels, HistoryMaterial, Material, PointKernels
 from pdpetsc.material.graded import Graded

@@ -1,4 +1,4 @@
-"""What every material declares and what the model asks of it."""
+"""What every material declares and what a body asks of it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PointKernels(NamedTuple):
     ``stress(F, select, constants, P)`` and ``tangent(F, select, constants, A)`` write (n, d, d) and (n, d, d, d, d)
     arrays [stress]; ``energy(F, select, constants, psi)`` writes (n,) [energy / volume]. The rows of the results at
     ``select`` are theirs, the others belong to other materials. A material defined for ``det F > 0`` only is never
-    called elsewhere: the model checks first.
+    called elsewhere: that is checked first.
     """
 
     stress: Callable[..., None]

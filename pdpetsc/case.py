@@ -1,4 +1,4 @@
-"""What a scene declares."""
+"""What a case declares."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _named(name: str, function: Field) -> Field:
 
 @dataclass(frozen=True)
 class Case(Declared):
-    """A scene: a body, what is done to it and what is asked.
+    """A case: a body, what is done to it and what is asked.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a scene declares is checked in one place, against the types that its fields are annotated with."""
+"""What a case declares is checked in one place, against the types that its fields are annotated with."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class Declared:
-    """Base of what a scene declares: a dataclass whose fields hold what their annotations say.
+    """Base of what a case declares: a dataclass whose fields hold what their annotations say.
 
     A class with a ``__post_init__`` of its own calls this one first and may then compare numbers with numbers.
 

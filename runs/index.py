@@ -5,9 +5,11 @@ prints and this file gives.
 """
 
 import ast
+import sys
 from pathlib import Path
 
-import tomllib
+sys.path.append(str(Path(__file__).parent))
+from papers.table import load
 
 HERE = Path(__file__).parent
 PAGE = HERE / "README.md"
@@ -45,12 +47,11 @@ def sentence(path):
 def numbers():
     """Return the first printed number and ours of every file."""
     found = {}
-    for path in sorted((HERE / "papers").glob("*.toml")):
-        for row in tomllib.loads(path.read_text()).get("row", []):
-            name = next(word for word in row["command"].split() if word.endswith(".py")).removeprefix("runs/")
-            if isinstance(row.get("printed"), float | int) and "ours" in row and name not in found:
-                said = f"{row['what']}: {row['ours']:.4g}, printed {row['printed']:g}"
-                found[name] = f"{row['paper']}, {row['item']}: {said}"
+    for row in load()[0]:
+        name = next(word for word in row["command"].split() if word.endswith(".py")).removeprefix("runs/")
+        if isinstance(row.get("printed"), float | int) and "ours" in row and name not in found:
+            said = f"{row['what']}: {row['ours']:.4g}, printed {row['printed']:g}"
+            found[name] = f"{row['paper']}, {row['item']}: {said}"
     return found
 
 

@@ -32,8 +32,19 @@ MATERIALS = {
     "neo_hookean": pd.NeoHookean(E=10.0, nu=0.3),
     "saint_venant_kirchhoff": pd.SaintVenantKirchhoff(E=10.0, nu=0.3),
     "linear_elastic": pd.LinearElastic(E=10.0, nu=0.3),
+    "j2": pd.J2(E=10.0, nu=0.3, yield_stress=0.3, hardening=1.0),
 }
-PLANE_STRESS = {f"{name}_plane_stress": type(m)(m.E, m.nu, "stress") for name, m in MATERIALS.items()}
+
+
+def in_plane_stress(material):
+    """Return a material in plane stress, None where it is not there for that."""
+    try:
+        return dataclasses.replace(material, plane="stress")
+    except pd.CaseError:
+        return None
+
+
+PLANE_STRESS = {f"{name}_plane_stress": in_plane_stress(m) for name, m in MATERIALS.items() if in_plane_stress(m)}
 SCHEMES = {
     "correspondence": pd.Correspondence(),
     "sub_horizons": pd.SubHorizons(),

@@ -140,7 +140,7 @@ def test_micromodulus_control_agrees_with_its_equations(dim, rng):
     G, unit = 0.7, 1.3
     model = body(dim, control=pd.SillingMicromodulus(G, unit), rng=rng)
     cloud, u = model.cloud, displacement(model, rng)
-    E, nu = model.materials[0].material.E, model.laws[0].material.nu
+    E, nu = model.materials[0].material.E, model.materials[0].material.nu
     k = E / (2.0 * (1.0 - nu - 2.0 * nu**2)) if dim == 2 else E / (3.0 * (1.0 - 2.0 * nu))
     # In the paper's unit of length every length is over the unit, and a force per area over its square.
     x, horizon, volume = cloud.x / unit, cloud.horizon / unit, cloud.volume / unit**dim

@@ -106,14 +106,14 @@ def test_constant_critical_stretch_breaks_a_triangle(n, tmp_path):
     assert np.all(apart <= 0.5 * (length - 1) + 0.01)
     if n <= 100:
         assert length.tolist() == reference.lengths_of_broken_bonds(n, m)
-    # The energy of the triangle: k links of length k spacings, each 1/2 E A eps^2 l.
+    # The energy of the triangle: k bonds of length k spacings, each 1/2 E A eps^2 l.
     area = 2.0 / (m * (m + 1))
     energy = 0.5 * periodic_cell.E * area * 0.01**2 * sum(k * k / n for k in range(1, m + 1))
     assert found["dissipated"] == pytest.approx(energy, rel=1e-4)
 
 
 def test_the_order_of_the_text_is_that_of_links_of_equal_stiffness():
-    """Section 3.2.1: runs 1 to m, 2 to m, 3 to m. Links of equal modulus and area, k ~ 1 / length, break otherwise."""
+    """Section 3.2.1: runs 1 to m, 2 to m, 3 to m. Bonds of equal modulus and area, k ~ 1 / length, break otherwise."""
     m = 6
     assert reference.lengths_of_broken_bonds(40, m, 0) == [k for first in range(1, m + 1) for k in range(first, m + 1)]
     assert reference.lengths_of_broken_bonds(40, m, 1)[: m + 1] == [1, 2, 3, 4, 2, 3, 3]
@@ -122,10 +122,10 @@ def test_the_order_of_the_text_is_that_of_links_of_equal_stiffness():
 def test_decreasing_critical_stretch_breaks_layers_before_it_localises(tmp_path):
     """Fig. 6: plateaus of force while the longest layers break one after the other, then a triangle.
 
-    S_k = k (k + 1) / 2 links no longer than k spacings cross a section, each with the area 1 / 55. Layer k begins to
-    fail at E eps_k S_k / 55. While it breaks link by link the part of the cell without it grows at a constant mean
+    S_k = k (k + 1) / 2 bonds no longer than k spacings cross a section, each with the area 1 / 55. Layer k begins to
+    fail at E eps_k S_k / 55. While it breaks bond by bond the part of the cell without it grows at a constant mean
     force F: the work of F beyond what is stored, 1/2 F^2 (55 / S_(k-1) - 55 / S_k) / E a length, is the energy of one
-    link a spacing, 1/2 E eps_k^2 k / 55. So F = E eps_k sqrt(S_k S_(k-1)) / 55.
+    bond a spacing, 1/2 E eps_k^2 k / 55. So F = E eps_k sqrt(S_k S_(k-1)) / 55.
     """
     found = results(CELL, "n=100", "critical=decreasing", output=tmp_path)["results"]
     h = history(tmp_path)
@@ -138,7 +138,7 @@ def test_decreasing_critical_stretch_breaks_layers_before_it_localises(tmp_path)
         assert np.array_equal(first, np.arange(first[0], first[0] + 100))
         full, less = k * (k + 1) / 2, k * (k - 1) / 2
         eps = 0.01 - 0.00099 * k
-        # A link is at its limit one event before it is broken.
+        # A bond is at its limit one event before it is broken.
         assert h["force"][step[first[0]] - 1] == pytest.approx(periodic_cell.E * eps * full / 55, rel=3e-3)
         middle = step[first[25:75]]
         mean = 0.5 * (np.median(h["force"][middle - 1]) + np.median(h["force"][middle]))
@@ -146,7 +146,7 @@ def test_decreasing_critical_stretch_breaks_layers_before_it_localises(tmp_path)
         horizontal.append(mean / periodic_cell.E * 100)
     # As the text reads them off the figure, in 1e-2.
     assert horizontal == pytest.approx([0.01, 0.08, 0.12, 0.135], rel=0.005, abs=0.001)
-    # The rest is a triangle across one section, 21 links with lengths below 7, and a few beside it.
+    # The rest is a triangle across one section, 21 bonds with lengths below 7, and a few beside it.
     place = np.array([float(row["x"]) for row in rows])[length < 7]
     assert 21 <= len(place) < 30
     assert np.ptp((place - place[0] + 0.5) % 1.0) < 0.15
@@ -156,7 +156,7 @@ def test_decreasing_critical_stretch_breaks_layers_before_it_localises(tmp_path)
 
 
 def test_increasing_critical_stretch_leaves_no_section_cut(tmp_path):
-    """Fig. 7: the force vanishes though no section has lost all of its links; parts of the cell overlap and slide."""
+    """Fig. 7: the force vanishes though no section has lost all of its bonds; parts of the cell overlap and slide."""
     segments, peaks = [], []
     for seed in (1, 2, 3):
         found = results(CELL, "n=100", "critical=increasing", f"seed={seed}", output=tmp_path)["results"]
@@ -164,7 +164,7 @@ def test_increasing_critical_stretch_leaves_no_section_cut(tmp_path):
         assert abs(h["force"][-1]) < 1e-9 * found["max_force"]
         assert found["max_damage"] < 0.9
         length = np.array([round(100 * float(row["length"])) for row in broken(tmp_path)])
-        # Most broken links are in the weakest layers, of which only the last one has lost all; all layers lose some.
+        # Most broken bonds are in the weakest layers, of which only the last one has lost all; all layers lose some.
         count = np.bincount(length, minlength=11)[1:]
         assert count[:5].sum() > 0.8 * count.sum()
         assert count[0] == 100
@@ -202,7 +202,7 @@ def test_the_place_is_random_and_the_response_is_not_where_the_critical_stretch_
 @pytest.mark.parametrize("micromodulus", list(periodic_cell.MICROMODULI))
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 3.0])
 def test_links_that_soften_and_other_micromoduli_have_the_energy_of_a_triangle(micromodulus, ratio, tmp_path):
-    """Whatever the path, the last link across the gap breaks at ratio eps_0 h, and all across it lose their energy."""
+    """Whatever the path, the last bond across the gap breaks at ratio eps_0 h, and all across it lose their energy."""
     n, m = 50, 5
     found = pd.run(periodic_cell.case(n, ratio=ratio, micromodulus=micromodulus), output=tmp_path)
     h = history(tmp_path)
@@ -216,7 +216,7 @@ def test_links_that_soften_and_other_micromoduli_have_the_energy_of_a_triangle(m
     assert found["dissipated"] == pytest.approx(energy, rel=3e-4)
     assert found["broken"] == m * (m + 1) / 2
     assert max(imbalance(1.0, h["displacement"], h["force"], h)) < 1e-10
-    # Links that snap let the force recover again and again; those that soften let it fall.
+    # Bonds that snap let the force recover again and again; those that soften let it fall.
     after = h["force"][h["force"].argmax() :]
     recovers = (after - np.minimum.accumulate(after)).max() / found["max_force"]
     assert recovers < 1e-9 if ratio > 1.0 else recovers > 0.1
@@ -224,7 +224,7 @@ def test_links_that_soften_and_other_micromoduli_have_the_energy_of_a_triangle(m
 
 @pytest.mark.parametrize("ratio", [4.0, 25.0])
 def test_one_softening_link_and_nine_elastic_ones_follow_a_line(ratio, tmp_path):
-    """Ten particles have links to their neighbours only: F = E (r h eps_0 - u) / ((r - 1) h - (l - h))."""
+    """Ten particles have bonds to their neighbours only: F = E (r h eps_0 - u) / ((r - 1) h - (l - h))."""
     pd.run(periodic_cell.case(n=10, ratio=ratio), output=tmp_path)
     h = history(tmp_path)
     assert h["force"][:3] == pytest.approx([0.0, 1.0, 0.0], rel=1e-5, abs=1e-9)

@@ -343,7 +343,9 @@ def test_a_wide_step_of_many_bonds_and_a_narrow_one_of_each_end_alike(tmp_path):
     """From one bond at a time to thousands at once."""
     found = {}
     for most in (1, 5000):
-        case = dataclasses.replace(plate_with_hole.case(law="brittle"), steps=pd.Steps(5, breaks=most), fields=[])
+        case = dataclasses.replace(
+            plate_with_hole.case(law="brittle"), steps=pd.Steps(5, bonds_at_once=most), fields=[]
+        )
         found[most] = pd.run(dataclasses.replace(case, picture=None), output=tmp_path)
         assert abs(found[most]["last_load"]) < 1e-3 * found[most]["peak_load"]
         assert found[most]["symmetry_error"] < 1e-6

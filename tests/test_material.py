@@ -1,12 +1,14 @@
-"""Every material: stress is the energy's derivative, tangent the stress's, and both are objective."""
+"""Every material: stress is the energy's derivative, tangent the stress's, both objective, at states with history."""
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.scenes import MATERIALS, material_cases, rotation
+from pdpetsc.material.at_points import MaterialAtPoints
+from tests.scenes import MATERIALS, in_plane_stress, material_cases, rotation
 
 STEP = 1e-6
+N = 12
 
 
 def label(case):
@@ -14,23 +16,61 @@ def label(case):
     return f"{type(material).__name__}-{material.plane}-{dim}D"
 
 
-@pytest.fixture(params=material_cases(), ids=label)
-def law(request):
-    material, dim = request.param
-    return material, dim, material.kernels(dim), material.constants(dim)
-
-
-def gradients(dim, rng, n=12, size=0.25):
+def gradients(dim, rng, n=N, size=0.25):
     """Return deformation gradients with det F > 0.2: random ones, the undeformed one and one with equal stretches."""
     F = np.eye(dim) + size * rng.standard_normal((4 * n, dim, dim))
     F = F[np.linalg.det(F) > 0.2][:n]
     return np.concatenate([F, [np.eye(dim), 1.3 * np.eye(dim), np.eye(dim) * (1.0 + 1e-9 * np.arange(1, dim + 1))]])
 
 
-def evaluate(kernel, F, constants, shape):
-    out = np.empty((len(F), *shape))
-    kernel(F, np.arange(len(F)), constants, out)
-    return out
+class Law:
+    """A material at as many points as ``gradients`` returns, undeformed ones at first."""
+
+    def __init__(self, material, dim, n=N + 3):
+        self.material, self.dim = material, dim
+        self._points = MaterialAtPoints(material, np.arange(n), dim, None)
+
+    def _of(self, method, F, shape):
+        out = np.empty((len(F), *shape))
+        method(np.ascontiguousarray(F), out)
+        return out
+
+    def stress(self, F):
+        return self._of(self._points.stress, F, (self.dim, self.dim))
+
+    def tangent(self, F):
+        return self._of(self._points.tangent, F, (self.dim,) * 4)
+
+    def energy(self, F):
+        return self._of(self._points.energy, F, ())
+
+    def commit(self, F):
+        self._points.commit(np.ascontiguousarray(F))
+
+    @property
+    def history(self):
+        return self._points.history.copy()
+
+    def out_of_plane_stress(self, F):
+        return self._points.out_of_plane_stress(F)
+
+    def plastic_strain(self):
+        return self._points.plastic_strain()
+
+    def wander(self, rng, size=0.15):
+        """Lead the points on a path and return deformation gradients not far from its end."""
+        F = gradients(self.dim, rng)
+        if self.material.has_history:
+            for _ in range(3):
+                self.commit(F)
+                F = F @ (np.eye(self.dim) + size * rng.standard_normal(F.shape))
+                F[np.linalg.det(F) < 0.2] = 1.1 * np.eye(self.dim)
+        return F
+
+
+@pytest.fixture(params=material_cases(), ids=label)
+def law(request):
+    return Law(*request.param)
 
 
 def derivative(function, F, dim):
@@ -46,47 +86,58 @@ def derivative(function, F, dim):
 
 
 def test_stress_is_the_derivative_of_the_energy(law, rng):
-    material, dim, kernels, constants = law
-    F = gradients(dim, rng)
-    P = evaluate(kernels.stress, F, constants, (dim, dim))
-    difference = derivative(lambda F: evaluate(kernels.energy, F, constants, ()), F, dim)
-    assert np.abs(P - difference).max() < 1e-7 * max(material.E, np.abs(P).max())
+    F = law.wander(rng)
+    P = law.stress(F)
+    assert np.abs(P - derivative(law.energy, F, law.dim)).max() < 1e-7 * max(law.material.E, np.abs(P).max())
 
 
 def test_tangent_is_the_derivative_of_the_stress(law, rng):
-    _, dim, kernels, constants = law
-    F = gradients(dim, rng)
-    A = evaluate(kernels.tangent, F, constants, (dim,) * 4)
-    difference = derivative(lambda F: evaluate(kernels.stress, F, constants, (dim, dim)), F, dim)
-    assert np.abs(A - difference).max() < 1e-7 * np.abs(A).max()
+    F = law.wander(rng)
+    A = law.tangent(F)
+    assert np.abs(A - derivative(law.stress, F, law.dim)).max() < 1e-7 * np.abs(A).max()
     assert np.abs(A - A.transpose(0, 3, 4, 1, 2)).max() < 1e-12 * np.abs(A).max()
 
 
 def test_rotation_rotates_the_stress_and_keeps_the_energy(law, rng):
-    material, dim, kernels, constants = law
-    if material.linear:
+    if law.material.linear:
         pytest.skip("a small-strain material is not objective")
-    F = gradients(dim, rng)
-    Q = rotation(dim, rng)
-    P = evaluate(kernels.stress, F, constants, (dim, dim))
-    assert np.allclose(evaluate(kernels.stress, Q @ F, constants, (dim, dim)), Q @ P, atol=1e-11 * material.E)
-    assert np.allclose(
-        evaluate(kernels.energy, Q @ F, constants, ()), evaluate(kernels.energy, F, constants, ()), rtol=1e-10
-    )
+    F = law.wander(rng)
+    Q = rotation(law.dim, rng)
+    P, energy = law.stress(F), law.energy(F)
+    assert np.allclose(law.stress(Q @ F), Q @ P, atol=1e-11 * law.material.E)
+    assert np.allclose(law.energy(Q @ F), energy, rtol=1e-10)
+    # What is remembered of a turned body is what is remembered of the body.
+    law.commit(Q @ F)
+    assert np.allclose(law.stress(Q @ F), Q @ P, atol=1e-11 * law.material.E)
+    assert np.allclose(law.stress(F), P, atol=1e-11 * law.material.E)
+
+
+def test_a_state_that_has_been_taken_is_the_same_state(law, rng):
+    """Stress and energy of a step do not change when the step ends, and nothing but its end changes the history."""
+    F = law.wander(rng)
+    before = law.history
+    P, energy = law.stress(F), law.energy(F)
+    law.tangent(F)
+    law.stress(1.1 * F)
+    assert np.array_equal(law.history, before)
+    law.commit(F)
+    assert np.array_equal(law.history, before) != law.material.has_history
+    assert np.allclose(law.stress(F), P, atol=1e-11 * law.material.E)
+    assert np.allclose(law.energy(F), energy, rtol=1e-10, atol=1e-12 * law.material.E)
 
 
 def test_small_strains_give_the_linear_law(law, rng):
-    material, dim, kernels, constants = law
+    dim, material = law.dim, law.material
     strain = rng.standard_normal((dim, dim))
     strain = 0.5 * (strain + strain.T)
     lam, mu = material.lame(dim)
-    P = evaluate(kernels.stress, (np.eye(dim) + 1e-7 * strain)[None], constants, (dim, dim))[0] / 1e-7
+    F = np.tile(np.eye(dim) + 1e-7 * strain, (N + 3, 1, 1))
+    P = law.stress(F)[0] / 1e-7
     assert np.allclose(P, lam * np.trace(strain) * np.eye(dim) + 2.0 * mu * strain, rtol=1e-5, atol=1e-5 * material.E)
 
 
 def test_hencky_bar_has_the_closed_form_of_a_uniaxial_test():
-    material = pd.Hencky(E=10.0, nu=0.3)
-    P = evaluate(material.kernels(1).stress, np.array([[[1.7]]]), material.constants(1), (1, 1))
+    P = Law(pd.Hencky(E=10.0, nu=0.3), 1, 1).stress(np.array([[[1.7]]]))
     assert P[0, 0, 0] == pytest.approx(10.0 * np.log(1.7) / 1.7, rel=1e-14)
 
 
@@ -95,18 +146,20 @@ def test_plane_stress_and_bar_are_the_solid_with_free_sides(rng):
     from scipy.optimize import brentq
 
     for material in MATERIALS.values():
-        solid, c3 = material.kernels(3), material.constants(3)
+        if in_plane_stress(material) is None:
+            continue
+        solid = Law(material, 3, 1)
 
-        def lateral(F, d, b, solid=solid, c3=c3):
+        def lateral(F, d, b, solid=solid):
             full = np.eye(3)
             full[:d, :d] = F
             full[range(d, 3), range(d, 3)] = b
-            return evaluate(solid.stress, full[None], c3, (3, 3))[0], full
+            return solid.stress(full[None])[0], full
 
-        for dim, reduced in ((1, material), (2, type(material)(material.E, material.nu, "stress"))):
+        for dim, reduced in ((1, material), (2, in_plane_stress(material))):
             F = np.eye(dim) + 0.1 * rng.standard_normal((dim, dim))
             b = brentq(lambda b, F=F, dim=dim: lateral(F, dim, b)[0][2, 2], 0.3, 2.5, xtol=1e-15)
-            P = evaluate(reduced.kernels(dim).stress, F[None], reduced.constants(dim), (dim, dim))[0]
+            P = Law(reduced, dim, 1).stress(F[None])[0]
             assert np.allclose(lateral(F, dim, b)[0][:dim, :dim], P, atol=1e-10 * material.E)
             if not material.linear:
                 assert reduced.thickness_stretch(F[None])[0] == pytest.approx(b ** (3 - dim), rel=1e-9)
@@ -122,28 +175,17 @@ def test_constants_out_of_range_are_refused(values):
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_stress_across_the_plane_is_that_of_the_solid(name, rng):
-    material = MATERIALS[name]
+def test_stress_in_and_across_the_plane_is_that_of_the_solid(name, rng):
+    plane, solid = Law(MATERIALS[name], 2), Law(MATERIALS[name], 3)
     F = gradients(2, rng)
-    solid = np.tile(np.eye(3), (len(F), 1, 1))
-    solid[:, :2, :2] = F
-    P = evaluate(material.kernels(3).stress, solid, material.constants(3), (3, 3))
-    assert np.allclose(material.out_of_plane_stress(F), P[:, 2, 2], atol=1e-12 * material.E, rtol=1e-12)
-
-
-def test_plastic_stress_across_the_plane_is_that_of_the_solid(rng):
-    material = pd.J2(E=10.0, nu=0.3, yield_stress=0.3, hardening=1.0)
-    solid_history = material.initial_history(3, 20)
-    history = material.initial_history(2, 20)
-    kernels, solid_kernels = material.history_kernels(2), material.history_kernels(3)
-    every = np.arange(20)
     for _ in range(4):
-        F = np.eye(2) + 0.1 * rng.standard_normal((20, 2, 2))
-        solid = np.tile(np.eye(3), (20, 1, 1))
-        solid[:, :2, :2] = F
-        P = np.empty((20, 3, 3))
-        solid_kernels.stress(solid, every, material.constants(3), solid_history, P)
-        assert np.allclose(material.out_of_plane_stress(F, history), P[:, 2, 2], atol=1e-10)
-        kernels.commit(F, every, material.constants(2), history)
-        solid_kernels.commit(solid, every, material.constants(3), solid_history)
-    assert material.plastic_strain(history).min() > 0.0
+        full = np.tile(np.eye(3), (len(F), 1, 1))
+        full[:, :2, :2] = F
+        P = solid.stress(full)
+        assert np.allclose(plane.stress(F), P[:, :2, :2], atol=1e-10)
+        assert np.allclose(plane.out_of_plane_stress(F), P[:, 2, 2], atol=1e-10)
+        plane.commit(F)
+        solid.commit(full)
+        assert np.allclose(plane.plastic_strain(), solid.plastic_strain(), atol=1e-12)
+        F = F @ (np.eye(2) + 0.05 * rng.standard_normal(F.shape))
+    assert np.array_equal(plane.history, Law(MATERIALS[name], 2).history) != plane.material.has_history

@@ -1,4 +1,4 @@
-"""Materials whose forces act along bonds: one file per model."""
+"""Materials whose forces act along bonds: one file each."""
 
 from pdpetsc.bond_based.base import BondMaterial, BondStiffness, Neighbourhood, combine
 from pdpetsc.bond_based.linear_solid import LinearSolid

@@ -1,4 +1,4 @@
-"""What a material of forces along bonds declares and what the model asks of it."""
+"""What a material of forces along bonds declares and what a body asks of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.linear_elastic import LinearElastic
 
-# Points of the quadrature of a moment of the influence function on each half of the horizon.
+# Points of the quadrature of a moment of the influence on each half of the horizon.
 QUADRATURE = 40
 
 

@@ -20,7 +20,7 @@ from pdpetsc.control.base import (
 )
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.control import average_force_kernel
@@ -123,7 +123,7 @@ class _Averaged(Control):
         kernel = average_force_kernel(self._cloud.dim)
         return float(kernel(particles, *self._stencils, self._b, self._c, u, f))
 
-    def matrix(self, pattern: Pattern) -> ControlMatrix:
+    def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
         data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
-        return IsotropicMatrix(pattern, *fill(pattern, 1, assemble_kernel(1), self._stencils, *data))
+        return IsotropicMatrix(sparsity, *fill(sparsity, 1, assemble_kernel(1), self._stencils, *data))

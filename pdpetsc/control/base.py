@@ -1,4 +1,4 @@
-"""What a zero-energy control declares and what the model asks of it."""
+"""What a zero-energy control declares and what a body asks of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.assembly import add_isotropic_kernel
@@ -65,7 +65,7 @@ def refuse_negative(what: str, value: float) -> None:
 
 
 class ControlMatrix(ABC):
-    """The constant matrix of a control in the layout of a pattern."""
+    """The constant matrix of a control in the layout of the tangent."""
 
     @abstractmethod
     def add(self, dim: int, diag: Float, off: Float) -> None:
@@ -76,15 +76,15 @@ class ControlMatrix(ABC):
 class IsotropicMatrix(ControlMatrix):
     """One scalar per block, times the identity."""
 
-    pattern: Pattern
+    sparsity: Sparsity
     diag: Float
     off: Float
 
     def add(self, dim: int, diag: Float, off: Float) -> None:
         """Add it to the values of the own rows."""
         kernel = add_isotropic_kernel(dim)
-        kernel(self.pattern.owned.diag_ptr, self.diag, diag)
-        kernel(self.pattern.owned.off_ptr, self.off, off)
+        kernel(self.sparsity.owned.diag_ptr, self.diag, diag)
+        kernel(self.sparsity.owned.off_ptr, self.off, off)
 
 
 @dataclass(frozen=True)
@@ -101,13 +101,13 @@ class BlockMatrix(ControlMatrix):
 
 
 def fill(
-    pattern: Pattern, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float
+    sparsity: Sparsity, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float
 ) -> tuple[Float, Float]:
     """Return the values of the own rows, own columns and others, of a matrix with ``dim x dim`` values per block.
 
     Parameters
     ----------
-    pattern : Pattern
+    sparsity : Sparsity
         Where its blocks are.
     dim : int
         Block size: the dimension, or 1 for a matrix of one scalar per block.
@@ -122,17 +122,17 @@ def fill(
     -----
     Collective.
     """
-    transposed = transpose(*stencils, pattern.cloud.n_local)
+    transposed = transpose(*stencils, sparsity.cloud.n_local)
     values = []
-    for rows in (pattern.owned, pattern.ghost):
+    for rows in (sparsity.owned, sparsity.ghost):
         diag, off = np.zeros(dim * dim * rows.diag_ptr[-1]), np.zeros(dim * dim * rows.off_ptr[-1])
         kernel(
-            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *pattern.locals_of_columns, *transposed,
+            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *transposed,
             *stencils, *data, diag, off,
         )  # fmt: skip
         values.append((diag, off))
     diag, off = values[0]
-    pattern.complete(values[1][0], diag, off, dim)
+    sparsity.complete(values[1][0], diag, off, dim)
     return diag, off
 
 
@@ -156,8 +156,8 @@ class Control(ABC):
         return None
 
     @abstractmethod
-    def matrix(self, pattern: Pattern) -> ControlMatrix:
-        """Return the matrix for ``pattern`` (collective)."""
+    def matrix(self, sparsity: Sparsity) -> ControlMatrix:
+        """Return the matrix for ``sparsity`` (collective)."""
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control with the stiffness of every bond times its integrity (n_bonds,).

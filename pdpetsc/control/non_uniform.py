@@ -8,7 +8,7 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, Stencil, fill
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import FLAT, GradientOperator, whole_families
 from pdpetsc.kernels.control import (
     directed_force_kernel,
@@ -59,13 +59,14 @@ class NonUniform(Control):
         data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
         return float(kernel(particles, *data, u, f))
 
-    def matrix(self, pattern: Pattern) -> ControlMatrix:
+    def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the scalar matrix of the control (collective)."""
         kernel = non_uniform_matrix_kernel(self._cloud.dim)
         with_centre = whole_families(self._cloud, self._families, self._stiffness)
         forces = np.insert(self._forces, self._families.indptr[:-1], 0.0)
         data = forces, with_centre.weight, self._K_inverse, self._cloud.x
-        return IsotropicMatrix(pattern, *fill(pattern, 1, kernel, (with_centre.point_ptr, with_centre.members), *data))
+        stencils = with_centre.point_ptr, with_centre.members
+        return IsotropicMatrix(sparsity, *fill(sparsity, 1, kernel, stencils, *data))
 
     def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
         """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
@@ -131,11 +132,11 @@ class Directed(Control):
         kernel = directed_force_kernel(self._cloud.dim)
         return float(kernel(particles, family.indptr, family.neighbours, self._S, self._g, self._cloud.x, u, f))
 
-    def matrix(self, pattern: Pattern) -> ControlMatrix:
+    def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the block matrix of the control (collective)."""
         dim, cloud = self._cloud.dim, self._cloud
         xi = self._families.bonds(cloud.x)
         T = np.zeros((cloud.n_owned, dim, dim, dim, dim))
         np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
         data = self._S, self._g, T, cloud.x
-        return BlockMatrix(*fill(pattern, dim, directed_matrix_kernel(dim), self.stencils, *data))
+        return BlockMatrix(*fill(sparsity, dim, directed_matrix_kernel(dim), self.stencils, *data))

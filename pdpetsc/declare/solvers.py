@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
 from pdpetsc.declare.region import Region
-from pdpetsc.declare.steps import refuse_breaks
+from pdpetsc.declare.steps import refuse_bonds_at_once
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
@@ -36,7 +36,7 @@ class Needs:
 
 
 class DeclaredSolver(Declared):
-    """How equilibrium is found, as a case declares it; ``pdpetsc.solvers.table`` names the class that does it.
+    """How equilibrium is found, as a case declares it; ``pdpetsc.solvers.table`` knows what does it.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ class PathFollowing(DeclaredSolver):
         The run ends when the forces have fallen to this share of the largest so far [-].
     most : int
         Largest number of steps.
-    breaks : int, optional
+    bonds_at_once : int, optional
         As in ``Steps``.
 
     Examples
@@ -259,7 +259,7 @@ class PathFollowing(DeclaredSolver):
     smallest: float = 1e-4
     until: float = 0.01
     most: int = 10_000
-    breaks: int | None = None
+    bonds_at_once: int | None = None
 
     title = "Path following"
     needs = Needs(proportional="at any load")
@@ -274,7 +274,7 @@ class PathFollowing(DeclaredSolver):
                 f"PathFollowing needs first and smallest in (0, 1], until in [0, 1) and most >= 1, not {self.first}, "
                 f"{self.smallest}, {self.until} and {self.most}."
             )
-        refuse_breaks(self.breaks)
+        refuse_bonds_at_once(self.bonds_at_once)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the measure names what a body of ``dim`` dimensions lacks."""

@@ -15,10 +15,10 @@ MOST_STEPS = 99_999
 LEAST_STEP = 1e-8
 
 
-def refuse_breaks(breaks: int | None) -> None:
+def refuse_bonds_at_once(bonds_at_once: int | None) -> None:
     """Raise CaseError unless at least one bond may break at once."""
-    if breaks is not None and breaks < 1:
-        raise CaseError(f"breaks is a number of bonds from 1 on, not {breaks}.")
+    if bonds_at_once is not None and bonds_at_once < 1:
+        raise CaseError(f"bonds_at_once is a number of bonds from 1 on, not {bonds_at_once}.")
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Steps(Declared):
     smallest : float
         Smallest step as a share of the whole load [-]; when it fails too the run ends with exit status 1. By default
         1/64 of a step.
-    breaks : int, optional
+    bonds_at_once : int, optional
         Bonds that break at once before equilibrium is sought again, the worst first. By default one, with those that
         tie with it, where bonds snap, and all that have lost their force where they soften.
     unstable : {"warn", "shorten", "refuse"}
@@ -50,7 +50,7 @@ class Steps(Declared):
 
     count: int = 1
     smallest: float | None = None
-    breaks: int | None = None
+    bonds_at_once: int | None = None
     unstable: Unstable = "warn"
 
     def __post_init__(self) -> None:
@@ -62,7 +62,7 @@ class Steps(Declared):
                 f"The smallest of {self.count} steps must lie between {LEAST_STEP:g} and 1/{self.count}, "
                 f"not {self.smallest}."
             )
-        refuse_breaks(self.breaks)
+        refuse_bonds_at_once(self.bonds_at_once)
 
     @property
     def first(self) -> float:
@@ -92,7 +92,7 @@ class AdaptiveSteps(Declared):
     ----------
     first, smallest, largest : float
         Step sizes as a share of the whole load.
-    breaks, unstable
+    bonds_at_once, unstable
         As in ``Steps``.
 
     Examples
@@ -104,7 +104,7 @@ class AdaptiveSteps(Declared):
     first: float = 0.1
     smallest: float = 1e-4
     largest: float = 0.25
-    breaks: int | None = None
+    bonds_at_once: int | None = None
     unstable: Unstable = "warn"
 
     def __post_init__(self) -> None:
@@ -116,7 +116,7 @@ class AdaptiveSteps(Declared):
             )
         if self.largest < 1.0 / MOST_STEPS:
             raise CaseError(f"AdaptiveSteps needs a largest step of at least 1/{MOST_STEPS}, not {self.largest}.")
-        refuse_breaks(self.breaks)
+        refuse_bonds_at_once(self.bonds_at_once)
 
     @property
     def least(self) -> float:

@@ -1,1 +1,1 @@
-"""The distributed particle cloud: partition, ghosts, halo exchange, families and matrix pattern."""
+"""The distributed particle cloud: partition, ghosts, halo exchange, families and the sparsity of matrices."""

@@ -57,9 +57,10 @@ class Cloud:
     offset : (n_ghost, dim) float64
         How far each ghost is from its particle [length]: whole periods; no rows without a cell.
     place : (n_local,) int64
-        Number of the period that each particle is in, 0 in the cell itself; differences tell relative places apart.
+        In a periodic cell, the number of the period that each particle is in: 0 at home, and everywhere without a cell.
+        Differences tell how two images lie relative to each other; it is no position and no rank.
     n_places : int
-        How many such numbers there are.
+        How many such numbers there are, 1 without a cell.
     n_created : int
         How many particles this rank created.
     """

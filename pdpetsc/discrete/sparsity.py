@@ -1,4 +1,4 @@
-"""Block pattern of the tangent and the exchange that completes rows other ranks contribute to."""
+"""Where the tangent has blocks, and the exchange that completes rows other ranks contribute to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, exchange
 from pdpetsc.kernels.assembly import add_blocks_kernel
-from pdpetsc.kernels.sparsity import merge_rows, product_pattern, transpose
+from pdpetsc.kernels.sparsity import merge_rows, product_sparsity, transpose
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class Border:
 
 
 @dataclass(frozen=True)
-class Pattern:
-    """Block pattern of a matrix ``G^T D G`` distributed by rows.
+class Sparsity:
+    """Where a matrix ``G^T D G``, distributed by rows, has blocks that may not be zero.
 
     Columns are numbered: own particles, own virtual rows, then the others in the order of their global rows.
 
@@ -168,8 +168,8 @@ class Pattern:
         add_blocks_kernel(dim)(to.row_blocks, received, to.start, to.slot, to.width, to.in_diag, diag, off)
 
 
-def build_pattern(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> Pattern:
-    """Return the block pattern of ``G^T D G`` for the stencils ``members[point_ptr[p]:point_ptr[p + 1]]``.
+def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> Sparsity:
+    """Return where ``G^T D G`` has blocks for the stencils ``members[point_ptr[p]:point_ptr[p + 1]]``.
 
     Notes
     -----
@@ -177,7 +177,7 @@ def build_pattern(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> 
     """
     n_owned, n_own, halo = cloud.n_owned, cloud.n_rows, cloud.halo
     entry_ptr, _, entry_point = transpose(point_ptr, members, cloud.n_local)
-    row_ptr, local_columns = product_pattern(
+    row_ptr, local_columns = product_sparsity(
         entry_ptr, entry_point, point_ptr, _one_of_each(cloud)[members], np.arange(cloud.n_local, dtype=np.int64)
     )
     ghost_begin = row_ptr[n_owned]
@@ -216,7 +216,7 @@ def build_pattern(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) -> 
     if cloud.images is not None:
         border = Border(cloud.comm, reached, number(virtual), number(reached_rows))
     locals_of_columns = _locals(number(cloud.row), n_own + len(other_columns))
-    return Pattern(cloud, owned, ghost, held, other_columns, locals_of_columns, arrivals, border)
+    return Sparsity(cloud, owned, ghost, held, other_columns, locals_of_columns, arrivals, border)
 
 
 def _one_of_each(cloud: Cloud) -> LocalIndex:

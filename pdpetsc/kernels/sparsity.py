@@ -1,4 +1,4 @@
-"""Index loops: families from pairs, transposed stencils and the block pattern of the tangent."""
+"""Index loops: families from pairs, transposed stencils and where the tangent has blocks."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def transpose(point_ptr, members, n_local):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def product_pattern(entry_ptr, entry_point, point_ptr, members, rank_of):  # type: ignore[no-untyped-def]
-    """Return the CSR block pattern of ``G^T D G`` on local particles, each row sorted by ``rank_of``."""
+def product_sparsity(entry_ptr, entry_point, point_ptr, members, rank_of):  # type: ignore[no-untyped-def]
+    """Return in CSR form where ``G^T D G`` on local particles has blocks, each row sorted by ``rank_of``."""
     n_local = entry_ptr.size - 1
     seen = np.full(n_local, -1, np.int64)
     row_ptr = np.zeros(n_local + 1, np.int64)
@@ -90,7 +90,7 @@ def product_pattern(entry_ptr, entry_point, point_ptr, members, rank_of):  # typ
 
 @compiled
 def merge_rows(row_ptr, columns, extra_row, extra_ptr, extra_columns, n_rows, n_columns):  # type: ignore[no-untyped-def]
-    """Return the pattern whose row ``a`` is the union of row ``a`` and of all extra rows with ``extra_row == a``."""
+    """Return the sparsity whose row ``a`` is the union of row ``a`` and of all extra rows with ``extra_row == a``."""
     by_row = np.zeros(n_rows + 1, np.int64)
     for r in range(extra_row.size):
         by_row[extra_row[r] + 1] += 1
@@ -126,7 +126,7 @@ def merge_rows(row_ptr, columns, extra_row, extra_ptr, extra_columns, n_rows, n_
 
 @compiled
 def scalar_rows(block_ptr, block_columns, dim, row_ptr, columns):  # type: ignore[no-untyped-def]
-    """Expand a block pattern into the scalar CSR pattern of the same matrix."""
+    """Expand a block sparsity into the scalar CSR rows of the same matrix."""
     row_ptr[0] = 0
     for a in range(block_ptr.size - 1):
         n = block_ptr[a + 1] - block_ptr[a]

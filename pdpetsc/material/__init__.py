@@ -1,6 +1,6 @@
-"""Constitutive laws: one file per model, each giving energy, first Piola-Kirchhoff stress and tangent at a point."""
+"""Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
-from pdpetsc.material.base import ElasticMaterial, HistoryMaterial, Material, PointKernels
+from pdpetsc.material.base import ElasticMaterial, HistoryKernels, HistoryMaterial, Material, PointKernels
 from pdpetsc.material.graded import Graded
 from pdpetsc.material.hencky import Hencky
 from pdpetsc.material.j2 import J2
@@ -13,6 +13,7 @@ __all__ = [
     "ElasticMaterial",
     "Graded",
     "Hencky",
+    "HistoryKernels",
     "HistoryMaterial",
     "LinearElastic",
     "Material",

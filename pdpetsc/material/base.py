@@ -1,4 +1,4 @@
-"""What every material declares and what the model asks of it."""
+"""What every material declares and what a body asks of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
@@ -18,11 +18,12 @@ LEAST_MODULUS, LARGEST_MODULUS = 1e-100, 1e100
 
 
 class PointKernels(NamedTuple):
-    """Compiled loops over the points ``select`` (int64 indices into F).
+    """Loops over the points ``select`` (int64 indices into F), compiled or plain numpy.
 
     ``stress(F, select, constants, P)`` and ``tangent(F, select, constants, A)`` write (n, d, d) and (n, d, d, d, d)
-    arrays [stress]; ``energy(F, select, constants, psi)`` writes (n,) [energy / volume]. A material defined for
-    ``det F > 0`` only is never called elsewhere: the model checks first.
+    arrays [stress]; ``energy(F, select, constants, psi)`` writes (n,) [energy / volume]. The rows of the results at
+    ``select`` are theirs, the others belong to other materials. A material defined for ``det F > 0`` only is never
+    called elsewhere: that is checked first.
     """
 
     stress: Callable[..., None]
@@ -31,9 +32,10 @@ class PointKernels(NamedTuple):
 
 
 class HistoryKernels(NamedTuple):
-    """As ``PointKernels``, with ``history`` (len(select), n_history) before the result.
+    """As ``PointKernels``, with ``history`` (len(select), n_history) before the result, which they only read.
 
-    ``commit(F, select, constants, history)`` makes the state at F the one that the next step starts from.
+    ``commit(F, select, constants, history)`` overwrites the history: it makes the state at F the one that the next step
+    starts from. The stress is the derivative of the energy at a given history, stored and lost energy together.
     """
 
     stress: Callable[..., None]
@@ -67,6 +69,7 @@ class Material(Declared, ABC):
 
     # Whether the stress is linear in F, so that the tangent is constant.
     linear: ClassVar[bool] = False
+    has_history: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,6 +87,22 @@ class Material(Declared, ABC):
     @abstractmethod
     def thickness_stretch(self, F: Float) -> Float:
         """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
+
+    @abstractmethod
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the loops for dimension ``dim``."""
+
+    @abstractmethod
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``P_zz`` (n,) [stress] in plane strain, for ``F`` (n, 2, 2) and ``history`` (n, n_history)."""
+
+    def initial_history(self, dim: int, n: int) -> Float:
+        """Return the history of ``n`` undeformed points (n, n_history): nothing, (n, 0), where there is none."""
+        return np.empty((n, 0))
+
+    def plastic_strain(self, history: Float) -> Float:
+        """Return the accumulated plastic strain (n,) [-], 0 for a material that does not flow."""
+        return np.zeros(len(history))
 
     def constants(self, dim: int) -> Float:
         """Return the constants that the compiled loops read."""
@@ -118,7 +137,7 @@ class Material(Declared, ABC):
 class ElasticMaterial(Material):
     """A material whose stress depends on F alone."""
 
-    def out_of_plane_stress(self, F: Float) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
         """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
         return self.lame(2)[0] * self.volumetric_strain(F)
 
@@ -131,25 +150,31 @@ class ElasticMaterial(Material):
 
     @abstractmethod
     def kernels(self, dim: int) -> PointKernels:
-        """Return the compiled loops for dimension ``dim``."""
+        """Return the loops for dimension ``dim``."""
+
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the loops of ``kernels`` with a history that they do not read."""
+        stress, tangent, energy = (_without_history(loop) for loop in self.kernels(dim))
+        return HistoryKernels(stress, tangent, energy, _nothing)
+
+
+def _without_history(loop: Callable[..., None]) -> Callable[..., None]:
+    def with_history(F: Float, select: GlobalIndex, constants: Float, history: Float, result: Float) -> None:
+        loop(F, select, constants, result)
+
+    return with_history
+
+
+def _nothing(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
+    """Remember nothing."""
 
 
 @dataclass(frozen=True)
 class HistoryMaterial(Material):
     """A material whose stress depends on what converged steps left at a point."""
 
+    has_history: ClassVar[bool] = True
+
     @abstractmethod
     def initial_history(self, dim: int, n: int) -> Float:
         """Return the history of ``n`` undeformed points (n, n_history)."""
-
-    @abstractmethod
-    def history_kernels(self, dim: int) -> HistoryKernels:
-        """Return the compiled loops for dimension ``dim``."""
-
-    @abstractmethod
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
-        """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
-
-    @abstractmethod
-    def plastic_strain(self, history: Float) -> Float:
-        """Return the accumulated plastic strain (n,) [-]."""

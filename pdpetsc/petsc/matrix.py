@@ -8,7 +8,7 @@ from petsc4py import PETSc
 from pdpetsc.arrays import GlobalIndex, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.components import rigid_modes
-from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.kernels.sparsity import scalar_rows
 from pdpetsc.petsc.library import seq_blocks, values_of
 from pdpetsc.petsc.tangent import PetscTangent
@@ -17,16 +17,16 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
 
-def predicted_bytes(pattern: Pattern, dim: int) -> int:
-    """Return the memory of the matrix over all ranks, from its pattern: values, columns and rows [bytes].
+def predicted_bytes(sparsity: Sparsity, dim: int) -> int:
+    """Return the memory of the matrix over all ranks, from its sparsity: values, columns and rows [bytes].
 
     Notes
     -----
     Collective.
     """
     index = np.dtype(PETSc.IntType).itemsize
-    per_rank = pattern.n_blocks * dim * dim * (8 + index) + pattern.cloud.n_rows * dim * 6 * index
-    return int(total(pattern.cloud.comm, per_rank))
+    per_rank = sparsity.n_blocks * dim * dim * (8 + index) + sparsity.cloud.n_rows * dim * 6 * index
+    return int(total(sparsity.cloud.comm, per_rank))
 
 
 class TangentMatrix(PetscTangent):
@@ -53,14 +53,14 @@ class TangentMatrix(PetscTangent):
         self._assembler = assembler
         self._scale = scale
         self._fixed = fixed.ravel()
-        problem, pattern = assembler.problem, assembler.pattern
+        problem, sparsity = assembler.problem, assembler.pattern
         dim, n = problem.dim, problem.body.cloud.n_rows
-        self.mat = _allocate(problem, pattern)
+        self.mat = _allocate(problem, sparsity)
         self.preconditioner = self.mat
-        rows = pattern.rows
+        rows = sparsity.rows
         self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
         self._n_off = int(rows.off_ptr[-1]) * dim * dim
-        other = pattern.of_other_columns(fixed.astype(np.int8)).astype(bool)
+        other = sparsity.of_other_columns(fixed.astype(np.int8)).astype(bool)
         is_diag = rows.columns < n
         self._zero_diag = _constrained(rows.diag_ptr, rows.columns[is_diag], fixed, fixed)
         self._zero_off = _constrained(rows.off_ptr, rows.columns[~is_diag] - n, fixed, other)
@@ -87,7 +87,7 @@ class TangentMatrix(PetscTangent):
         self._filled = version
 
     def renew(self) -> bool:
-        """Return False: the pattern is that of the whole families."""
+        """Return False: the sparsity is that of the whole families."""
         return False
 
     def holds(self) -> bool:
@@ -109,10 +109,10 @@ class TangentMatrix(PetscTangent):
         self.mat.destroy()
 
 
-def _allocate(problem: Problem, pattern: Pattern) -> PETSc.Mat:
+def _allocate(problem: Problem, sparsity: Sparsity) -> PETSc.Mat:
     dim, cloud = problem.dim, problem.body.cloud
-    columns = _global_columns(pattern)
-    rows = pattern.rows
+    columns = _global_columns(sparsity)
+    rows = sparsity.rows
     block_ptr = rows.diag_ptr + rows.off_ptr
     row_ptr = np.empty(cloud.n_rows * dim + 1, dtype=PETSc.IntType)
     scalar = np.empty(len(columns) * dim * dim, dtype=PETSc.IntType)
@@ -129,11 +129,11 @@ def _allocate(problem: Problem, pattern: Pattern) -> PETSc.Mat:
     return mat
 
 
-def _global_columns(pattern: Pattern) -> GlobalIndex:
+def _global_columns(sparsity: Sparsity) -> GlobalIndex:
     """Return the global row of every block's column, in the order of the rows of a distributed matrix."""
-    n, first = pattern.n_own_columns, pattern.cloud.first
-    columns = pattern.rows.columns
-    other = np.concatenate([pattern.other_columns, [0]])
+    n, first = sparsity.n_own_columns, sparsity.cloud.first
+    columns = sparsity.rows.columns
+    other = np.concatenate([sparsity.other_columns, [0]])
     return np.where(columns < n, columns + first, other[np.maximum(columns - n, 0)])
 
 

@@ -39,7 +39,7 @@ class MatrixFreeTangent(PetscTangent):
         self._near = near
         self._fixed, self._scale = fixed, scale
         self._problem: Problem = near.problem
-        self._breaks = self._problem.breaks
+        self._rebuilds = self._problem.rebuilds
         self._matrix = TangentMatrix(near, fixed, scale)
         self.preconditioner, self.diagonal = self._matrix.mat, self._matrix.diagonal
         self._product = _Product(fixed, scale)
@@ -87,9 +87,9 @@ class MatrixFreeTangent(PetscTangent):
 
     def renew(self) -> bool:
         """Choose nearest neighbours anew where bonds have broken or mended."""
-        if self._breaks == self._problem.breaks:
+        if self._rebuilds == self._problem.rebuilds:
             return False
-        self._breaks = self._problem.breaks
+        self._rebuilds = self._problem.rebuilds
         self._matrix.destroy()
         self._near = NearAssembler(self._problem)
         self._matrix = TangentMatrix(self._near, self._fixed, self._scale)
@@ -98,8 +98,8 @@ class MatrixFreeTangent(PetscTangent):
         return True
 
     def holds(self) -> bool:
-        """Return whether the problem has not changed since the update, at whatever displacement (not collective)."""
-        return self._breaks == self._problem.breaks and self._version == self._problem.version
+        """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
+        return self._rebuilds == self._problem.rebuilds and self._version == self._problem.version
 
     def forget(self) -> None:
         """Let the next ``update`` make it anew (not collective)."""

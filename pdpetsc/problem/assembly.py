@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.sparsity import Pattern, Rows, build_pattern
+from pdpetsc.discrete.sparsity import Rows, Sparsity, build_sparsity
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries
@@ -21,7 +21,7 @@ class Assembler:
 
     Attributes
     ----------
-    pattern : Pattern
+    pattern : Sparsity
         Where the values go.
 
     Notes
@@ -30,14 +30,14 @@ class Assembler:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._start(problem, build_pattern(problem.body.cloud, *_stencils(problem)))
+        self._start(problem, build_sparsity(problem.body.cloud, *_stencils(problem)))
 
-    def _start(self, problem: Problem, pattern: Pattern) -> None:
+    def _start(self, problem: Problem, sparsity: Sparsity) -> None:
         self.problem = problem
-        self.pattern = pattern
+        self.pattern = sparsity
         dim = problem.dim
-        self._ghost = np.empty(dim**2 * int(pattern.ghost.diag_ptr[-1]))
-        self._own_blocks = _positions_of_own_blocks(pattern.owned, pattern.n_own_columns, dim)
+        self._ghost = np.empty(dim**2 * int(sparsity.ghost.diag_ptr[-1]))
+        self._own_blocks = _positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)
 
     def assemble(self, state: State, diag: Float, off: Float) -> None:
         """Write the values of K for the own rows: own columns into ``diag``, the others into ``off``.
@@ -47,7 +47,7 @@ class Assembler:
         state : State
             Where; admissible on all ranks.
         diag, off : float64
-            Scalar CSR values in ``pattern.rows`` order.
+            Scalar CSR values in ``sparsity.rows`` order.
         """
         dim, owned = self.problem.dim, self.pattern.owned
         n_diag, n_off = dim**2 * int(owned.diag_ptr[-1]), dim**2 * int(owned.off_ptr[-1])
@@ -74,13 +74,13 @@ class Assembler:
 
     def _assemble_border(self, tangent: Tangent, diag: Float, off: Float) -> None:
         """Write the columns of the virtual unknowns, from the tangent applied to each of them, and their rows."""
-        pattern, cloud, dim = self.pattern, self.problem.body.cloud, self.problem.dim
-        border, n = pattern.border, cloud.n_owned
+        sparsity, cloud, dim = self.pattern, self.problem.body.cloud, self.problem.dim
+        border, n = sparsity.border, cloud.n_owned
         assert border is not None
-        rows = pattern.rows
+        rows = sparsity.rows
         numbers = np.concatenate([border.arrived, border.columns])
         order = np.argsort(numbers)
-        n_here = dim * int(np.count_nonzero(numbers < pattern.n_own_columns))
+        n_here = dim * int(np.count_nonzero(numbers < sparsity.n_own_columns))
         # Virtual columns are the last of the columns of the rank that holds them, and of the others elsewhere.
         values, ptr = (diag, rows.diag_ptr) if cloud.n_virtual else (off, rows.off_ptr)
         n_blocks = np.diff(ptr)[border.particles]

@@ -8,7 +8,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.sparsity import build_pattern
+from pdpetsc.discrete.sparsity import build_sparsity
 from pdpetsc.gradient.base import GradientOperator, flat, stencil_weights, whole_families
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
@@ -65,7 +65,7 @@ class NearAssembler(Assembler):
         one = np.ones(cloud.n_owned)
         self._operator = GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, one)
         self._transposed = transpose(self._operator.point_ptr, self._operator.members, cloud.n_local)
-        self._start(problem, build_pattern(cloud, self._operator.point_ptr, self._operator.members))
+        self._start(problem, build_sparsity(cloud, self._operator.point_ptr, self._operator.members))
 
     def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
         """Add the rows of near families; return the tangent of the near body."""

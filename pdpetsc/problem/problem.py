@@ -90,7 +90,7 @@ class Problem:
         return sum(term.version for term in self.terms) + (0 if self.damage is None else self.damage.version)
 
     @property
-    def breaks(self) -> int:
+    def rebuilds(self) -> int:
         """Return a number that grows whenever bonds break or mend (not collective)."""
         return 0 if self.damage is None else self.damage.breaks
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
-from pdpetsc.discrete.sparsity import Pattern, Rows
+from pdpetsc.discrete.sparsity import Rows, Sparsity
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.problem.body import Body
@@ -58,7 +58,7 @@ class Entries:
 
     Attributes
     ----------
-    sparsity : Pattern
+    sparsity : Sparsity
         The blocks there are.
     diag, off : float64
         Values of the own rows, own columns and others, in scalar CSR layout.
@@ -66,7 +66,7 @@ class Entries:
         This rank's share of the rows of its ghosts.
     """
 
-    sparsity: Pattern
+    sparsity: Sparsity
     diag: Float
     off: Float
     ghost: Float

@@ -88,7 +88,7 @@ def load_steps(
     while t < 1.0 - SAME_TIME:
         ahead = next(s for s in stops if s > t + SAME_TIME)
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
-        attempt, result, broken, sweeps = equilibrium(solver, steps.breaks, u, target, stop)
+        attempt, result, broken, sweeps = equilibrium(solver, steps.bonds_at_once, u, target, stop)
         if result.converged and result.negative_pivots and steps.unstable != "warn":
             result = replace(result, converged=False, reason=_unstable(result.negative_pivots))
             if steps.unstable == "refuse":
@@ -125,17 +125,17 @@ def _unstable(pivots: int) -> str:
 
 
 def equilibrium(
-    solver: StepSolver, breaks: int | None, u: Float, target: float, stop: Callable[[], bool]
+    solver: StepSolver, bonds_at_once: int | None, u: Float, target: float, stop: Callable[[], bool]
 ) -> tuple[Float, StepResult, int, int]:
     """Find equilibrium at ``target`` with damage; return it, how it went, bonds broken and sweeps with damage held.
 
-    ``breaks`` is how many bonds break at once (``Steps``).
+    ``bonds_at_once`` is how many bonds break at once (``Steps``).
     """
     problem, broken = solver.problem, 0
     problem.freeze(False)
     attempt, result = solver.solve(u, target)
     if not problem.softens:
-        while result.converged and (more := problem.break_bonds(solver.state(attempt), breaks)):
+        while result.converged and (more := problem.break_bonds(solver.state(attempt), bonds_at_once)):
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
@@ -144,7 +144,7 @@ def equilibrium(
         attempt, result, change = followed(solver, attempt, result, target)
         if not result.converged or change > LAST:
             break
-        more = problem.break_bonds(solver.state(attempt), breaks if heals else 1)
+        more = problem.break_bonds(solver.state(attempt), bonds_at_once if heals else 1)
         if not more:
             return attempt, result, broken, 0
         if not heals:
@@ -154,7 +154,7 @@ def equilibrium(
     if stop():
         return attempt, result, broken, 0
     problem.revert()
-    return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), breaks))
+    return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
 
 
 def damage_of(solver: StepSolver) -> Damage:

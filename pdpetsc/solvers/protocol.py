@@ -118,7 +118,7 @@ class Setting:
     problem : Problem
         What is solved.
     declared : DeclaredSolver
-        What the case declares, of a class in the table of solvers.
+        What the case declares, of the class that the table of solvers has it under.
     steps : Steps or AdaptiveSteps
         How the load is applied, for those that step it.
     filled : Assembler or None

@@ -1,4 +1,4 @@
-"""The solver class of each declared solver, and the check that a problem has what a solver needs."""
+"""Which solver does what a case declares, and what a solver must find in a problem."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
 
 
 def implementation(declared: DeclaredSolver) -> type[Solver]:
-    """Return the solver class of a declared solver (not collective); raise CaseError where the table has none."""
+    """Return what does what a case declares (not collective); raise CaseError where the table has nothing."""
     for kind in type(declared).__mro__:
         if kind in SOLVERS:
             return SOLVERS[kind]

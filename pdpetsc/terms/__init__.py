@@ -1,1 +1,1 @@
-"""What adds forces: material points, bonds, zero-energy control, dead loads, springs that hold loose particles."""
+"""What adds forces: materials at gradient points, bonds, control, dead loads, springs that hold loose particles."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.control.base import Control, ControlMatrix, Stiffness, ZeroEnergyControl
-from pdpetsc.discrete.sparsity import Pattern
+from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
@@ -50,7 +50,7 @@ class ControlForces(Term):
         self.damage = damage
         self._whole = control.build(body.cloud, body.families, omega, stiffness)
         self.control: Control = self._whole
-        self._matrix: tuple[Control, Pattern, ControlMatrix] | None = None
+        self._matrix: tuple[Control, Sparsity, ControlMatrix] | None = None
         self._shared: tuple[Control, GradientOperator, tuple[Float, Float] | None] | None = None
         if damage is not None:
             self._effect = damage.bonds.law.effect
@@ -115,8 +115,8 @@ class ControlForces(Term):
             falling = FallingBonds(self.body, bonds, v, gradient_of_integrity(state, slope, bonds))
         return ControlTangent(self, control, falling)
 
-    def matrix(self, control: Control, sparsity: Pattern) -> ControlMatrix:
-        """Return the matrix of the control, made once for a pattern (collective)."""
+    def matrix(self, control: Control, sparsity: Sparsity) -> ControlMatrix:
+        """Return the matrix of the control, made once (collective)."""
         if self._matrix is None or self._matrix[0] is not control or self._matrix[1] is not sparsity:
             self._matrix = control, sparsity, control.matrix(sparsity)
         return self._matrix[2]

@@ -76,7 +76,7 @@ class DamagedPoints(MaterialPoints):
 
     @property
     def whole_families(self) -> bool:
-        """Return True: the pattern is that of whole families, which no broken bond changes."""
+        """Return True: the sparsity is that of whole families, which no broken bond changes."""
         return True
 
     @property
@@ -183,8 +183,8 @@ class DamagedPoints(MaterialPoints):
         )  # fmt: skip
         number_of = self._material_of[operator.owner]
         for number, at_points in enumerate(self.materials):
-            at_points.points = np.flatnonzero(number_of == number)
-            at_points.factor = None if self._factor is None else self._factor[operator.owner[at_points.points]]
+            points = np.flatnonzero(number_of == number)
+            at_points.put_at(points, None if self._factor is None else self._factor[operator.owner[points]])
 
     def _rebuilt(self) -> GradientOperator:
         """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""

@@ -14,7 +14,7 @@ from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
-from pdpetsc.material.at_points import MaterialAtPoints, make_at_points
+from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
@@ -71,7 +71,7 @@ class MaterialPoints(Matter):
         for number, material in enumerate(materials):
             points = np.flatnonzero(number_of == number)
             factors = None if factor is None else factor[self.operator.owner[points]]
-            self.materials.append(make_at_points(material, points, body.dim, factors))
+            self.materials.append(MaterialAtPoints(material, points, body.dim, factors))
         self._linear = all(material.linear for material in materials)
         self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
 

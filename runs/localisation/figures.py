@@ -4,9 +4,9 @@
 
 Figure 2: the laws of the critical strain. Figure 4: n = 10, 20, 50, 100, 200 with constant critical strain. Figures 5
 to 7: n = 100 with constant, decreasing and increasing critical strain, ten realisations each: damage of every section
-by Eq. (8), middle and length of every broken link, force against inelastic displacement of the first realisation; a
+by Eq. (8), middle and length of every broken bond, force against inelastic displacement of the first realisation; a
 table of all; and what differs between them. ``laws``: final mechanism and differences between realisations against
-where the increasing law starts. ``outlook``: links that soften, other micromoduli. Curves are left as CSV and
+where the increasing law starts. ``outlook``: bonds that soften, other micromoduli. Curves are left as CSV and
 pictures, and ``numbers.json`` has the numbers that belong to the figures of one call.
 """
 
@@ -33,35 +33,35 @@ COLUMNS = ["inelastic displacement / l [1e-2]", "force / E A [1e-2]"]
 
 
 def run(folder, **parameters):
-    """Return results, inelastic displacement and force over E A of all events, middle and length of broken links."""
+    """Return results, inelastic displacement and force over E A of all events, middle and length of broken bonds."""
     scratch = folder / "last_run"
     found = pd.run(case(**parameters), output=scratch)
     with (scratch / "history.csv").open() as file:
         rows = list(csv.DictReader(file))
     u, force = (np.array([float(row[name]) for row in rows]) for name in ("displacement", "force"))
     with (scratch / "broken_bonds.csv").open() as file:
-        links = np.array([[float(row["x"]) % 1.0, float(row["length"])] for row in csv.DictReader(file)])
-    # After the last link the displacement grows without force.
-    return found, (u - force * u[1] / force[1])[:-1], force[:-1] / E, links.reshape(-1, 2)
+        bonds = np.array([[float(row["x"]) % 1.0, float(row["length"])] for row in csv.DictReader(file)])
+    # After the last bond the displacement grows without force.
+    return found, (u - force * u[1] / force[1])[:-1], force[:-1] / E, bonds.reshape(-1, 2)
 
 
-def damage(links, n):
-    """Return the sections between particles and the share of broken links among those that cross each, Eq. (8)."""
+def damage(bonds, n):
+    """Return the sections between particles and the share of broken bonds among those that cross each, Eq. (8)."""
     m = round(0.1 * n)
     section = (np.arange(n) + 1.0) / n
-    apart = np.abs((links[:, 0, None] - section + 0.5) % 1.0 - 0.5)
-    return section, (apart < 0.5 * links[:, 1, None]).sum(axis=0) / (0.5 * m * (m + 1))
+    apart = np.abs((bonds[:, 0, None] - section + 0.5) % 1.0 - 0.5)
+    return section, (apart < 0.5 * bonds[:, 1, None]).sum(axis=0) / (0.5 * m * (m + 1))
 
 
-def layers(links, n):
-    """Return how many links of one spacing, two spacings, ... are broken."""
-    return np.bincount(np.rint(links[:, 1] * n).astype(int), minlength=round(0.1 * n) + 1)[1:]
+def layers(bonds, n):
+    """Return how many bonds of one spacing, two spacings, ... are broken."""
+    return np.bincount(np.rint(bonds[:, 1] * n).astype(int), minlength=round(0.1 * n) + 1)[1:]
 
 
-def pattern(links, n):
-    """Return what is the same for broken links that are translated or mirrored."""
+def pattern(bonds, n):
+    """Return what is the same for broken bonds that are translated or mirrored."""
     occupied = np.zeros((round(0.1 * n) + 1, 2 * n), dtype=bool)
-    occupied[np.rint(links[:, 1] * n).astype(int), np.rint(2.0 * n * links[:, 0]).astype(int) % (2 * n)] = True
+    occupied[np.rint(bonds[:, 1] * n).astype(int), np.rint(2.0 * n * bonds[:, 0]).astype(int) % (2 * n)] = True
     both = occupied, np.roll(occupied[:, ::-1], 1, axis=1)
     return min(np.packbits(np.roll(one, shift, axis=1)).tobytes() for one in both for shift in range(0, 2 * n, 2))
 
@@ -77,8 +77,8 @@ def spread(values):
     return float(np.ptp(values) / np.mean(values))
 
 
-def picture(folder, name, title, curve, links, n):
-    """Draw final damage, broken links and force against inelastic displacement as the paper does."""
+def picture(folder, name, title, curve, bonds, n):
+    """Draw final damage, broken bonds and force against inelastic displacement as the paper does."""
     if not is_root(world()):
         return
     from matplotlib.figure import Figure
@@ -88,10 +88,10 @@ def picture(folder, name, title, curve, links, n):
     plots = figure.subplot_mosaic([["profile", "path"], ["places", "path"]])
     profile, places, path = (plots[key] for key in ("profile", "places", "path"))
     profile.set(ylabel="damage [-]", xlim=(0, 1), ylim=(0, 1.05))
-    section, share = damage(links, n)
+    section, share = damage(bonds, n)
     profile.step(section, share, where="mid")
     places.set(xlabel="x / l", ylabel="length / l", xlim=(0, 1), ylim=(0, 0.11))
-    places.plot(*links.T, ".", markersize=3)
+    places.plot(*bonds.T, ".", markersize=3)
     path.set(xlabel=COLUMNS[0], ylabel=COLUMNS[1])
     path.plot(100.0 * curve[0], 100.0 * curve[1], linewidth=0.8)
     path.grid(alpha=0.3)
@@ -99,24 +99,24 @@ def picture(folder, name, title, curve, links, n):
     print(f"{folder / name}.png", flush=True)
 
 
-def draw(folder, name, title, u, force, links, n):
+def draw(folder, name, title, u, force, bonds, n):
     """Write the three parts of a figure as tables and one picture."""
     study.write_table(folder, f"{name}_curve", COLUMNS, zip(100.0 * u, 100.0 * force, strict=True))
-    study.write_table(folder, f"{name}_broken", ["x / l", "length / l"], links)
-    study.write_table(folder, f"{name}_damage", ["x / l", "damage"], zip(*damage(links, n), strict=True))
-    picture(folder, name, title, (u, force), links, n)
+    study.write_table(folder, f"{name}_broken", ["x / l", "length / l"], bonds)
+    study.write_table(folder, f"{name}_damage", ["x / l", "damage"], zip(*damage(bonds, n), strict=True))
+    picture(folder, name, title, (u, force), bonds, n)
 
 
 def realisations(folder, name, title, **parameters):
-    """Draw the first realisation; return its force and links, and what differs between all of them."""
+    """Draw the first realisation; return its force and bonds, and what differs between all of them."""
     table, patterns, first = [], set(), None
     for seed in range(1, REALISATIONS + 1):
-        found, u, force, links = run(folder, n=N, seed=seed, **parameters)
+        found, u, force, bonds = run(folder, n=N, seed=seed, **parameters)
         table.append([found[key] for key in NAMES])
-        patterns.add(pattern(links, N))
+        patterns.add(pattern(bonds, N))
         if seed == 1:
-            first = found, force, links
-            draw(folder, name, title, u, force, links, N)
+            first = found, force, bonds
+            draw(folder, name, title, u, force, bonds, N)
     study.write_table(folder, f"{name}_realisations", NAMES, table)
     columns = dict(zip(NAMES, np.array(table).T, strict=True))
     numbers = {f"spread_{key}": spread(columns[key]) for key in ("max_force", "final_displacement", "dissipated")}
@@ -124,9 +124,9 @@ def realisations(folder, name, title, **parameters):
     numbers |= {"most_damage": columns["max_damage"].max(), "patterns": len(patterns)}
     segments = columns["opened"] + columns["closed"]
     numbers |= {"of_one_segment": np.count_nonzero(segments == 1), "of_three": np.count_nonzero(segments == 3)}
-    found, force, links = first
+    found, force, bonds = first
     numbers |= {key: found[key] for key in NAMES} | {"largest_rise": largest_rise(force)}
-    return {f"{name}_{key}": value for key, value in numbers.items()}, force, links
+    return {f"{name}_{key}": value for key, value in numbers.items()}, force, bonds
 
 
 def figure_2(folder):
@@ -148,22 +148,22 @@ def figure_4(folder):
 
 
 def figure_5(folder):
-    numbers, _, links = realisations(folder, "figure_5", "Critical strain constant", critical="constant")
-    length = np.rint(links[:, 1] * N).astype(int)
-    # The links break in runs from short to long.
+    numbers, _, bonds = realisations(folder, "figure_5", "Critical strain constant", critical="constant")
+    length = np.rint(bonds[:, 1] * N).astype(int)
+    # The bonds break in runs from short to long.
     return numbers | {"figure_5_first_run_ends_at": length[np.flatnonzero(np.diff(length) < 0)[0]]}
 
 
 def figure_6(folder):
     """Beside what all have: the force at which a layer begins to fail, and that of its horizontal part [1e-2 E A]."""
     title = "Critical strain decreasing"
-    numbers, force, links = realisations(folder, "figure_6", title, critical="decreasing")
-    count = layers(links, N)
+    numbers, force, bonds = realisations(folder, "figure_6", title, critical="decreasing")
+    count = layers(bonds, N)
     whole = [k for k in range(10, 0, -1) if count[k - 1] == N]
     numbers["figure_6_whole_layers"] = len(whole)
-    length = np.rint(links[:, 1] * N).astype(int)
+    length = np.rint(bonds[:, 1] * N).astype(int)
     for k in whole:
-        # A link begins to fail and is broken in two events; the middle of a layer is where both forces repeat.
+        # A bond begins to fail and is broken in two events; the middle of a layer is where both forces repeat.
         events = 1 + 2 * np.flatnonzero(length == k)
         middle = events[N // 4 : -N // 4]
         numbers[f"figure_6_onset_{k}"] = 100.0 * force[events[0]]
@@ -172,8 +172,8 @@ def figure_6(folder):
 
 
 def figure_7(folder):
-    numbers, _, links = realisations(folder, "figure_7", "Critical strain increasing", critical="increasing")
-    count = layers(links, N)
+    numbers, _, bonds = realisations(folder, "figure_7", "Critical strain increasing", critical="increasing")
+    count = layers(bonds, N)
     numbers |= {
         "figure_7_whole_layers": np.count_nonzero(count == N),
         "figure_7_share_of_weaker_half": count[:5].sum() / count.sum(),
@@ -188,7 +188,7 @@ def laws(folder):
     rows, numbers = [], {}
     for start in (0.0, 0.001, 0.002, 0.004, 0.006):
         runs = [run(folder, n=N, critical="increasing", start=start, seed=s) for s in range(1, REALISATIONS + 1)]
-        patterns = len({pattern(links, N) for _, _, _, links in runs})
+        patterns = len({pattern(bonds, N) for _, _, _, bonds in runs})
         segments = [found["opened"] + found["closed"] for found, _, _, _ in runs]
         broken = [found["broken"] for found, _, _, _ in runs]
         force = [found["max_force"] for found, _, _, _ in runs]
@@ -209,7 +209,7 @@ def outlook(folder):
             for key in ("final_displacement", "dissipated", "max_force", "broken"):
                 numbers[f"{critical}_{ratio:g}_{key}"] = found[key]
             numbers[f"{critical}_{ratio:g}_largest_rise"] = largest_rise(force)
-        title = f"Links that soften, critical strain {critical}"
+        title = f"Bonds that soften, critical strain {critical}"
         study.write_curves(folder, f"softening_{critical}", title, COLUMNS, curves)
     curves = {}
     for micromodulus in MICROMODULI:

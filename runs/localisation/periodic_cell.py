@@ -1,22 +1,22 @@
 """Bar of bond-based material in a periodic cell, pulled until no force is left: how damage localises. Units m, N.
 
-The cell is 1 m long, its horizon h = 0.1 m. Links snap at a critical strain that is linear in their length, from
-``start`` for a link without length to ``end`` at the horizon. ``critical`` names both: ``constant`` 0.01;
+The cell is 1 m long, its horizon h = 0.1 m. Bonds snap at a critical strain that is linear in their length, from
+``start`` for a bond without length to ``end`` at the horizon. ``critical`` names both: ``constant`` 0.01;
 ``decreasing`` from 0.01 to 0.0001; ``increasing`` from 0.0001 to 0.01. The paper states the largest value, 0.01; the
-least follows from the force 0.01e-2 E A at which the longest links fail in its figure 6, about 0.9 times that value.
+least follows from the force 0.01e-2 E A at which the longest bonds fail in its figure 6, about 0.9 times that value.
 
-With ``ratio`` above 1 links soften to that many times their critical strain instead of snapping. ``micromodulus`` is
-how the stiffness E A / length of a link depends on its length besides: ``constant`` as in the paper, ``linear``,
+With ``ratio`` above 1 bonds soften to that many times their critical strain instead of snapping. ``micromodulus`` is
+how the stiffness E A / length of a bond depends on its length besides: ``constant`` as in the paper, ``linear``,
 ``cubic`` or ``gaussian``, which end 0.3 spacings beyond the horizon; the cell always has the stiffness E A / l.
 
 Particles are moved by up to ``perturbation`` at random, from ``seed``, before lengths, stiffness and critical strains
-are computed. Links of equal force pull each to both sides, so that uniform strain stays an equilibrium wherever they
-are, and with a constant critical strain all links would fail at once: one of the shortest is a millionth weaker then.
+are computed. Bonds of equal force pull each to both sides, so that uniform strain stays an equilibrium wherever they
+are, and with a constant critical strain all bonds would fail at once: one of the shortest is a millionth weaker then.
 
 With more than one of ``realisations`` the results are means over the seeds that follow. Results: ``max_force``, the
-largest force; ``final_displacement``, the elongation of the cell when the last link breaks; ``max_damage``, the largest
-share of broken links among those that cross one section; ``opened`` and ``closed``, how many gaps between neighbouring
-particles have opened or closed in the end; ``dissipated``; ``broken``, how many links are broken; ``events``.
+largest force; ``final_displacement``, the elongation of the cell when the last bond breaks; ``max_damage``, the largest
+share of broken bonds among those that cross one section; ``opened`` and ``closed``, how many gaps between neighbouring
+particles have opened or closed in the end; ``dissipated``; ``broken``, how many bonds are broken; ``events``.
 Reference: Mikes, Jirasek, Zeman, Rokos, Peerlings, section 3, Fig. 2 and 4-7; softening and micromoduli: section 4.
 """
 
@@ -30,9 +30,9 @@ import pdpetsc as pd
 
 LENGTH = 1.0
 E = 100.0
-# Mean strain at the end of the load, over the ratio; the largest elongation at which a link holds is 0.01 of it.
+# Mean strain at the end of the load, over the ratio; the largest elongation at which a bond holds is 0.01 of it.
 PULL = 0.012
-# Critical strain of a link without length and of one as long as the horizon.
+# Critical strain of a bond without length and of one as long as the horizon.
 LAWS = {"constant": (0.01, 0.01), "decreasing": (0.01, 0.0001), "increasing": (0.0001, 0.01)}
 MICROMODULI = {
     "constant": pd.influence.Constant(),
@@ -44,7 +44,7 @@ MICROMODULI = {
 
 @dataclass(frozen=True)
 class SectionDamage(pd.Quantity):
-    """Largest share of broken ones among the links that cross a section between two particles, Eq. (8)."""
+    """Largest share of broken ones among the bonds that cross a section between two particles, Eq. (8)."""
 
     n: int
 
@@ -72,7 +72,7 @@ class Gaps(pd.Quantity):
 
 @dataclass(frozen=True)
 class BrokenLinks(pd.Quantity):
-    """How many links are broken."""
+    """How many bonds are broken."""
 
     def evaluate(self, solution):
         # Each is in the family of both of its ends.
@@ -162,7 +162,7 @@ def case(
 
 
 def weakened(length, middle, place, dx, critical):
-    """Return the critical strain, a millionth less for the shortest link at one place."""
+    """Return the critical strain, a millionth less for the shortest bond at one place."""
     apart = np.abs((middle[:, 0] - place + 0.5 * LENGTH) % LENGTH - 0.5 * LENGTH)
     return np.where((length < 1.5 * dx) & (apart < 0.25 * dx), critical * (1.0 - 1e-6), critical)
 

@@ -218,11 +218,11 @@ class PathSolver(StepSolver):
         """Let the measure grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
         options, problem, broken, swept = self._options, self.problem, 0, 0
         if self._measure.holds_while_bonds_break:
-            return equilibrium(self, options.breaks, u, size, self._stop)
+            return equilibrium(self, options.bonds_at_once, u, size, self._stop)
         attempt, result, sweeps = self._settle(u, size)
         while result.converged:
             swept += sweeps
-            more = problem.break_bonds(self.state(attempt), options.breaks)
+            more = problem.break_bonds(self.state(attempt), options.bonds_at_once)
             if not more:
                 break
             # The stretch of the bonds that are now the most stretched is held while the others adapt.

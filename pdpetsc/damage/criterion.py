@@ -91,7 +91,8 @@ class Beyond:
     ptr : (n + 1,) int64
         Those of the b-th bond are ``ptr[b]`` to ``ptr[b + 1]``.
     particles : (n_entries,) int32
-        Local particles, of the family of the first end of the bond or that end itself.
+        Local particles, of the family of the first end of the bond or that end itself. Of a number that is the mean of
+        one of each end, either direction of the bond has the part of its own end, twice.
     by : (n_entries, dim) float64
         Derivative by the displacement of each [1 / length].
     """

@@ -26,7 +26,9 @@ class BondDamage(Declared, ABC):
 
     Its state is the integrity ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the largest
     drive ``x`` that the bond has had, unless ``effect`` says otherwise. The drive of a critical stretch is the stretch
-    over it, ``x = s / s_c``: compression does no damage. Derive from it for another law.
+    over it, ``x = s / s_c``: compression does no damage. What the laws below say of forces and critical stretches is
+    for drives that are linear in the elongation; with another one ``T`` is the same function of x. Derive from it for
+    another law.
 
     Parameters
     ----------

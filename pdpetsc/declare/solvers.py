@@ -134,12 +134,12 @@ class EventDriven(DeclaredSolver):
 
 @dataclass(frozen=True)
 class BondStretch(Declared):
-    """The most stretched bonds that have not failed grow longer, whatever the load does.
+    """The bonds that have not failed and are driven most, the most stretched, go further, whatever the load does.
 
     Parameters
     ----------
     step : float
-        Largest growth in a step, over the critical stretch [-].
+        Largest growth of what drives their damage in a step, of a stretch over the critical one [-].
     """
 
     step: float = 0.1

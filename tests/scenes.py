@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 
 import pdpetsc as pd
-from pdpetsc.bond_based import Neighbourhood
-from pdpetsc.bond_based.fracture import resolve
-from pdpetsc.damage.state import FailingBonds
+from pdpetsc.bond_based import Neighbourhood, combine
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.damage import make_damage
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
@@ -156,6 +154,9 @@ class Small:
     def elongation(self, u):
         return self.problem.body.elongated(self.problem.body.with_ghosts(u), getattr(self.matter, "finite", True))[0]
 
+    def driven(self, u):
+        return self.problem.damage.driven(self.at(u))
+
     def take_failure(self):
         self.problem.damage.restored()
 
@@ -168,7 +169,13 @@ def dense_tangent(small, u, assembler=None):
 def small_points(cloud, families, omega, scheme, materials, material_of, control, law=None):
     """Return a small problem of deformation gradients, whose bonds fail where there is a law."""
     whole = Body(cloud, families)
-    damage = None if law is None else Damage(whole, FailingBonds(cloud, families, law), True)
+    damage = None
+    if law is not None:
+        alike = pd.BondBased(materials[0].E, calibration="lattice")
+        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+        bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
+        k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
+        damage = make_damage(law, whole, omega, k, True)
     if damage is None:
         matter = MaterialPoints(whole, omega, scheme, materials, material_of)
     else:
@@ -225,7 +232,7 @@ def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
     matter = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
-        failing = Damage(around, FailingBonds(cloud, families, resolve(damage, bonds, matter.k)), matter.finite)
+        failing = make_damage(damage, around, bonds.omega, matter.k, matter.finite)
         matter.take_damage(failing)
     return Small(Problem(around, matter, [], Supports(around), failing))
 

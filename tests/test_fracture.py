@@ -224,7 +224,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
 
         def evaluate(self, solution):
             damage = solution.problem.damage
-            over = damage.elongation(solution.state) / damage.bonds.limit / damage.bonds.law.final
+            over = damage.driven(solution.state) / damage.bonds.law.final
             return solution.largest(float(over[damage.bonds.intact].max()))
 
     case = strip(
@@ -259,7 +259,7 @@ def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_fa
         def evaluate(self, solution):
             damage = solution.problem.damage
             bonds = damage.bonds
-            x = damage.elongation(solution.state) / bonds.limit
+            x = damage.driven(solution.state)
             T = bonds.law.integrity(np.clip(x, 0.75, 1.0))
             off = np.abs(np.where(x < 0.75, 1.0, T) - bonds.integrity)[bonds.intact].max()
             return solution.largest(float(off)) + solution.largest(float(x[bonds.intact].max() > 1.0))

@@ -109,21 +109,21 @@ class _Units:
         return (lambda x, t: unit * value(x / self.length, t)) if callable(value) else unit * value
 
     def damage(self, damage):
-        critical = damage.critical
-        if isinstance(critical, pd.FractureEnergy):
-            critical = dataclasses.replace(critical, Gc=critical.Gc * self.force / self.length)
-        elif isinstance(critical, pd.LinearCritical):
-            critical = dataclasses.replace(critical, length=critical.length * self.length)
-        elif isinstance(critical, pd.CriticalFunction):
-            function = critical.function
+        criterion = damage.criterion
+        if isinstance(criterion, pd.FractureEnergy):
+            criterion = dataclasses.replace(criterion, Gc=criterion.Gc * self.force / self.length)
+        elif isinstance(criterion, pd.LinearCritical):
+            criterion = dataclasses.replace(criterion, length=criterion.length * self.length)
+        elif isinstance(criterion, pd.CriticalFunction):
+            function = criterion.function
             in_these = dataclasses.replace(
-                critical, function=lambda length, middle: function(length / self.length, middle / self.length)
+                criterion, function=lambda length, middle: function(length / self.length, middle / self.length)
             )
-            critical = in_these
-        elif not isinstance(critical, pd.ConstantCritical):
-            raise NotImplementedError(type(critical))
+            criterion = in_these
+        elif not isinstance(criterion, pd.ConstantCritical):
+            raise NotImplementedError(type(criterion))
         protected = damage.protected and _Region(damage.protected, self.length)
-        return dataclasses.replace(damage, critical=critical, protected=protected)
+        return dataclasses.replace(damage, criterion=criterion, protected=protected)
 
     def solver(self, solver):
         if not isinstance(solver, pd.PathFollowing) or not isinstance(solver.measure, pd.Opening):

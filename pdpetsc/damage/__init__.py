@@ -1,5 +1,6 @@
-"""Damage of bonds: when a bond fails, and how it loses its force."""
+"""Damage of bonds: what drives it, and how a bond loses its force."""
 
+from pdpetsc.damage.criterion import Beyond, Criterion, Drive, DrivenBonds, Gradient, LinearDrive, LocalDrive
 from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
 from pdpetsc.damage.effect import DamageEffect, LargestStretch, PresentStretch
 from pdpetsc.damage.laws import (
@@ -13,18 +14,25 @@ from pdpetsc.damage.laws import (
 )
 
 __all__ = [
+    "Beyond",
     "BilinearSoftening",
     "BondDamage",
     "Brittle",
     "ConstantCritical",
+    "Criterion",
     "CriticalFunction",
     "CriticalStretch",
     "DamageEffect",
+    "Drive",
+    "DrivenBonds",
     "ExponentialSoftening",
     "FractureEnergy",
+    "Gradient",
     "LargestStretch",
     "LinearCritical",
+    "LinearDrive",
     "LinearSoftening",
+    "LocalDrive",
     "PiecewiseLinear",
     "PresentStretch",
     "SmoothDegradation",

@@ -1,21 +1,41 @@
-"""Critical stretch of a bond as a function of its length and place."""
+"""Critical stretch of a bond as a function of its length and place: damage is driven by ``x = s / s_c``."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared, numbers_from
+from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive
+from pdpetsc.declared import numbers_from
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import CaseError
 
+# Families whose energy is this close to the largest one are whole.
+WHOLE = 0.05
 
-class CriticalStretch(Declared, ABC):
-    """The stretch at which a bond fails."""
+
+class CriticalStretch(Criterion):
+    """The stretch at which a bond fails: the drive is the stretch over it, ``x = s / s_c``, negative in compression."""
+
+    def build(self, bonds: DrivenBonds) -> LinearDrive:
+        """Return ``e / (s_c |xi|)``.
+
+        Raises
+        ------
+        CaseError
+            A critical stretch is not positive.
+        """
+        stretch = self(bonds.length, bonds.middle)
+        bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
+        if len(bad):
+            length, value = bonds.length[bad[0]], stretch[bad[0]]
+            raise CaseError(f"The critical stretch of a bond of length {length:g} is {value:g}, not positive.")
+        return LinearDrive(bonds, stretch * bonds.length)
 
     @abstractmethod
     def __call__(self, length: Float, middle: Float) -> Float:
@@ -116,6 +136,20 @@ class FractureEnergy(CriticalStretch):
         super().__post_init__()
         if not (math.isfinite(self.Gc) and self.Gc > 0.0):
             raise CaseError(f"A fracture energy must be positive, not {self.Gc}.")
+
+    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> ConstantCritical:
+        """Return the critical stretch for the bonds of the body (collective).
+
+        Breaking all bonds across a unit area with normal ``n`` takes ``G = 1 / V_i sum_j w_ij |xi . n|`` with the
+        energy ``w_ij`` of a bond from one end, averaged over the axes and the whole families of the body.
+        """
+        cloud, families = bonds.cloud, bonds.families
+        share = 0.5 * toughness(2.0)
+        energy = share * bonds.k * bonds.length**2 * np.abs(families.bonds(cloud.x)).mean(axis=1)
+        G = np.bincount(families.centres, energy, cloud.n_owned) / cloud.volume[: cloud.n_owned]
+        whole = (1.0 - WHOLE) * largest(cloud.comm, float(G.max(initial=0.0))) <= G
+        sums = total(cloud.comm, [float(G[whole].sum()), float(np.count_nonzero(whole))])
+        return ConstantCritical(float(np.sqrt(self.Gc * sums[1] / sums[0])))
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: it is resolved into a number once the stiffness of the bonds is known."""

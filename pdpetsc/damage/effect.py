@@ -14,28 +14,28 @@ from pdpetsc.declared import Declared
 class DamageEffect(Declared, ABC):
     """How force states ``T_s omega P K^-1 xi`` and the zero-energy control fade with their bonds, and when these break.
 
-    A bond has the integrity ``T_s`` of the law at its present stretch or the one that was kept at the last
-    equilibrium. Whatever the effect, no bond breaks while equilibrium is sought, and a broken bond leaves shape tensor
+    A bond has the integrity ``T_s`` of the law at its present drive or the one that was kept at the last equilibrium.
+    Whatever the effect, no bond breaks while equilibrium is sought, and a broken bond leaves shape tensor
     and gradient.
     """
 
     @property
     @abstractmethod
     def heals(self) -> bool:
-        """Return whether a bond that has not broken regains force as it shortens."""
+        """Return whether a bond that has not broken regains force as it is driven less."""
 
     @property
     @abstractmethod
     def tears(self) -> bool:
-        """Return whether bonds also break with the strain of a gradient that has lost some, not by stretch alone."""
+        """Return whether bonds also break with the strain of a gradient that has lost some, besides their drive."""
 
     @abstractmethod
     def follows(self, present: Float, kept: Float) -> Mask:
-        """Return which bonds have the integrity of the present stretch (n_bonds,), not the kept one."""
+        """Return which bonds have the integrity of the present drive (n_bonds,), not the kept one."""
 
     @abstractmethod
     def reached(self, x: Float, worst: Float) -> Float:
-        """Return the stretch over the critical one by which a bond is judged to break (n_bonds,) [-].
+        """Return the drive by which a bond is judged to break (n_bonds,) [-].
 
         Parameters
         ----------
@@ -61,7 +61,7 @@ class DamageEffect(Declared, ABC):
 
 @dataclass(frozen=True)
 class LargestStretch(DamageEffect):
-    """The integrity is that of the largest stretch so far: what a bond has lost it does not regain.
+    """The integrity is that of the largest drive so far: what a bond has lost it does not regain.
 
     The control has the integrity of the last equilibrium in its stiffness and in the gradient that it measures from. A
     bond that breaks takes its share of the particle's volume with it, so that the force states of the others stay as
@@ -101,7 +101,7 @@ class LargestStretch(DamageEffect):
 
 @dataclass(frozen=True)
 class PresentStretch(DamageEffect):
-    """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the integrity of the present stretch everywhere.
+    """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the integrity of the present drive everywhere.
 
     The control fades with its bonds at once, with the derivative of that in the tangent, and measures from the gradient
     of the bonds that have not broken. Bonds break at their critical stretch and for no other reason. Particles keep
@@ -129,7 +129,7 @@ class PresentStretch(DamageEffect):
         return np.ones(len(present), dtype=bool)
 
     def reached(self, x: Float, worst: Float) -> Float:
-        """Return the present stretch."""
+        """Return the present drive."""
         return x
 
     def volume_left(self, share: Float) -> Float:

@@ -1,16 +1,16 @@
-"""How a bond loses its force beyond its critical stretch."""
+"""How a bond loses its force as what drives its damage grows."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float
-from pdpetsc.damage.critical import CriticalStretch
+from pdpetsc.damage.criterion import Criterion, DrivenBonds
 from pdpetsc.damage.effect import DamageEffect, LargestStretch
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared, shown
@@ -22,16 +22,18 @@ QUADRATURE = 40
 
 @dataclass(frozen=True)
 class BondDamage(Declared, ABC):
-    """A bond keeps its force up to its critical stretch and loses it beyond; what it has lost it does not regain.
+    """A bond keeps its force until the drive of its damage is 1 and loses it beyond; what it lost it does not regain.
 
     Its state is the integrity ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the largest
-    stretch over the critical one that the bond has had, ``x = s / s_c``, unless ``effect`` says otherwise. Compression
-    does no damage. Derive from it for another law.
+    drive ``x`` that the bond has had, unless ``effect`` says otherwise. The drive of a critical stretch is the stretch
+    over it, ``x = s / s_c``: compression does no damage. What the laws below say of forces and critical stretches is
+    for drives that are linear in the elongation; with another one ``T`` is the same function of x. Derive from it for
+    another law.
 
     Parameters
     ----------
-    critical : CriticalStretch
-        What stretches are measured by.
+    criterion : Criterion
+        What drives the damage, such as a critical stretch.
     protected : Region, optional
         Bonds with an end in it do not fail.
     effect : DamageEffect
@@ -39,21 +41,21 @@ class BondDamage(Declared, ABC):
         et al. Bodies of bonds take the default alone.
     """
 
-    critical: CriticalStretch
+    criterion: Criterion
     protected: Region | None = field(default=None, kw_only=True)
     effect: DamageEffect = field(default_factory=LargestStretch, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.critical, CriticalStretch):
+        if not isinstance(self.criterion, Criterion):
             raise CaseError(
-                f"{type(self).__name__} needs a critical stretch such as ConstantCritical(0.01), "
-                f"not {shown(self.critical)}."
+                f"{type(self).__name__} needs a criterion, a critical stretch such as ConstantCritical(0.01), "
+                f"not {shown(self.criterion)}."
             )
         super().__post_init__()
 
     @property
     def onset(self) -> float:
-        """Return x where the integrity begins to fall [-]: at the critical stretch."""
+        """Return x where the integrity begins to fall [-]: where the drive is 1."""
         return 1.0
 
     @property
@@ -69,27 +71,44 @@ class BondDamage(Declared, ABC):
     def slope(self, x: Float) -> Float:
         """Return ``dT/dx`` (n,) [-] for x between onset and final."""
 
-    def dissipated(self, integrity: Float, x: Float, k: Float, limit: Float) -> Float:
+    def dissipated(self, integrity: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
         """Return what linear bonds that have reached x have dissipated (n,) [energy].
 
-        ``-int 1/2 k l^2 y^2 dT(y)`` up to x, with the jumps of T at its ends.
+        ``-int W y^degree dT(y)`` up to x, with the jumps of T at its ends.
 
         Parameters
         ----------
-        integrity, x, k, limit : (n,) float64
-            Integrity [-], largest stretch over the critical one [-], stiffness [force / length], critical elongation
-            [length].
+        integrity, x, energy : (n,) float64
+            Integrity [-], largest drive [-], elastic energy ``W`` of the intact bond where the drive is 1 [energy].
+        degree : float
+            With which power of the drive that energy grows [-].
         """
         points, weights = roots_legendre(QUADRATURE)
         one, last = np.array([self.onset]), np.array([self.final])
-        lost = np.where(x > self.onset, self.onset**2 * (1.0 - self.integrity(one)[0]), 0.0)
-        lost += np.where(x >= self.final, self.final**2 * self.integrity(last)[0], 0.0)
+        lost = np.where(x > self.onset, self.onset**degree * (1.0 - self.integrity(one)[0]), 0.0)
+        lost += np.where(x >= self.final, self.final**degree * self.integrity(last)[0], 0.0)
         for begin, end in zip(self.pieces[:-1], self.pieces[1:], strict=True):
             half = 0.5 * (np.clip(x, begin, end) - begin)
             y = begin + (points[:, None] + 1.0) * half
             slope = self.slope(y.ravel()).reshape(y.shape)
-            lost -= half * (weights[:, None] * slope * y**2).sum(axis=0)
-        return np.asarray(0.5 * k * limit**2 * lost)
+            lost -= half * (weights[:, None] * slope * y**degree).sum(axis=0)
+        return np.asarray(energy * lost)
+
+    def toughness(self, degree: float) -> float:
+        """Return the energy that breaking a bond takes over its elastic energy where the drive is 1 [-].
+
+        Parameters
+        ----------
+        degree : float
+            With which power of the drive the elastic energy grows [-].
+        """
+        one = np.ones(1)
+        return float(self.dissipated(0.0 * one, self.final * one, one, degree)[0])
+
+    def resolved(self, bonds: DrivenBonds) -> BondDamage:
+        """Return the law whose criterion knows the bonds of the body (collective)."""
+        criterion = self.criterion.resolve(bonds, self.toughness)
+        return self if criterion is self.criterion else replace(self, criterion=criterion)
 
     @property
     def pieces(self) -> list[float]:
@@ -99,16 +118,16 @@ class BondDamage(Declared, ABC):
 
 @dataclass(frozen=True)
 class PiecewiseLinear(BondDamage):
-    """A law whose force falls linearly from the critical stretch to zero, which events can follow."""
+    """A law whose force falls linearly to zero with a drive linear in the elongation, which events can follow."""
 
     @property
     @abstractmethod
     def final_ratio(self) -> float:
-        """Return the stretch without force over the critical one [-]: 1 for a bond that snaps."""
+        """Return the drive at which no force is left [-]: 1 for a bond that snaps."""
 
     @property
     def final(self) -> float:
-        """Return the ratio of final to critical stretch."""
+        """Return the final ratio."""
         return self.final_ratio
 
     def integrity(self, x: Float) -> Float:
@@ -129,11 +148,13 @@ class PiecewiseLinear(BondDamage):
         r = self.final_ratio
         return np.asarray(r / (1.0 + integrity * (r - 1.0)))
 
-    def dissipated(self, integrity: Float, x: Float, k: Float, limit: Float) -> Float:
-        """Return what linear bonds have dissipated, from their integrity alone (n,) [energy]."""
+    def dissipated(self, integrity: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
+        """Return what linear bonds have dissipated (n,) [energy]; from their integrity alone for degree 2."""
+        if degree != 2.0:
+            return super().dissipated(integrity, x, energy, degree)
         y = self.reached(integrity)
         force = integrity * y
-        return np.asarray(0.5 * k * limit**2 * (1.0 + (1.0 + force) * (y - 1.0) - force * y))
+        return np.asarray(energy * (1.0 + (1.0 + force) * (y - 1.0) - force * y))
 
 
 @dataclass(frozen=True)

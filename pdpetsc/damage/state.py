@@ -5,24 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.damage.criterion import DrivenBonds
 from pdpetsc.damage.laws import BondDamage
-from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, largest, total
-from pdpetsc.discrete.families import Families
-from pdpetsc.errors import CaseError
+from pdpetsc.discrete.communicator import largest, total
 
-# Bonds this close to the most overstretched one break with it: symmetric pairs, and both ends of one bond.
+# Bonds this close to the one furthest past its end break with it: symmetric pairs, and both ends of one bond.
 TOGETHER = 1e-8
 
 
 class FailingBonds:
-    """Integrity and critical elongation of the bonds of the own particles.
+    """Integrity of the bonds of the own particles, and how far what drives their damage has been.
 
-    A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one.
+    A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one. What is called ``x``
+    in the methods is the drive of every bond (n_bonds,) [-], zero where it is protected.
 
     Parameters
     ----------
-    cloud, families
+    bonds : DrivenBonds
         The bonds.
     law : BondDamage
         How they fail.
@@ -34,51 +33,24 @@ class FailingBonds:
     integrity : (n_bonds,) float64
         What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
     worst : (n_bonds,) float64
-        Largest stretch over the critical one so far [-], or that of the last equilibrium where bonds heal.
-    limit : (n_bonds,) float64
-        Critical elongation [length], infinite for protected bonds.
+        Largest drive so far [-], or that of the last equilibrium where bonds heal.
+    protected : (n,) int64
+        Bonds that do not fail.
     frozen : bool
         Whether the integrity stays while the displacement changes.
-    length : (n_bonds,) float64
-        Reference length [length].
-    keys : (n_bonds, 3) int64
-        Global ids of both ends, the lower first, and the relative place of the second: the same from both ends.
-    middle : (n_bonds, dim) float64
-        Middle of each bond with its first end at home [length].
-
-    Raises
-    ------
-    CaseError
-        A critical stretch is not positive, on every rank.
-
-    Notes
-    -----
-    Construction is collective.
+    length, middle, keys
+        As of ``DrivenBonds``.
     """
 
-    def __init__(self, cloud: Cloud, families: Families, law: BondDamage, protected: Mask | None = None) -> None:
+    def __init__(self, bonds: DrivenBonds, law: BondDamage, protected: Mask | None = None) -> None:
         self.law = law
-        self._comm = cloud.comm
-        order, centres, neighbours = cloud.order, families.centres, families.neighbours
-        low = order[centres] <= order[neighbours]
-        one, other = np.where(low, centres, neighbours), np.where(low, neighbours, centres)
-        relative = cloud.place[other] - cloud.place[one]
-        self.keys: GlobalIndex = np.stack([cloud.gid[one], cloud.gid[other], relative], axis=1)
-        self.middle: Float = 0.5 * (cloud.x[one] + cloud.x[other])
-        if cloud.images is not None:
-            home = np.concatenate([np.zeros((cloud.n_owned, cloud.dim)), cloud.offset])
-            self.middle -= home[one]
-        self.length: Float = np.linalg.norm(families.bonds(cloud.x), axis=1)
-        with agreed(cloud.comm):
-            stretch = law.critical(self.length, self.middle)
-            bad = np.flatnonzero(~(np.isfinite(stretch) & (stretch > 0.0)))
-            if len(bad):
-                length, value = self.length[bad[0]], stretch[bad[0]]
-                raise CaseError(f"The critical stretch of a bond of length {length:g} is {value:g}, not positive.")
-        self.limit: Float = stretch * self.length
+        self._comm = bonds.cloud.comm
+        self.length, self.middle, self.keys = bonds.length, bonds.middle, bonds.keys
+        centres, neighbours = bonds.families.centres, bonds.families.neighbours
+        self.protected: GlobalIndex = np.empty(0, dtype=np.int64)
         if protected is not None:
-            self.limit[protected[centres] | protected[neighbours]] = np.inf
-        self._first = np.asarray(cloud.gid[centres] == self.keys[:, 0])
+            self.protected = np.flatnonzero(protected[centres] | protected[neighbours])
+        self._first = np.asarray(bonds.cloud.gid[centres] == self.keys[:, 0])
         self.integrity: Float = np.ones(len(self.length))
         self.worst: Float = np.zeros(len(self.length))
         self.frozen = False
@@ -102,82 +74,88 @@ class FailingBonds:
         """Go back to the state last kept (not collective)."""
         self.integrity[:], self.worst[:] = self._kept
 
-    def at(self, e: Float) -> tuple[Float, Float]:
-        """Return integrity (n_bonds,) [-] and its derivative by the elongation [1 / length] at elongations e."""
-        return self._following(e) if self.softens else (self.integrity, np.zeros_like(e))
+    def following(self, x: Float) -> tuple[Float, GlobalIndex, Float]:
+        """Return what damage that is not held is at drives x (not collective).
 
-    def _following(self, e: Float) -> tuple[Float, Float]:
-        """Return both as they are where damage is not held."""
+        Returns
+        -------
+        integrity : (n_bonds,) float64
+            [-]
+        falling : (n,) int64
+            Bonds whose integrity changes with their drive, ascending.
+        slope : (n,) float64
+            Its derivative by the drive [-].
+        """
         law = self.law
-        x = e / self.limit
-        present, slope = np.ones_like(e), np.zeros_like(e)
-        # No bond breaks while equilibrium is sought: past its final stretch it keeps what is left of it there.
+        present = np.ones_like(x)
+        # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
         fading = np.flatnonzero((x > law.onset) & self.intact)
         present[fading] = np.maximum(law.integrity(np.minimum(x[fading], law.final)), 0.0)
         follows = law.effect.follows(present, self.integrity) & self.intact
-        moving = fading[follows[fading] & (x[fading] < law.final)]
-        slope[moving] = law.slope(x[moving]) / self.limit[moving]
-        return np.where(follows, present, self.integrity), slope
+        falling = fading[follows[fading] & (x[fading] < law.final)]
+        return np.where(follows, present, self.integrity), falling, law.slope(x[falling])
 
-    def most_stretched(self, e: Float, band: float) -> tuple[Float, float]:
-        """Return weights ``1 / limit / count`` of the bonds within ``band`` of the largest stretch, and that stretch.
+    def most_driven(self, x: Float, band: float) -> tuple[GlobalIndex, float, float]:
+        """Return the bonds within ``band`` of the largest drive, their number, and that drive [-].
 
-        It is over the critical one [-], of bonds that have not failed (collective).
+        Of bonds that have not failed, those of this rank; their number is that of all ranks, and there are none where
+        no drive is positive; the number is 1 then (collective).
         """
-        x = np.where(self.intact, e / self.limit, 0.0)
+        x = np.where(self.intact, x, 0.0)
         found = largest(self._comm, float(x.max(initial=0.0)))
-        near = (x >= (1.0 - band) * found) & (found > 0.0)
-        count = float(total(self._comm, np.count_nonzero(near)))
-        return np.where(near, 1.0 / (self.limit * max(count, 1.0)), 0.0), found
+        near = np.flatnonzero((x >= (1.0 - band) * found) & (found > 0.0))
+        count = float(total(self._comm, len(near)))
+        return near, max(count, 1.0), found
 
-    def fading(self, e: Float) -> float:
-        """Return by how much the integrity of a bond would change at most at elongations e [-] (collective)."""
-        return largest(self._comm, float(np.abs(self.integrity - self._following(e)[0]).max(initial=0.0)))
+    def fading(self, x: Float) -> float:
+        """Return by how much the integrity of a bond would change at most at drives x [-] (collective)."""
+        return largest(self._comm, float(np.abs(self.integrity - self.following(x)[0]).max(initial=0.0)))
 
-    def soften(self, e: Float) -> float:
-        """Take the integrity at elongations e for good; return the largest change of any bond (collective)."""
-        T, _ = self._following(e)
+    def soften(self, x: Float) -> float:
+        """Take the integrity at drives x for good; return the largest change of any bond (collective)."""
+        T = self.following(x)[0]
         if self.frozen:
             # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
             T = np.minimum(T, self.integrity)
         change = float(np.abs(self.integrity - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
         self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
-        self.worst[:] = self.law.effect.reached(e / self.limit, self.worst)
+        self.worst[:] = self.law.effect.reached(x, self.worst)
         return largest(self._comm, change)
 
-    def break_bonds(self, e: Float, most: int | None = None) -> int:
-        """Break bonds past their final stretch, the worst first; return how many pairs (collective).
+    def break_bonds(self, x: Float, most: int | None = None) -> int:
+        """Break bonds past their final drive, the worst first; return how many pairs (collective).
 
         Parameters
         ----------
-        e : (n_bonds,) float64
-            Elongations [length].
+        x : (n_bonds,) float64
+            Drives [-].
         most : int, optional
             So many pairs at once, and those that tie with the last of them. Where absent the worst one of bonds that
             snap, because its force goes to its neighbours, and all of bonds that soften.
         """
         if most is None and self.law.final == self.law.onset:
             most = 1
-        over = e / self.limit
+        over = x
         if self.law.final > self.law.onset:
-            # A bond that has been past its final stretch may have lost its force, even if it is shorter now.
-            over = self.law.effect.reached(over, self.worst)
+            # A bond that has been past its final drive may have lost its force, even if it is driven less now.
+            over = self.law.effect.reached(x, self.worst)
         over = np.where(self.intact, over, 0.0)
         return self._break_worst(over, most)
 
-    def tear(self, strain: Float, most: int | None = None) -> int:
-        """Break bonds on which the strain of a gradient is past their final stretch; return how many (collective).
+    def tear(self, x: Float, most: int | None = None) -> int:
+        """Break bonds that the strain of a gradient drives past their final drive; return how many pairs (collective).
 
         Parameters
         ----------
-        strain : (n_bonds,) float64
-            Tensile strain on every bond that the gradients of its centre tell [-]; the larger of both ends counts.
+        x : (n_bonds,) float64
+            Drives at the tensile strain on every bond that the gradients of its centre tell [-]; the larger of both
+            ends counts.
         most : int, optional
             As in ``break_bonds``.
         """
         most = 1 if most is None and self.law.final == self.law.onset else most
-        over = np.where(self.intact, strain * self.length / self.limit, 0.0)
+        over = np.where(self.intact, x, 0.0)
         own = np.flatnonzero(over >= self.law.final)
         keys = np.concatenate(self._comm.allgather(self.keys[own]))
         values = np.concatenate(self._comm.allgather(over[own]))
@@ -190,7 +168,7 @@ class FailingBonds:
         return self._break_worst(np.where(self.intact, over, 0.0), most)
 
     def _break_worst(self, over: Float, most: int | None) -> int:
-        """Break bonds of which ``over`` is past the final stretch, the worst first; return how many pairs."""
+        """Break bonds of which ``over`` is past the final drive, the worst first; return how many pairs."""
         worst = largest(self._comm, float(over.max(initial=0.0)))
         if worst < self.law.final or worst == 0.0:
             return 0
@@ -239,8 +217,22 @@ class FailingBonds:
         """Return how many pairs have lost their bond (collective)."""
         return int(total(self._comm, np.count_nonzero(~self.intact))) // 2
 
-    def dissipated(self, k: Float) -> float:
-        """Return what linear bonds of stiffness k have dissipated [energy] (collective)."""
-        lost = np.flatnonzero(self.integrity < 1.0)
+    @property
+    def weakened(self) -> GlobalIndex:
+        """Return the bonds that have lost some or all of their force (n,), ascending."""
+        return np.flatnonzero(self.integrity < 1.0)
+
+    def dissipated(self, lost: GlobalIndex, energy: Float, degree: float) -> float:
+        """Return what linear bonds have dissipated [energy] (collective).
+
+        Parameters
+        ----------
+        lost : (n,) int64
+            Those that are ``weakened``.
+        energy : (n,) float64
+            Elastic energy of each where its drive is 1 [energy].
+        degree : float
+            With which power of the drive it grows [-].
+        """
         x = np.where(self.integrity[lost] > 0.0, self.worst[lost], np.maximum(self.worst[lost], self.law.final))
-        return float(total(self._comm, self.law.dissipated(self.integrity[lost], x, k[lost], self.limit[lost]).sum()))
+        return float(total(self._comm, self.law.dissipated(self.integrity[lost], x, energy, degree).sum()))

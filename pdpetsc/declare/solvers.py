@@ -151,14 +151,14 @@ class EventDriven(DeclaredSolver):
 
 @dataclass(frozen=True)
 class BondStretch(Declared):
-    """Measure of a path: the stretch of the most stretched bonds that have not failed.
+    """Measure of a path: the drive of the most driven bonds that have not failed, of stretches the most stretched ones.
 
     It grows from step to step, whatever the load does.
 
     Parameters
     ----------
     step : float
-        Largest growth in a step, over the critical stretch [-].
+        Largest growth of what drives their damage in a step, of a stretch over the critical one [-].
 
     Examples
     --------

@@ -6,9 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.damage.criterion import Drive, DrivenBonds, Gradient
+from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -23,6 +25,8 @@ class Damage:
         Whose bonds they are.
     bonds : FailingBonds
         Their state.
+    drive : Drive
+        What drives their damage.
     finite : bool
         Whether elongations are those of the current length, or along the first direction of a bond.
 
@@ -33,16 +37,17 @@ class Damage:
     followers : list of callable
         Called with whether bonds have broken or mended, whenever the integrity has changed (collective).
     torn : callable or None
-        Gives the tensile strain on every bond (n_bonds,) [-] at a state, by which bonds break besides their stretch.
+        Gives the tensile strain on every bond (n_bonds,) [-] at a state, by which bonds break besides their own drive.
 
     Notes
     -----
     Every method is collective but where it says otherwise.
     """
 
-    def __init__(self, body: Body, bonds: FailingBonds, finite: bool) -> None:
+    def __init__(self, body: Body, bonds: FailingBonds, drive: Drive, finite: bool) -> None:
         self.body = body
         self.bonds = bonds
+        self.drive = drive
         self.finite = finite
         self.version = 0
         self.breaks = 0
@@ -59,14 +64,52 @@ class Damage:
         """Return whether bonds that have not broken may regain force (not collective)."""
         return self.bonds.law.effect.heals
 
-    def elongation(self, state: State) -> Float:
-        """Return the elongation of every bond (n_bonds,) [length]."""
-        return state.elongated(self.finite)[0]
+    @property
+    def limit(self) -> Float:
+        """Return the elongations at which bonds fail (n_bonds,) [length], infinite where protected (not collective).
 
-    def at(self, state: State) -> tuple[Float, Float]:
-        """Return integrity (n_bonds,) [-] and its derivative by the elongation [1 / length]."""
-        e = self.elongation(state)
-        return state.kept(("integrity", self.version, self.bonds.frozen), lambda: self.bonds.at(e))
+        Raises
+        ------
+        TypeError
+            The drive is not linear in the elongation.
+        """
+        if self.drive.limit is None:
+            raise TypeError(f"{type(self.drive).__name__} has no elongation of failure.")
+        limit = self.drive.limit.copy()
+        limit[self.bonds.protected] = np.inf
+        return limit
+
+    def driven(self, state: State) -> Float:
+        """Return the drive of every bond (n_bonds,) [-], zero where it is protected."""
+        return state.kept("drive", lambda: self._spared(self.drive.at(state)))
+
+    def integrity(self, state: State) -> Float:
+        """Return the integrity of every bond (n_bonds,) [-]."""
+        return self._following(state)[0]
+
+    def gradient(self, state: State) -> Gradient:
+        """Return how the integrity of the bonds that lose it changes with the displacement."""
+        _, falling, slope = self._following(state)
+        return state.kept(
+            ("gradient", self.version, self.bonds.frozen), lambda: self.drive.gradient(state, falling, slope)
+        )
+
+    def _following(self, state: State) -> tuple[Float, GlobalIndex, Float]:
+        """Return integrity, bonds whose integrity falls, and its derivative by their drive."""
+
+        def follow() -> tuple[Float, GlobalIndex, Float]:
+            bonds = self.bonds
+            if bonds.softens:
+                return bonds.following(self.driven(state))
+            return bonds.integrity, np.empty(0, dtype=np.int64), np.empty(0)
+
+        return state.kept(("integrity", self.version, self.bonds.frozen), follow)
+
+    def _spared(self, x: Float) -> Float:
+        """Return drives x without those of protected bonds."""
+        if len(self.bonds.protected):
+            x[self.bonds.protected] = 0.0
+        return x
 
     def freeze(self, frozen: bool) -> None:
         """Let damage stay, or follow the displacement (not collective)."""
@@ -87,30 +130,32 @@ class Damage:
         self.changed(rebuild=int(total(self.body.cloud.comm, mended)) > 0)
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
-        """Break bonds past their final stretch, about ``most`` at once, the worst first; return how many pairs.
+        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs.
 
-        Where none is, bonds on which the strain of a gradient is past it break, if the material says so (``torn``).
+        Where none is, bonds that the strain of a gradient drives past it break, if material (``torn``), effect and
+        drive say so.
         """
-        broken = self.bonds.break_bonds(self.elongation(state), most)
+        broken = self.bonds.break_bonds(self.driven(state), most)
         if not broken and self.torn is not None and self.bonds.law.effect.tears:
-            broken = self.bonds.tear(self.torn(state), most)
+            over = self.drive.at_strain(self.torn(state))
+            broken = 0 if over is None else self.bonds.tear(self._spared(over), most)
         if broken:
             self.changed(rebuild=True)
         return broken
 
     def fading(self, state: State) -> float:
         """Return by how much the integrity of a bond would change at most [-]."""
-        return self.bonds.fading(self.elongation(state))
+        return self.bonds.fading(self.driven(state))
 
     def soften(self, state: State) -> float:
         """Take the damage at a state for good; return the largest change of an integrity [-]."""
-        change = self.bonds.soften(self.elongation(state))
+        change = self.bonds.soften(self.driven(state))
         if change > 0.0:
             self.changed(rebuild=False)
         return change
 
     def kept(self) -> tuple[Float, Float]:
-        """Return a copy of the state of the bonds, integrity and largest stretch, for ``take`` (not collective)."""
+        """Return a copy of the state of the bonds, integrity and largest drive, for ``take`` (not collective)."""
         return self.bonds.integrity.copy(), self.bonds.worst.copy()
 
     def take(self, kept: tuple[Float, Float]) -> None:
@@ -130,23 +175,34 @@ class Damage:
         self.version += 1
         self.breaks += rebuild
 
-    def most_stretched(self, state: State, band: float) -> tuple[Float, float]:
-        """Return how the largest stretch over the critical one grows with the unknowns, and that stretch.
+    def most_driven(self, state: State, band: float) -> tuple[Float, float]:
+        """Return how the largest drive grows with the unknowns, and that drive.
 
         Returns
         -------
         gradient : (n_rows, dim) float64
             Of the mean over the bonds that have not failed and are within ``band`` of the largest, relatively
-            [1 / length]; zero where none is stretched.
+            [1 / length]; zero where none is positive.
         largest : float
             [-]
         """
         body, family, u_local = self.body, self.body.families, state.u_local
         f = np.zeros_like(u_local)
-        weights, found = self.bonds.most_stretched(self.elongation(state), band)
+        near, count, found = self.bonds.most_driven(self.driven(state), band)
+        gradient = self.drive.mean_gradient(state, near, count)
+        along = np.zeros(len(family.neighbours))
+        along[near] = gradient.along
         kernel = bond_force_kernel(body.dim, int(self.finite))
-        kernel(family.indptr, family.neighbours, body.cloud.x, u_local, weights, f)
+        kernel(family.indptr, family.neighbours, body.cloud.x, u_local, along, f)
+        if gradient.beyond is not None:
+            np.add.at(f, gradient.beyond.particles, gradient.beyond.by)
         return body.gather(f), found
+
+    def dissipated(self, k: Float) -> float | None:
+        """Return what linear bonds of stiffness k (n_bonds,) have dissipated [energy]; None where no drive tells."""
+        lost = self.bonds.weakened
+        known = self.drive.elastic_energy(lost, k[lost])
+        return None if known is None else self.bonds.dissipated(lost, *known)
 
     def lost_bonds(self) -> Float:
         """Return ``1 - sum_j mu V_j / sum_j V_j`` (n_owned,) [-], mu 0 for broken bonds, else 1 (not collective)."""
@@ -162,3 +218,37 @@ class Damage:
         whole = np.bincount(centres, volume, cloud.n_owned)
         kept = np.bincount(centres, left * volume, cloud.n_owned)
         return np.asarray(1.0 - kept / np.where(whole > 0.0, whole, 1.0))
+
+
+def make_damage(
+    law: BondDamage, body: Body, omega: Float, k: Float, finite: bool, protected: Mask | None = None
+) -> Damage:
+    """Return the damage of the bonds of a body: the criterion resolved with them, and what drives them built.
+
+    Parameters
+    ----------
+    law : BondDamage
+        As declared.
+    body : Body
+        Whose bonds they are.
+    omega, k : (n_bonds,) float64
+        Their influence [-], and their elastic stiffness from one end [force / length].
+    finite : bool
+        Whether elongations are those of the current length, or along the first direction of a bond.
+    protected : (n_local,) bool, optional
+        Particles whose bonds do not fail.
+
+    Raises
+    ------
+    CaseError
+        The criterion does not fit the bonds, on every rank.
+
+    Notes
+    -----
+    Collective.
+    """
+    bonds = DrivenBonds.of(body.cloud, body.families, omega, k, finite)
+    resolved = law.resolved(bonds)
+    with agreed(body.cloud.comm):
+        drive = resolved.criterion.build(bonds)
+    return Damage(body, FailingBonds(bonds, resolved, protected), drive, finite)

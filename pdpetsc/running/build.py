@@ -10,10 +10,8 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
-from pdpetsc.bond_based.fracture import resolve
 from pdpetsc.case import Case, ungraded
 from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
-from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declared import called, numbers_from
@@ -30,7 +28,7 @@ from pdpetsc.material import Graded, Material
 from pdpetsc.petsc.scalar import solve_scalar
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.damage import Damage, make_damage
 from pdpetsc.problem.extra import build_extra
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
@@ -186,9 +184,8 @@ def _points(
 
 
 def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:
-    """Return the damage of bonds of stiffness ``k`` (n_bonds,), its fracture energy resolved (collective)."""
-    law = resolve(declared, bonds, k)
-    return Damage(body, FailingBonds(body.cloud, body.families, law, _protected(declared, body.cloud)), finite)
+    """Return the damage of bonds of stiffness ``k`` (n_bonds,) (collective)."""
+    return make_damage(declared, body, bonds.omega, k, finite, _protected(declared, body.cloud))
 
 
 def _protected(declared: BondDamage, cloud: Cloud) -> Mask | None:

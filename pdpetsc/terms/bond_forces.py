@@ -20,6 +20,7 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm
+from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_beyond
 
 
 class BondForces(Matter):
@@ -59,6 +60,8 @@ class BondForces(Matter):
             raise CaseError("All materials of a body need the same kinematics, small or finite.")
         self.finite = materials[0].kinematics == "finite"
         self.damage: Damage | None = None
+        # Whether damage makes bonds depend on more than their own elongation.
+        self._reaches = False
         self._bonds = bonds
         self._materials = materials
         self._material_of = material_of
@@ -79,6 +82,8 @@ class BondForces(Matter):
         if self.a is not None:
             raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
         self.damage = damage
+        self._reaches = damage.drive.reaches
+        self.horizons = 2 if self._reaches else 1
 
     @property
     def n_points(self) -> int:
@@ -97,14 +102,19 @@ class BondForces(Matter):
         return not self.finite and (self.damage is None or not self.damage.bonds.softens)
 
     @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """Return whether the force of a bond depends on its own elongation alone."""
+        return not self._reaches
+
+    @property
     def within_families(self) -> bool:
         """Return True."""
         return True
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
-        """Return the bonds, or the families where there is a dilatation."""
-        if self.a is not None:
+        """Return the bonds, or the families where there is a dilatation or what drives damage reaches further."""
+        if self.a is not None or self._reaches:
             return self.body.with_centres.point_ptr, self.body.with_centres.members
         return self.ends_ptr, self.ends
 
@@ -142,14 +152,27 @@ class BondForces(Matter):
 
     def secant(self, state: State) -> Float:
         """Return ``T k`` of every bond (n_bonds,) [force / length]."""
-        return self.k if self.damage is None else self.damage.at(state)[0] * self.k
+        return self.k if self.damage is None else self.damage.integrity(state) * self.k
 
     def tangent(self, state: State) -> Float:
         """Return ``d(T k e)/de`` of every bond (n_bonds,) [force / length]."""
         if self.damage is None:
             return self.k
-        T, slope = self.damage.at(state)
-        return self.k * (T + slope * self.elongation(state))
+        gradient = self.damage.gradient(state)
+        rate = self.damage.integrity(state).copy()
+        rate[gradient.bonds] += gradient.along * self.elongation(state)[gradient.bonds]
+        return np.asarray(self.k * rate)
+
+    def falling(self, state: State) -> list[FallingBonds | FallingBeyond]:
+        """Return what the tangent has besides where the integrity of a bond depends on more than its elongation."""
+        if not self._reaches:
+            return []
+        assert self.damage is not None
+        gradient, families = self.damage.gradient(state), self.body.families
+        bonds = gradient.bonds
+        y = (families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local))[bonds]
+        v = (self.k * self.elongation(state))[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]
+        return falling_beyond(self.body, gradient, v)
 
     def tension(self, state: State) -> Float:
         """Return the tension of every bond of every own particle (n_bonds,) [force]."""
@@ -202,9 +225,9 @@ class BondForces(Matter):
         lame = [elastic.lame(self.body.dim) for elastic in self._elastic]
         return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
 
-    def dissipated_energy(self) -> float:
-        """Return what bonds have dissipated in failing [energy] (collective)."""
-        return 0.0 if self.damage is None else self.damage.bonds.dissipated(self.k)
+    def dissipated_energy(self) -> float | None:
+        """Return what bonds have dissipated in failing [energy]; None where their drive does not tell (collective)."""
+        return 0.0 if self.damage is None else self.damage.dissipated(self.k)
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
@@ -285,11 +308,14 @@ class BondTangent(LinearisedTerm):
         self._data = families.indptr, families.neighbours, term.body.cloud.x, self._u
         self._tangent, self._tension, self._secant = term.tangent(state), term.tension(state), term.secant(state)
         self._dilatation = a, B
+        self._falling = term.falling(state)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of all bonds of the particles."""
         kernel = bond_times_kernel(self._term.body.dim, int(self._term.finite))
         kernel(particles, *self._data, self._tangent, self._tension, *self._dilatation, du, f)
+        for falling in self._falling:
+            falling.add_product(du, f, particles)
 
     def stiffness(self) -> Float:
         """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
@@ -312,6 +338,8 @@ class BondTangent(LinearisedTerm):
                 *term.ends_by_particle, term.ends, term.body.cloud.x, self._u, self._tangent, self._tension, own,
                 entries.off,
             )  # fmt: skip
+        for falling in self._falling:
+            falling.add_rows(entries)
         if term.a is not None:
             self._add_dilatation(entries)
 

@@ -15,7 +15,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm, Term
-from pdpetsc.terms.falling import FallingBonds, gradient_of_integrity
+from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
 
 
 class ControlForces(Term):
@@ -90,7 +90,7 @@ class ControlForces(Term):
         """Return the control with the integrity of the bonds at a state."""
         if self.damage is None:
             return self.control
-        fading = self._effect.fading(self.damage.at(state)[0])
+        fading = self._effect.fading(self.damage.integrity(state))
         if fading is None:
             return self.control
         # Kept with the state, so that its matrix is made once.
@@ -107,12 +107,11 @@ class ControlForces(Term):
 
     def linearised(self, state: State) -> LinearisedTerm:
         """Return its constant matrix, and what the derivative of the integrity adds where it fades."""
-        control, falling = self.at(state), None
+        control = self.at(state)
+        falling: list[FallingBonds | FallingBeyond] = []
         if self.damage is not None and self._fades and self.damage.bonds.softens:
-            slope = self.damage.at(state)[1]
-            bonds = np.flatnonzero(slope)
-            v = self.control.bond_forces(state.u_local)[bonds]
-            falling = FallingBonds(self.body, bonds, v, gradient_of_integrity(state, slope, bonds))
+            gradient = self.damage.gradient(state)
+            falling = falling_parts(state, gradient, self.control.bond_forces(state.u_local)[gradient.bonds])
         return ControlTangent(self, control, falling)
 
     def matrix(self, control: Control, sparsity: Sparsity) -> ControlMatrix:
@@ -136,25 +135,25 @@ class ControlForces(Term):
 class ControlTangent(LinearisedTerm):
     """The tangent of a zero-energy control."""
 
-    def __init__(self, term: ControlForces, control: Control, falling: FallingBonds | None) -> None:
+    def __init__(self, term: ControlForces, control: Control, falling: list[FallingBonds | FallingBeyond]) -> None:
         self._term, self._control, self._falling = term, control, falling
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the control."""
         self._control.force(du, f, particles)
-        if self._falling is not None:
-            self._falling.add_product(du, f, particles)
+        for falling in self._falling:
+            falling.add_product(du, f, particles)
 
     def add_rows(self, entries: Entries) -> None:
         """Add its constant matrix, and what its falling bonds add (collective)."""
         dim = self._term.body.dim
         self._term.matrix(self._control, entries.sparsity).add(dim, entries.diag, entries.off)
-        if self._falling is not None:
-            self._falling.add_rows(entries)
+        for falling in self._falling:
+            falling.add_rows(entries)
 
     def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
         """Return bond stiffness and shape tensors where it can share the loop over a gradient, else None."""
-        return None if self._falling is not None else self._term.shared_gradient(self._control, operator)
+        return None if self._falling else self._term.shared_gradient(self._control, operator)
 
 
 def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIndex, factor: Float | None) -> Stiffness:

@@ -18,7 +18,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm
-from pdpetsc.terms.falling import FallingBonds, gradient_of_integrity
+from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
 
@@ -26,8 +26,8 @@ class DamagedPoints(MaterialPoints):
     """Correspondence whose force states are multiplied with the integrity of the bonds, ``T = T_s omega P K^-1 xi``.
 
     ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
-    with the stretch of each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken
-    bond leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
+    with what drives each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken bond
+    leaves shape tensor and gradient. A particle whose family is left too flat for a gradient has no stress any
     more; its neighbours' gradients and the control hold it. What else damage does, to volumes and to bonds that lie
     across the pull, the effect of the damage law says.
 
@@ -93,7 +93,7 @@ class DamagedPoints(MaterialPoints):
 
     def add_force(self, state: State, f: Float) -> None:
         """Add ``H^T (W P)`` with the integrity of the bonds at the state."""
-        T, _ = self.damage.at(state)
+        T = self.damage.integrity(state)
         operator, h = self.operator, self.scaled_weights(T)
         P = self.stress(self.deformation(state))
         divergence_kernel(self.body.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
@@ -102,21 +102,20 @@ class DamagedPoints(MaterialPoints):
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
         return DamagedTangent(self, state)
 
-    def falling(self, state: State, slope: Float) -> FallingBonds:
-        """Return the bonds whose integrity falls with ``slope`` (n_bonds,) [1 / length].
+    def falling(self, state: State) -> list[FallingBonds | FallingBeyond]:
+        """Return what the bonds whose integrity falls add to the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
-        bonds = np.flatnonzero(slope)
-        falling = np.zeros(len(slope), dtype=bool)
-        falling[bonds] = True
-        operator = self.operator
+        gradient, operator = self.damage.gradient(state), self.operator
+        falling = np.zeros(len(self.body.families.neighbours), dtype=bool)
+        falling[gradient.bonds] = True
         entries = np.flatnonzero((self.bond_of_entry >= 0) & np.append(falling, False)[self.bond_of_entry])
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
         P = self.stress(self.deformation(state))
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
-        v = sum_by(self.bond_of_entry[entries], force, len(slope))[bonds]
-        return FallingBonds(self.body, bonds, v, gradient_of_integrity(state, slope, bonds))
+        v = sum_by(self.bond_of_entry[entries], force, len(falling))[gradient.bonds]
+        return falling_parts(state, gradient, v)
 
     def tensile_strain(self, state: State) -> Float:
         """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.
@@ -151,7 +150,7 @@ class DamagedPoints(MaterialPoints):
 
     def energy(self, state: State) -> float:
         """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point."""
-        T, _ = self.damage.at(state)
+        T = self.damage.integrity(state)
         return float(self.operator.volume @ (self.point_energy(self.deformation(state)) * self._at_points(T)))
 
     def local_damage(self) -> Float:
@@ -246,27 +245,27 @@ def _points(operator: GradientOperator) -> GlobalIndex:
 
 
 class DamagedTangent(PointsTangent):
-    """``H^T (W A) G + d(H^T)/du (W P)``: forces fade with the stretch of each bond."""
+    """``H^T (W A) G + d(H^T)/du (W P)``: forces fade with what drives each bond."""
 
     points: DamagedPoints
 
     def __init__(self, points: DamagedPoints, state: State) -> None:
-        T, slope = points.damage.at(state)
+        T = points.damage.integrity(state)
         super().__init__(points, points.moduli(points.deformation(state)), points.scaled_weights(T))
         self._T = T
-        self._falling = points.falling(state, slope) if points.damage.bonds.softens else None
+        self._falling = points.falling(state) if points.damage.bonds.softens else []
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of moduli, and of the bonds whose integrity falls."""
         super().add_product(du, f, particles)
-        if self._falling is not None:
-            self._falling.add_product(du, f, particles)
+        for falling in self._falling:
+            falling.add_product(du, f, particles)
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of both."""
         super().add_rows(entries)
-        if self._falling is not None:
-            self._falling.add_rows(entries)
+        for falling in self._falling:
+            falling.add_rows(entries)
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle, times the mean integrity of its bonds."""

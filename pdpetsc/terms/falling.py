@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.damage.criterion import Beyond, Gradient
+from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import outer_rows_kernel
 from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import outer_times_kernel
@@ -25,7 +27,7 @@ class FallingBonds:
     v : (n, dim) float64
         Force of the intact bond on its second end [force].
     m : (n, dim) float64
-        Derivative of the integrity by the displacement of the second end [1 / length].
+        Derivative of the integrity by the displacement of the second end, through the own elongation [1 / length].
     """
 
     def __init__(self, body: Body, bonds: GlobalIndex, v: Float, m: Float) -> None:
@@ -51,9 +53,75 @@ class FallingBonds:
             )  # fmt: skip
 
 
-def gradient_of_integrity(state: State, slope: Float, bonds: GlobalIndex) -> Float:
-    """Return ``dT/de n`` (n, dim) [1 / length] of some bonds along their current directions n."""
-    body, u_local = state.body, state.u_local
+class FallingBeyond:
+    """``v (x) dT/du`` of bonds whose integrity falls with the displacement of particles of the family of their centre.
+
+    Parameters
+    ----------
+    body : Body
+        Whose bonds they are.
+    bonds : (n,) int64
+        Their numbers, ascending.
+    v : (n, dim) float64
+        Force of the intact bond on its second end [force].
+    beyond : Beyond
+        Derivative of the integrity of each.
+    """
+
+    def __init__(self, body: Body, bonds: GlobalIndex, v: Float, beyond: Beyond) -> None:
+        self._body, self._v, self._beyond = body, np.asarray(v), beyond
+        self._ends = np.stack([body.families.centres[bonds], body.families.neighbours[bonds]], axis=1)
+        self._bond_of = np.repeat(np.arange(len(bonds)), np.diff(beyond.ptr))
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the families of some own particles (not collective)."""
+        asked = np.zeros(self._body.cloud.n_owned, dtype=bool)
+        asked[particles] = True
+        entries = np.flatnonzero(asked[self._ends[self._bond_of, 0]])
+        each = np.einsum("ei,ei->e", self._beyond.by[entries], du[self._beyond.particles[entries]])
+        force = np.bincount(self._bond_of[entries], each, len(self._v))[:, None] * self._v
+        np.add.at(f, self._ends[:, 1], force)
+        np.subtract.at(f, self._ends[:, 0], force)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the matrix (not collective)."""
+        dim, n, beyond, sparsity = self._body.dim, len(self._v), self._beyond, entries.sparsity
+        # Stencils begin with both ends, which have the forces, and go on with the particles that have the derivatives.
+        members = np.insert(beyond.particles, np.repeat(beyond.ptr[:-1], 2), self._ends.ravel())
+        ptr = beyond.ptr + 2 * np.arange(n + 1)
+        h, g = np.zeros((len(members), dim)), np.zeros((len(members), dim))
+        h[ptr[:-1], 0], h[ptr[:-1] + 1, 0] = -1.0, 1.0
+        g[np.arange(len(beyond.particles)) + 2 * (self._bond_of + 1)] = beyond.by
+        A = np.zeros((n, *(dim,) * 4))
+        A[:, :, 0] = np.einsum("pi,kn->pikn", self._v, np.eye(dim))
+        members = members.astype(self._body.families.neighbours.dtype)
+        by_particle = transpose(ptr, members, self._body.cloud.n_local)
+        for rows, own in entries.row_sets():
+            assemble_kernel(dim)(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *by_particle,
+                ptr, members, h, g, np.ones(n), A, own, entries.off,
+            )  # fmt: skip
+
+
+def falling_parts(state: State, gradient: Gradient, v: Float) -> list[FallingBonds | FallingBeyond]:
+    """Return what the derivative of the integrity adds where elongations are those of the current length.
+
+    Parameters
+    ----------
+    state : State
+        Where.
+    gradient : Gradient
+        Of the integrity.
+    v : (n, dim) float64
+        Force of each of its bonds, intact, on its second end [force].
+    """
+    body, bonds, u_local = state.body, gradient.bonds, state.u_local
     centres, neighbours = body.families.centres[bonds], body.families.neighbours[bonds]
     y = body.cloud.x[neighbours] + u_local[neighbours] - body.cloud.x[centres] - u_local[centres]
-    return np.asarray(slope[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None])
+    m = np.asarray(gradient.along[:, None] * y / np.linalg.norm(y, axis=1)[:, None])
+    return [FallingBonds(body, bonds, v, m), *falling_beyond(body, gradient, v)]
+
+
+def falling_beyond(body: Body, gradient: Gradient, v: Float) -> list[FallingBonds | FallingBeyond]:
+    """Return what is left where the part of the own elongation is counted elsewhere; nothing for most drives."""
+    return [] if gradient.beyond is None else [FallingBeyond(body, gradient.bonds, v, gradient.beyond)]

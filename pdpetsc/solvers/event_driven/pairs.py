@@ -65,7 +65,7 @@ def make_pairs(term: BondForces) -> Pairs:
     cloud, families = term.body.cloud, term.body.families
     if term.damage is None:
         raise CaseError("This body has no bonds that fail.")
-    failure = term.damage.bonds
+    failure, limit = term.damage.bonds, term.damage.limit
     keys, first, of_bond = np.unique(failure.keys, axis=0, return_index=True, return_inverse=True)
     of_bond = of_bond.reshape(-1)
     k = np.bincount(of_bond, term.k, len(keys))
@@ -90,9 +90,7 @@ def make_pairs(term: BondForces) -> Pairs:
     n = xi / np.linalg.norm(xi, axis=1)[:, None]
     last = np.empty(len(keys), dtype=np.int64)
     last[of_bond] = np.arange(len(of_bond))
-    return Pairs(
-        keys, np.stack([first, last], axis=1), ends, n, np.asarray(k, dtype=float), failure.limit[first], reported
-    )
+    return Pairs(keys, np.stack([first, last], axis=1), ends, n, np.asarray(k, dtype=float), limit[first], reported)
 
 
 def rehearse_pairs(bonds: BondForces) -> None:

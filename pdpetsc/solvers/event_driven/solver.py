@@ -310,4 +310,9 @@ def _law_of(damage: Damage) -> PiecewiseLinear:
             f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take Brittle, "
             f"LinearSoftening, or Newton."
         )
+    if damage.drive.limit is None:
+        raise CaseError(
+            f"The event-driven solver needs what drives damage to be linear in the elongation of the bond itself: "
+            f"{type(law.criterion).__name__} is not; take a critical stretch, or Newton."
+        )
     return law

@@ -16,7 +16,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.path_following.constraint import Constraint
 
-# The measure is the mean over the bonds whose stretch over the critical one is within this share of the largest.
+# Bonds whose drive is within this of the largest share the measure, relatively.
 BAND = 0.05
 
 
@@ -50,7 +50,7 @@ class Measure(ABC):
 
 
 class StretchMeasure(Measure):
-    """The largest stretch over the critical one of the bonds that have not failed.
+    """The largest drive of the bonds that have not failed; of a critical stretch, the stretch over it.
 
     Raises
     ------
@@ -67,8 +67,8 @@ class StretchMeasure(Measure):
         self._damage = problem.damage
 
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
-        """Return the mean stretch of the most stretched bonds, or the load factor where none is stretched yet."""
-        of, largest = self._damage.most_stretched(self._problem.state(u, load), BAND)
+        """Return the mean drive of the bonds that are driven most, or the load factor where none is driven yet."""
+        of, largest = self._damage.most_driven(self._problem.state(u, load), BAND)
         by_load = largest <= 0.0
         return Constraint(of, float(by_load), u, load), by_load
 

@@ -1,0 +1,286 @@
+"""What drives the damage of bonds: a number for each of them that is 1 where it fails, and how it grows.
+
+A criterion is declared (``Criterion``) and becomes the drive of the bonds of one rank (``Drive``). Laws act on the
+drive and do not know what it is made of.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.declared import Declared
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class DrivenBonds:
+    """The bonds of the own particles as a criterion reads them, each from one end.
+
+    Attributes
+    ----------
+    cloud, families
+        Particles and bonds.
+    omega : (n_bonds,) float64
+        Influence [-].
+    k : (n_bonds,) float64
+        Elastic stiffness from one end [force / length]; of a body of deformation gradients, whose bonds have none of
+        their own, that of the bond-based material with the same Young's modulus.
+    finite : bool
+        Whether elongations are those of the current length, or along the first direction of a bond.
+    length : (n_bonds,) float64
+        Reference length [length].
+    middle : (n_bonds, dim) float64
+        Middle of each bond with its first end at home [length].
+    keys : (n_bonds, 3) int64
+        Global ids of both ends, the lower first, and the relative place of the second: the same from both ends.
+    """
+
+    cloud: Cloud
+    families: Families
+    omega: Float
+    k: Float
+    finite: bool
+    length: Float
+    middle: Float
+    keys: GlobalIndex
+
+    @classmethod
+    def of(cls, cloud: Cloud, families: Families, omega: Float, k: Float, finite: bool) -> DrivenBonds:
+        """Return the bonds of a body with what follows from the places of their ends (not collective)."""
+        order, centres, neighbours = cloud.order, families.centres, families.neighbours
+        low = order[centres] <= order[neighbours]
+        one, other = np.where(low, centres, neighbours), np.where(low, neighbours, centres)
+        keys = np.stack([cloud.gid[one], cloud.gid[other], cloud.place[other] - cloud.place[one]], axis=1)
+        middle = 0.5 * (cloud.x[one] + cloud.x[other])
+        if cloud.images is not None:
+            home = np.concatenate([np.zeros((cloud.n_owned, cloud.dim)), cloud.offset])
+            middle -= home[one]
+        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+        return cls(cloud, families, omega, k, finite, length, middle, keys)
+
+
+class Displaced(Protocol):
+    """A displaced body as a drive reads it; a ``State`` is one."""
+
+    @property
+    def u_local(self) -> Float:
+        """Return the displacements with ghosts (n_local, dim) [length] (collective on first use)."""
+
+    def elongated(self, finite: bool) -> tuple[Float, float]:
+        """Return the elongations (n_bonds,) and the least current length of a bond on this rank [length]."""
+
+    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what was kept under ``key`` since this state was first evaluated, or make and keep it."""
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Derivatives of numbers of bonds by the displacements of particles, other than through the own elongation.
+
+    Attributes
+    ----------
+    ptr : (n + 1,) int64
+        Those of the b-th bond are ``ptr[b]`` to ``ptr[b + 1]``.
+    particles : (n_entries,) int32
+        Local particles, of the family of the first end of the bond or that end itself. Of a number that is the mean of
+        one of each end, either direction of the bond has the part of its own end, twice.
+    by : (n_entries, dim) float64
+        Derivative by the displacement of each [1 / length].
+    """
+
+    ptr: GlobalIndex
+    particles: LocalIndex
+    by: Float
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """How numbers of some bonds change with the displacement, ``d = along de + sum_m by_m . du_m``.
+
+    Attributes
+    ----------
+    bonds : (n,) int64
+        The bonds, ascending.
+    along : (n,) float64
+        Derivative by the elongation of the bond itself [1 / length].
+    beyond : Beyond or None
+        What is left; None where the elongation of the bond says all.
+    """
+
+    bonds: GlobalIndex
+    along: Float
+    beyond: Beyond | None = None
+
+
+class Drive(ABC):
+    """What drives the damage of the bonds of one rank: a number for each bond, 1 where it fails.
+
+    It does not depend on the damage itself, and is the same from both ends of a bond, on whichever ranks they are.
+    """
+
+    @property
+    def reaches(self) -> bool:
+        """Return whether its gradients have a part ``beyond`` the own elongation; the same at every state."""
+        return False
+
+    @property
+    def limit(self) -> Float | None:
+        """Return the elongations of failure (n_bonds,) [length] where the drive is ``e / limit``; None elsewhere.
+
+        The event-driven solver takes such drives alone.
+        """
+        return None
+
+    @abstractmethod
+    def at(self, state: Displaced) -> Float:
+        """Return the drive of every bond (n_bonds,) [-] as a new array (collective)."""
+
+    @abstractmethod
+    def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
+        """Return how ``by`` times the drive of some bonds changes with the displacement (collective).
+
+        Parameters
+        ----------
+        state
+            Where.
+        bonds : (n,) int64
+            The bonds, ascending.
+        by : (n,) float64
+            What multiplies the derivative of each, such as that of the integrity by the drive [-].
+        """
+
+    def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
+        """Return how the drive of some bonds over their number on all ranks changes with the displacement (collective).
+
+        Summed over bonds and ranks it is the gradient of their mean drive, which paths of equilibria follow.
+        """
+        return self.gradient(state, bonds, np.full(len(bonds), 1.0 / count))
+
+    def at_strain(self, strain: Float) -> Float | None:
+        """Return the drive of bonds that had these tensile strains (n_bonds,) [-] as a new array (not collective).
+
+        By it bonds break with the strain of a gradient that has lost some, which they themselves do not show. None, for
+        drives that see that strain anyway or cannot tell, lets none break so.
+        """
+        return None
+
+    def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float] | None:
+        """Return the energy of linear bonds where the drive is 1 (n,) [energy], and its degree in the drive [-].
+
+        What laws dissipate follows from it, ``-int W y^degree dT(y)``. None where the drive does not tell the energy of
+        a bond: dissipated energies are then differences of work and energy.
+
+        Parameters
+        ----------
+        bonds : (n,) int64
+            The bonds.
+        k : (n,) float64
+            Their stiffness [force / length].
+        """
+        return None
+
+
+class LocalDrive(Drive):
+    """A drive that is a function of the elongation of the bond itself.
+
+    Parameters
+    ----------
+    bonds : DrivenBonds
+        The bonds.
+    """
+
+    def __init__(self, bonds: DrivenBonds) -> None:
+        self._bonds = bonds
+
+    @abstractmethod
+    def of(self, e: Float) -> Float:
+        """Return the drive at elongations ``e`` (n_bonds,) [length] of all bonds as a new array."""
+
+    @abstractmethod
+    def along(self, e: Float, bonds: GlobalIndex, by: Float) -> Float:
+        """Return ``by dx/de`` of some bonds (n,) [1 / length], at elongations ``e`` (n_bonds,) of all."""
+
+    def at(self, state: Displaced) -> Float:
+        """Return the drive at the elongations of a state."""
+        return self.of(state.elongated(self._bonds.finite)[0])
+
+    def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
+        """Return ``by dx/de``."""
+        return Gradient(bonds, self.along(state.elongated(self._bonds.finite)[0], bonds, by))
+
+    def at_strain(self, strain: Float) -> Float | None:
+        """Return the drive at the elongations of such strains."""
+        return self.of(strain * self._bonds.length)
+
+
+class LinearDrive(LocalDrive):
+    """The elongation over that of failure, ``x = e / limit``.
+
+    Parameters
+    ----------
+    bonds : DrivenBonds
+        The bonds.
+    limit : (n_bonds,) float64
+        Their elongations of failure [length], positive.
+    """
+
+    def __init__(self, bonds: DrivenBonds, limit: Float) -> None:
+        super().__init__(bonds)
+        self._limit = limit
+
+    @property
+    def limit(self) -> Float:
+        """Return the elongations of failure."""
+        return self._limit
+
+    def of(self, e: Float) -> Float:
+        """Return ``e / limit``."""
+        return np.asarray(e / self._limit)
+
+    def along(self, e: Float, bonds: GlobalIndex, by: Float) -> Float:
+        """Return ``by / limit``."""
+        return np.asarray(by / self._limit[bonds])
+
+    def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
+        """Return ``1 / (limit count)``, rounded once."""
+        return Gradient(bonds, np.asarray(1.0 / (self._limit[bonds] * count)))
+
+    def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float]:
+        """Return ``1/2 k limit^2``, and 2."""
+        return np.asarray(0.5 * k * self._limit[bonds] ** 2), 2.0
+
+
+class Criterion(Declared, ABC):
+    """What drives the damage of a bond; derive a frozen dataclass from it for another one."""
+
+    @abstractmethod
+    def build(self, bonds: DrivenBonds) -> Drive:
+        """Return the drive of the bonds of this rank (not collective).
+
+        Raises
+        ------
+        CaseError
+            The criterion does not fit the bonds; what one rank raises all raise.
+        """
+
+    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> Criterion:
+        """Return the criterion with what only the bonds of the body tell, as from a fracture energy (collective).
+
+        Parameters
+        ----------
+        bonds : DrivenBonds
+            The bonds.
+        toughness : callable
+            Energy that breaking a linear bond takes over its elastic energy where the drive is 1 [-], for the degree of
+            the elastic energy in the drive (``BondDamage.toughness``).
+        """
+        return self

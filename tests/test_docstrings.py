@@ -14,8 +14,9 @@ import pdpetsc as pd
 # What a user meets but does not compose: what a run returns or raises, and what a new term is built of. The examples of
 # a ``Case`` are the files under ``runs/``.
 NOT_COMPOSED = {
-    "Case", "CaseError", "Interrupted", "KeptArray", "LinearisedTerm", "OutputError", "PointTangent", "Prepared",
-    "RunError", "Solution", "SolveError", "State", "region.View",
+    "Case", "CaseError", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray", "LinearisedTerm",
+    "OutputError", "PointKernels", "PointTangent", "Prepared", "RunError", "Solution", "SolveError", "State",
+    "region.View",
 }  # fmt: skip
 
 

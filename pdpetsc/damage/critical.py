@@ -52,7 +52,13 @@ class CriticalStretch(Criterion):
 
 @dataclass(frozen=True)
 class ConstantCritical(CriticalStretch):
-    """The same critical stretch ``value`` [-] for every bond."""
+    """The same critical stretch ``value`` [-] for every bond.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> damage = pd.Brittle(pd.ConstantCritical(0.01))
+    """
 
     value: float
 
@@ -78,6 +84,11 @@ class LinearCritical(CriticalStretch):
         Value for a bond as long as ``length`` [-].
     length : float
         [length], usually the horizon.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> longer_bonds_fail_first = pd.LinearCritical(start=0.02, end=0.01, length=3.0)
     """
 
     start: float
@@ -101,7 +112,13 @@ class LinearCritical(CriticalStretch):
 
 @dataclass(frozen=True)
 class CriticalFunction(CriticalStretch):
-    """Critical stretch from a function of length (n_bonds,) and middle (n_bonds, dim) of the bonds."""
+    """Critical stretch from a function of length (n_bonds,) and middle (n_bonds, dim) of the bonds.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> weak_half = pd.CriticalFunction(lambda length, middle: 0.01 + 0.01 * (middle[:, 0] > 5.0))
+    """
 
     function: Callable[[Float, Float], Float]
 
@@ -128,6 +145,11 @@ class FractureEnergy(CriticalStretch):
     ----------
     Gc : float
         Fracture energy [energy / area], positive.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> damage = pd.Brittle(pd.FractureEnergy(Gc=0.05))
     """
 
     Gc: float

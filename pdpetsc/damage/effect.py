@@ -66,6 +66,11 @@ class LargestStretch(DamageEffect):
     The control has the integrity of the last equilibrium in its stiffness and in the gradient that it measures from. A
     bond that breaks takes its share of the particle's volume with it, so that the force states of the others stay as
     they were, and bonds that lie across the pull break with the strain of the gradient.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> damage = pd.LinearSoftening(pd.ConstantCritical(0.01), effect=pd.LargestStretch())
     """
 
     @property
@@ -108,9 +113,14 @@ class PresentStretch(DamageEffect):
     their whole volume, so the stress of those that have lost bonds is carried by the bonds that are left. Until it
     breaks a bond regains what it had lost when it shortens.
 
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> as_published = pd.SmoothDegradation(pd.ConstantCritical(0.01), effect=pd.PresentStretch())
+
     References
     ----------
-    Hashim et al., Eq. (45)-(54), with ``T_s omega P K^-1 xi`` for ``T_s omega P^T K xi`` and the derivative of
+    Hashim, Eq. (45)-(54), with ``T_s omega P K^-1 xi`` for ``T_s omega P^T K xi`` and the derivative of
     ``1 - tanh n`` as ``tanh(n)^2 - 1``.
     """
 

@@ -161,9 +161,15 @@ class PiecewiseLinear(BondDamage):
 class Brittle(PiecewiseLinear):
     """The force drops to zero at the critical stretch.
 
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Brittle(pd.ConstantCritical(0.01)).final
+    1.0
+
     References
     ----------
-    Silling, Askari (2005), Eq. (24); Mikes, Jirasek, Zeman, Rokos, Peerlings, Eq. (7).
+    Silling2005, Eq. (24); Mikes2021, Eq. (7).
     """
 
     @property
@@ -180,6 +186,11 @@ class LinearSoftening(PiecewiseLinear):
     ----------
     ratio : float
         Above 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> softening = pd.LinearSoftening(pd.ConstantCritical(0.01), ratio=3.0)
     """
 
     ratio: float = 2.0
@@ -204,6 +215,11 @@ class ExponentialSoftening(BondDamage):
         Above 1.
     rate : float
         Positive.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> softening = pd.ExponentialSoftening(pd.ConstantCritical(0.01), ratio=8.0, rate=0.5)
     """
 
     ratio: float = 5.0
@@ -240,6 +256,11 @@ class BilinearSoftening(BondDamage):
     ----------
     kink, share, ratio : float
         Stretches over the critical one, ``1 < kink < ratio``, and the share of the force, between 0 and 1.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> concrete = pd.BilinearSoftening(pd.FractureEnergy(0.1), kink=2.0, share=0.3, ratio=6.0)
     """
 
     kink: float = 2.0
@@ -288,9 +309,14 @@ class SmoothDegradation(BondDamage):
     continuous : bool
         Rescale it to go from 1 to 0; as published it jumps by ``1/2 (1 - tanh beta)`` at both ends, 0.0025 for beta 3.
 
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> smooth = pd.SmoothDegradation(pd.ConstantCritical(0.02), start=0.75)
+
     References
     ----------
-    Hashim et al., Eq. (48)-(54).
+    Hashim, Eq. (48)-(54).
     """
 
     start: float = 0.75

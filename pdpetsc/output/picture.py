@@ -33,6 +33,11 @@ class Picture(Declared):
         ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
     scale : float
         Factor on the displacements.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> shear = pd.Picture(pd.stress, "xy", scale=10.0)
     """
 
     field: Field = stress

@@ -42,7 +42,7 @@ class DamagedPoints(MaterialPoints):
 
     References
     ----------
-    Hashim et al., Eq. (45)-(54).
+    Hashim, Eq. (45)-(54).
 
     Notes
     -----

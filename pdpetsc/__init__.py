@@ -36,7 +36,7 @@ from pdpetsc.declare.conditions import (
     Traction,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
-from pdpetsc.declare.files import Mesh, TextFile
+from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
 from pdpetsc.declare.particles import Arrays, Lattice
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
@@ -134,6 +134,7 @@ __all__ = [
     "MeanStrain",
     "MeanStress",
     "Mesh",
+    "MeshNodes",
     "Newton",
     "Opening",
     "OutputError",

@@ -20,6 +20,8 @@ SIMPLICES: dict[str, list[tuple[int, ...]]] = {
     "wedge": [(0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3)],
     "hexahedron": [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)],
 }
+# Other ways that a cell falls into simplices.
+_OTHER_WAYS: dict[str, list[list[tuple[int, ...]]]] = {"quad": [[(0, 1, 3), (1, 2, 3)]]}
 # Facets of a cell by its corner nodes, outward where the volume of its simplices is positive.
 FACETS: dict[str, list[tuple[int, ...]]] = {
     "line": [(0,), (1,)],
@@ -101,6 +103,70 @@ def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
     return volume, moment
 
 
+def shares_of_nodes(points: Float, blocks: list[Block]) -> tuple[GlobalIndex, Float]:
+    """Return the nodes that are corners of cells, ascending, and the volumes of their dual cells.
+
+    A simplex gives every corner the same share; other cells fall into simplices, quadrilaterals in both ways at once.
+    """
+    volume = np.zeros(len(points))
+    used = np.zeros(len(points), dtype=bool)
+    dim = points.shape[1]
+    for block in blocks:
+        used[np.ravel(block.corners)] = True
+        ways = [SIMPLICES[block.kind], *_OTHER_WAYS.get(block.kind, [])]
+        sign = np.where(volumes_and_moments(points, block)[0] < 0.0, -1.0, 1.0)
+        for way in ways:
+            for simplex in way:
+                nodes = block.nodes[:, list(simplex)]
+                corners = points[nodes]
+                edges = corners[:, 1:] - corners[:, :1]
+                part = sign * np.linalg.det(edges) / float(np.prod(np.arange(1, dim + 1)))
+                for column in nodes.T:
+                    volume += np.bincount(column, part / (len(simplex) * len(ways)), len(points))
+    nodes = np.flatnonzero(used)
+    return nodes, volume[nodes]
+
+
+def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[GlobalIndex, Float, Float, GlobalIndex]:
+    """Return the parts of facets that belong to the dual cells of their corners.
+
+    Parameters
+    ----------
+    corners : (n, 4) int64
+        Nodes of facets in turn, followed by -1 where there are fewer than four.
+    area : (n, dim) float64
+        Their vector areas.
+
+    Returns
+    -------
+    nodes, x, area, facet
+        Corner (n_parts,), centroid (n_parts, dim), vector area (n_parts, dim) and facet (n_parts,) of every part.
+    """
+    count = (corners >= 0).sum(axis=1)
+    nodes, centres, areas, facet = [], [], [], []
+    # Share of the corner, and of each other one, in the centroid of the part next to it.
+    for m, own, other in ((1, 1.0, 0.0), (2, 3.0 / 4.0, 1.0 / 4.0), (3, 22.0 / 36.0, 7.0 / 36.0)):
+        of = np.flatnonzero(count == m)
+        simplices, sizes = corners[of, :m], area[of]
+        if m == 3:  # faces with four corners are two triangles
+            square = np.flatnonzero(count == 4)
+            halves = [corners[square][:, [0, 1, 2]], corners[square][:, [0, 2, 3]]]
+            simplices, of = np.concatenate([simplices, *halves]), np.concatenate([of, square, square])
+            sizes = np.concatenate([sizes, *(_along(area[square], _vector_area(points[half], 0)) for half in halves)])
+        x = points[simplices]
+        for corner in range(m):
+            nodes.append(simplices[:, corner])
+            centres.append((own - other) * x[:, corner] + other * x.sum(axis=1))
+            areas.append(sizes / m)
+            facet.append(of)
+    return np.concatenate(nodes), np.concatenate(centres), np.concatenate(areas), np.concatenate(facet)
+
+
+def _along(whole: Float, part: Float) -> Float:
+    """Return vector areas (n, 3), turned to the side that those of the whole facets look to."""
+    return np.asarray(part * np.where((whole * part).sum(axis=1) < 0.0, -1.0, 1.0)[:, None])
+
+
 @dataclass(frozen=True)
 class CellFacets:
     """All facets of cells, those of one cell one after another; cells count through the blocks.
@@ -115,12 +181,15 @@ class CellFacets:
         Outward vector areas; lengths in the plane, 1 on a line.
     centre : (n_facets, dim) float64
         Centroids.
+    corners : (n_facets, 4) int64
+        The corner nodes in turn, followed by -1 where there are fewer.
     """
 
     key: GlobalIndex
     cell: GlobalIndex
     area: Float
     centre: Float
+    corners: GlobalIndex
 
     @property
     def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
@@ -146,7 +215,7 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
     blocks : list of Block
         Cells of dimension ``dim``.
     """
-    keys, cells, areas, centres = [], [], [], []
+    keys, cells, areas, centres, turns = [], [], [], [], []
     before = 0
     for block in blocks:
         number = before + np.arange(len(block.nodes))
@@ -155,10 +224,17 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
         for place, corners in enumerate(FACETS[block.kind]):
             nodes = block.nodes[:, list(corners)]
             keys.append(facet_keys(nodes))
+            turns.append(np.pad(nodes, ((0, 0), (0, _WIDTH - nodes.shape[1])), constant_values=-1))
             cells.append(number)
             areas.append(sign[:, None] * _vector_area(points[nodes], place))
             centres.append(_centroid(points[nodes]))
-    return CellFacets(np.concatenate(keys), np.concatenate(cells), np.concatenate(areas), np.concatenate(centres))
+    return CellFacets(
+        np.concatenate(keys),
+        np.concatenate(cells),
+        np.concatenate(areas),
+        np.concatenate(centres),
+        np.concatenate(turns),
+    )
 
 
 def facet_keys(nodes: NDArray[np.int64]) -> GlobalIndex:

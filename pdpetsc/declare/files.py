@@ -22,6 +22,8 @@ from pdpetsc.declare.cells import (
     facets,
     having,
     owners,
+    parts_of_facets,
+    shares_of_nodes,
     volumes_and_moments,
 )
 from pdpetsc.declare.choice import choose
@@ -197,6 +199,70 @@ class Mesh(Particles):
         return self.thickness if points.shape[1] < 3 else 1.0
 
 
+@dataclass(frozen=True)
+class MeshNodes(Mesh):
+    """One particle per corner node of a mesh, with the volume of its dual cell: some sit on the boundary itself.
+
+    Simplices share their volume equally between their corners, facets their area: prescribed displacements then act on
+    the boundary, not half a cell inside. The sets are
+
+    - cell sets, element blocks and physical groups: the corners of their cells, those on a common border in both;
+    - groups of boundary lines and faces: the corners of these, as ``name facets`` where cells have the name;
+    - node sets; ``name nodes`` where cells or facets have the name.
+
+    Side sets that a file gives by cells and sides are not known.
+
+    Parameters
+    ----------
+    path, thickness, format
+        As for ``Mesh``.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> plate = pd.MeshNodes("plate.msh", thickness=2.0)
+    """
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return part ``part`` of ``parts`` of the corner nodes."""
+        mesh, points, blocks = self._cells()
+        _volumes_and_centroids(Path(self.path), points, blocks)  # refuses cells without volume
+        nodes, volume = shares_of_nodes(points, blocks)
+        sets = _node_sets(mesh, points, nodes)
+        return Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the area of the parts of free facets of each node, projected along the normal, as ``Particles``."""
+        facets_here = self.surface(part, parts)
+        _, area, particle, _ = facets_here.arrays
+        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
+        return np.bincount(particle, along, len(self.chunk(part, parts).x)).astype(float)
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return the parts of the free facets of the cells that belong to the nodes of a part.
+
+        Raises
+        ------
+        CaseError
+            There are cracks: nobody knows the faces between the dual cells.
+        """
+        if cracks:
+            raise CaseError("Cracks need the faces between cells, which those of mesh nodes do not have; take a Mesh.")
+        mesh, points, blocks = self._cells()
+        found = facets(points, blocks)
+        free = np.flatnonzero(found.free)
+        node, x, area, facet = parts_of_facets(points, found.corners[free], found.area[free])
+        nodes, _ = shares_of_nodes(points, blocks)
+        first, last = part * len(nodes) // parts, (part + 1) * len(nodes) // parts
+        particle = np.searchsorted(nodes, node)
+        mine = np.flatnonzero((particle >= first) & (particle < last))
+        tags = _tags(mesh, found, points.shape[1])
+        return Facets(
+            x[mine], area[mine] * self._depth(points), particle[mine] - first,
+            {name: flags[free[facet[mine]]] for name, flags in tags.items()},
+        )  # fmt: skip
+
+
 @lru_cache(maxsize=4)
 def _surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, GlobalIndex, Float]:
     """Return the number of cells, the cell of every free facet and its outward vector area.
@@ -364,6 +430,32 @@ def _tags(mesh: MeshData, found: CellFacets, dim: int) -> dict[str, Mask]:
                 flags = having(facet_keys(block.corners[mine]), found)
                 tags[name] = tags.get(name, np.zeros(len(flags), dtype=bool)) | flags
     return tags
+
+
+def _node_sets(mesh: MeshData, points: Float, nodes: GlobalIndex) -> dict[str, Mask]:
+    """Return which of the corner nodes belong to the sets of cells, of boundary facets and of nodes of a mesh."""
+    dim = points.shape[1]
+    sets: dict[str, Mask] = {}
+
+    def add(name: str, members: GlobalIndex) -> None:
+        flags = np.zeros(len(points), dtype=bool)
+        flags[members] = True
+        if flags[nodes].any():
+            sets[name] = sets.get(name, False) | flags[nodes]
+
+    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
+    of_cells: set[str] = set()
+    for of_boundary in (False, True):
+        for name, cells in mesh.cell_sets.items():
+            for block, start in zip(mesh.blocks, starts, strict=False):
+                mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
+                if len(mine) and (block.dim < dim) == of_boundary:
+                    add(f"{name} facets" if of_boundary and name in of_cells else name, np.ravel(block.corners[mine]))
+        of_cells = of_cells or set(sets)
+    taken = set(sets)
+    for name, members in mesh.node_sets.items():
+        add(f"{name} nodes" if name in taken else name, members)
+    return sets
 
 
 def _particles(mesh: MeshData, blocks: list[Block]) -> GlobalIndex:

@@ -31,7 +31,9 @@ def tension(tmp_path, *words, ranks=1):
 @pytest.mark.parametrize("scheme", pd.SCHEMES)
 def test_a_uniform_traction_gives_a_uniform_gradient_on_any_cloud(scheme, dim, shake, tmp_path):
     G = 0.5 if scheme in ("correspondence", "corrected", "higher_order") else 0.0
-    for horizon in (2.015,) if dim == 3 else (1.515, 2.015, 3.015):
+    # The least horizons with which families of every scheme leave something to change, on lattices and shaken clouds.
+    least = {1: 2.715, 2: 1.715, 3: 2.015}[dim] if shake else {1: 2.015, 2: 1.515, 3: 2.015}[dim]
+    for horizon in (least,) if dim == 3 else (least, 3.015):
         words = (f"dim={dim}", f"scheme={scheme}", f"horizon={horizon}", f"shake={shake}", f"G={G}")
         assert tension(tmp_path, *words, f"n={5 if dim == 3 else 10}") < 1e-8
 

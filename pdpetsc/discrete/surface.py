@@ -19,6 +19,10 @@ from pdpetsc.errors import CaseError
 CLOSED = 1e-8
 # A facet lies on the side of a periodic cell where it is this near to it, as a share of the period.
 ON_SIDE = 1e-9
+# A particle nearer to its facet than this share of the horizon sits on it, as nodes of a mesh do.
+NEAR_FACET = 1e-3
+# Particles behind a facet lie in one plane where an eigenvalue of their moments is this share of the largest.
+FLAT = 1e-8
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
 def _interpolated(
     cloud: Cloud, families: Families, x: Float, owner: GlobalIndex
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
-    """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
+    """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner`` (collective)."""
     dim, size = cloud.dim, np.diff(families.indptr)[owner]
     ptr = np.concatenate([[0], np.cumsum(size + 1)]).astype(np.int64)
     of = np.repeat(np.arange(len(x)), size + 1)
@@ -173,15 +177,23 @@ def _interpolated(
     bond = np.minimum(families.indptr[owner][of] + place - 1, max(len(families.neighbours) - 1, 0))
     members = np.where(place == 0, owner[of], families.neighbours[bond] if len(families.neighbours) else 0)
     members = members.astype(np.int32)
-    if len(x) == 0:
-        return ptr, members, np.empty(0)
     apart = cloud.x[members] - x[of]
     # Distances in units of that of the particle behind the facet, which is half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
-    unit = np.where(unit > 0.0, unit, cloud.horizon)
+    unit = np.where(unit > NEAR_FACET * cloud.horizon, unit, 0.25 * cloud.horizon)
     apart = apart / unit
     phi = np.concatenate([np.ones((len(of), 1)), apart], axis=1)
     weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4
-    moments = np.add.reduceat(weight[:, None, None] * phi[:, :, None] * phi[:, None, :], ptr[:-1], axis=0)
-    first = np.linalg.solve(moments, np.broadcast_to(np.eye(dim + 1)[:, :1], (len(x), dim + 1, 1)))[:, :, 0]
+    moments = np.zeros((len(x), dim + 1, dim + 1))
+    for a in range(dim + 1):
+        for b in range(dim + 1):
+            moments[:, a, b] = np.bincount(of, weight * phi[:, a] * phi[:, b], len(x))
+    low = np.linalg.eigvalsh(moments)
+    alone = int(total(cloud.comm, np.count_nonzero(low[:, 0] < FLAT * low[:, -1])))
+    if alone:
+        raise CaseError(
+            f"{alone} facets of the surface belong to particles with too few neighbours, or with all of them in one "
+            f"plane, to be interpolated from; widen the horizon, or add particles there."
+        )
+    first = np.linalg.inv(moments)[:, :, 0]
     return ptr, members, weight * (phi * first[of]).sum(axis=1)

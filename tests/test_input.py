@@ -44,7 +44,7 @@ VALID = [
     region.Box((0.0, 0.0), (1.0, 1.0)), region.Slab("x", 0.0, 1.0), region.Sphere((0.0, 0.0), 1.0),
     region.Nearest((0.0, 0.0)), region.Where(ones), region.Named("a"), region.All() | region.All(),
     region.All() & region.All(), ~region.All(),
-    pd.influence.Gaussian(), pd.Mesh("a.msh"), pd.TextFile("a.txt", {"left": "b.txt"}),
+    pd.influence.Gaussian(), pd.Mesh("a.msh"), pd.MeshNodes("a.msh"), pd.TextFile("a.txt", {"left": "b.txt"}),
     pd.Mean(pd.stress, "xx"), pd.Largest(pd.stress, "xx"), pd.Reaction("x"), pd.CellStrain("xx"), pd.CellStress("xx"),
     pd.CrackTip((1.0, 0.0)), pd.RelativeError(pd.stress, ones), pd.LargestError(pd.stress, ones), pd.Picture(),
     pd.Graded(pd.Hencky(1.0), ones), pd.Hencky(1.0, 0.3), pd.NeoHookean(1.0), pd.SaintVenantKirchhoff(1.0),
@@ -55,10 +55,12 @@ VALID = [
     pd.Correspondence(), pd.SubHorizons(), pd.StressPoints(), pd.Corrected(), pd.HigherOrder(), pd.BondAssociated(),
     pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.5), pd.Arrays([[0.0], [1.0]], [1.0, 1.0], {"a": [0]}),
     pd.Displacement(region.All(), x=0.0), pd.Force(region.All(), x=0.0), pd.BodyForce(region.All(), x=ones),
-    pd.Traction(region.All(), x=0.0, normal=(1.0, 0.0)), pd.MeanStrain(xx=0.1), pd.MeanStress(xx=1.0),
+    pd.Traction(region.All(), x=0.0, normal=(1.0, 0.0)), pd.SurfacePressure(region.All(), 1.0),
+    pd.Facets([[0.0], [2.0]], [[-1.0], [1.0]], [0, 1], {"left": [True, False]}),
+    pd.MeanStrain(xx=0.1), pd.MeanStress(xx=1.0),
     pd.Silling(), pd.SillingMicromodulus(0.1, 1.0), pd.Littlewood(), pd.Wan(), pd.Springs(0.1),
     pd.AveragedDisplacement(0.1), pd.RelativeSprings(), pd.RelativeAverage(), pd.Penalty(0.1),
-    pd.SmoothedDisplacement(),
+    pd.SmoothedDisplacement(), pd.Standard(), pd.Conforming(),
 ]  # fmt: skip
 WRONG = [
     None, "", "x", "xy", b"x", math.nan, math.inf, -math.inf, -1, 0, 1, 0.5, 1e300, 10**400, True, 1j, [], {}, (),

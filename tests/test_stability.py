@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import logging
 
 import numpy as np
 import pytest
@@ -37,19 +38,20 @@ def steps_of(folder):
     return json.loads((folder / "summary.json").read_text())["steps"]
 
 
-def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, capsys):
-    pd.run(column(), output=tmp_path)
+def test_a_column_past_its_critical_force_is_called_unstable(tmp_path, caplog):
+    with caplog.at_level(logging.INFO, logger="pdpetsc"):
+        pd.run(column(), output=tmp_path)
     steps = steps_of(tmp_path)
     unstable = [step["t"] * 3.0 for step in steps if step["negative_pivots"]]
     stable = [step["t"] * 3.0 for step in steps if step["negative_pivots"] == 0]
     assert len(stable) + len(unstable) == 24
     assert max(stable) < min(unstable)
     assert min(unstable) == pytest.approx(CRITICAL, abs=0.125 + 0.05 * CRITICAL)
-    said = capsys.readouterr()
-    assert "UNSTABLE (negative pivots: 1)" in said.out
-    assert (
-        f"{len(unstable)} of 24 equilibria are unstable, the first at step time {min(unstable) / 3.0:.6g}" in said.err
-    )
+    said = [record.message for record in caplog.records]
+    assert any("UNSTABLE (negative pivots: 1)" in line for line in said)
+    warned = [record.message for record in caplog.records if record.levelno == logging.WARNING]
+    first = f"{len(unstable)} of 24 equilibria are unstable, the first at step time {min(unstable) / 3.0:.6g}"
+    assert any(line.startswith(first) for line in warned)
 
 
 def test_steps_are_shortened_towards_the_critical_force(tmp_path):

@@ -26,7 +26,7 @@ from pdpetsc.discrete.communicator import is_root, world  # noqa: E402
 from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.petsc.defaults import default_options  # noqa: E402
 from pdpetsc.petsc.jacobian import choose  # noqa: E402
-from pdpetsc.petsc.library import options  # noqa: E402
+from pdpetsc.petsc.options import Options  # noqa: E402
 from pdpetsc.problem.assembly import Assembler  # noqa: E402
 from pdpetsc.running.build import make_cloud, make_problem  # noqa: E402
 from pdpetsc.solvers.event_driven.solver import EventSolver  # noqa: E402
@@ -41,7 +41,7 @@ def measure(scene, updates):
     cloud = make_cloud(world(), scene)
     problem = make_problem(scene, cloud, find_families(cloud))
     choice = choose(problem, {}, EventDriven())
-    with options({}, default_options(problem, EventDriven(), choice)):
+    with Options({}, default_options(problem, EventDriven(), choice)).active():
         solver = EventSolver(problem, Assembler(problem), EventDriven(updates), lambda: False)
         start = np.zeros((cloud.n_rows, problem.dim))
         spent, before = [], time.perf_counter()

@@ -27,7 +27,8 @@ from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa
 from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.petsc.defaults import default_options  # noqa: E402
 from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
-from pdpetsc.petsc.library import linear_solver, options  # noqa: E402
+from pdpetsc.petsc.library import linear_solver  # noqa: E402
+from pdpetsc.petsc.options import Options  # noqa: E402
 from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
 from pdpetsc.running.build import make_cloud, make_problem, rehearse  # noqa: E402
 
@@ -72,7 +73,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     supports = problem.supports
     chosen = {"pd_jacobian": jacobian}
     choice = choose(problem, chosen, Newton())
-    with options(chosen, default_options(problem, Newton(), choice)):
+    with Options(chosen, default_options(problem, Newton(), choice)).active():
         with clock("pattern"):
             filled = assembler(problem, choice)
         with clock("allocation"):

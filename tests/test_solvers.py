@@ -10,7 +10,7 @@ import pdpetsc as pd
 from pdpetsc.declare.solvers import DeclaredSolver, Needs
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Start, StepResult
-from pdpetsc.solvers.table import SOLVERS, implementation
+from pdpetsc.solvers.table import IMPLEMENTATIONS, implementation
 from tests.commands import Stop, field
 
 
@@ -85,7 +85,7 @@ def strip(solver, stop=2.0):
 
 
 def test_a_solver_from_outside_agrees_and_goes_on(monkeypatch, tmp_path):
-    monkeypatch.setitem(SOLVERS, ByScipy, ScipySolver)
+    monkeypatch.setitem(IMPLEMENTATIONS, ByScipy, ScipySolver)
     theirs = pd.run(strip(ByScipy()), tmp_path / "theirs")
     ours = pd.run(strip(pd.Newton()), tmp_path / "ours")
     assert theirs["energy"] == pytest.approx(ours["energy"], rel=1e-9)
@@ -107,20 +107,20 @@ def test_a_solver_of_a_known_kind_is_done_by_that(monkeypatch):
     class Mine(pd.DynamicRelaxation):
         pass
 
-    assert implementation(Mine()) is SOLVERS[pd.DynamicRelaxation]
+    assert implementation(Mine()) is IMPLEMENTATIONS[pd.DynamicRelaxation]
 
 
 @pytest.mark.parametrize("step", [0.0, -0.1, 1e-300])
 @pytest.mark.parametrize("solver", [pd.Newton, pd.DynamicRelaxation])
 def test_a_load_step_that_leads_nowhere_is_refused(solver, step):
     # Made without a problem: nothing of it is looked at before the numbers are.
-    made = object.__new__(SOLVERS[solver])
+    made = object.__new__(IMPLEMENTATIONS[solver])
     with pytest.raises(pd.CaseError, match="leads nowhere"):
         made.resume(Start(np.zeros((1, 1)), 0.5, {"load_step": step}))
 
 
 @pytest.mark.parametrize("found", [{"measure_step": 0.0}, {"highest_load": -1.0}])
 def test_a_place_on_a_path_without_meaning_is_refused(found):
-    made = object.__new__(SOLVERS[pd.PathFollowing])
+    made = object.__new__(IMPLEMENTATIONS[pd.PathFollowing])
     with pytest.raises(pd.CaseError, match="has no meaning"):
         made.resume(Start(np.zeros((1, 1)), 0.5, found))

@@ -17,12 +17,16 @@ from pdpetsc.petsc.options import Options
 # What is added to the diagonal of the preconditioner, as a share of it: its null space has none of its own.
 LIFTED = 1e-8
 PREFIX = "weights_"
-DEFAULTS = {
+MULTIGRID = {
     "weights_pc_type": "gamg",
-    "weights_pc_gamg_threshold": 0.0,
+    # Without it weak couplings along the diagonals of families cost three times as many iterations.
+    "weights_pc_gamg_threshold": 0.02,
     "weights_mg_levels_ksp_max_it": 3,
     "weights_mg_coarse_pc_type": "svd",
 }
+FACTOR = {"weights_pc_type": "cholesky", "weights_pc_factor_mat_solver_type": "mumps"}
+# Largest number of particles for which the near matrix is factored, by dimension.
+DIRECT = {1: 10**7, 2: 250_000, 3: 6_000}
 MOST = 5000
 
 
@@ -78,7 +82,7 @@ def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float
     cloud = system.cloud
     sizes = (cloud.n_owned, cloud.n_global)
     found = np.zeros_like(rhs)
-    options = Options({}, DEFAULTS)
+    options = Options({}, FACTOR if cloud.n_global <= DIRECT[cloud.dim] else MULTIGRID)
     operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()

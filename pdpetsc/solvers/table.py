@@ -13,7 +13,7 @@ from pdpetsc.solvers.protocol import Solver
 from pdpetsc.solvers.relaxation import RelaxationSolver
 
 # A new solver is one class of its own and a line here.
-SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
+IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     Newton: StaticSolver,
     DynamicRelaxation: RelaxationSolver,
     EventDriven: EventSolver,
@@ -24,11 +24,11 @@ SOLVERS: dict[type[DeclaredSolver], type[Solver]] = {
 def implementation(declared: DeclaredSolver) -> type[Solver]:
     """Return what does what a case declares (not collective); raise CaseError where the table has nothing."""
     for kind in type(declared).__mro__:
-        if kind in SOLVERS:
-            return SOLVERS[kind]
+        if kind in IMPLEMENTATIONS:
+            return IMPLEMENTATIONS[kind]
     raise CaseError(
         f"No solver is known for {type(declared).__name__}; enter the class that does it in "
-        f"pdpetsc.solvers.table.SOLVERS."
+        f"pdpetsc.solvers.table.IMPLEMENTATIONS."
     )
 
 

@@ -27,14 +27,15 @@ class PdpetscError(Exception):
     ----------
     exit_status : int
         What the command line ends with.
-    agreed : bool
-        Whether every rank has raised it at the same place, so that all may go on to communicate.
+    agreed : int
+        How many ranks are known to have raised it at the same place: those of a communicator with so many may go on to
+        communicate.
     petsc : bool
         Whether it came from an error of PETSc on another rank.
     """
 
     exit_status = 1
-    agreed = False
+    agreed = 0
     petsc = False
 
 

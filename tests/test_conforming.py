@@ -481,3 +481,87 @@ def test_loads_on_facets_are_the_same_on_any_ranks(tmp_path):
         found.append(np.array(json.loads(path.read_text())))
     np.testing.assert_allclose(found[0], found[1], atol=1e-14)
     assert np.abs(found[0]).max() > 0.01
+
+
+def strip_of_bonds(particles, top, **more):
+    left = pd.region.Slab("x", high=2.0)
+    return pd.Case(
+        particles=particles,
+        horizon=2.1,
+        material=pd.BondBased(E=10.0),
+        conditions=[pd.Displacement(left, x=0.0, y=0.0), top],
+        **more,
+    )
+
+
+def test_a_row_of_particles_keeps_the_sum_of_a_load_on_its_side():
+    """A single row of cells extends along itself only: its sides are interpolated along it."""
+    strip = pd.Lattice((0.0, 0.0), (10.0, 1.0), 1.0)
+    _, _, surface = pieces(strip, 2.1)
+    sums = np.add.reduceat(surface.N, surface.ptr[:-1])
+    np.testing.assert_allclose(sums, 1.0, rtol=1e-12)
+    prepared = pd.prepare(strip_of_bonds(strip, pd.Traction(pd.region.Named("+y"), x=1.0)))
+    force = prepared.problem.external_force(prepared.problem.state(np.zeros((10, 2)), 1.0))
+    np.testing.assert_allclose(force.sum(axis=0), [10.0, 0.0], atol=1e-12)
+
+
+def test_a_particle_that_cracks_cut_off_carries_its_own_facets():
+    plate = pd.Lattice((0.0, 0.0), (10.0, 4.0), 1.0)
+    cracks = [pd.Segment((9.0, 4.5), (9.0, 3.0)), pd.Segment((9.0, 3.0), (10.5, 3.0))]
+    cloud, _, surface = pieces(plate, 1.2, cracks=cracks)
+    lone = int(np.flatnonzero((cloud.x > [9.0, 3.0]).all(axis=1))[0])
+    mine = np.flatnonzero(surface.owner == lone)
+    assert len(mine) == 4
+    for f in mine:
+        assert surface.members[surface.ptr[f] : surface.ptr[f + 1]].tolist() == [lone]
+        assert surface.N[surface.ptr[f]] == pytest.approx(1.0)
+
+
+def test_a_cell_that_is_shifted_against_the_lattice_has_no_inner_surface():
+    plate = pd.Lattice((0.0, 0.0), (10.0, 6.0), 1.0)
+    found = []
+    for low in (0.0, -0.25):
+        cell = pd.Cell((low, 0.0), (low + 10.0, 6.0), axes="x")
+        cloud, surface, _, operator = weights_of(plate, 2.1, cell=cell)
+        assert len(surface.x) == 20
+        order = np.argsort(cloud.gid[: cloud.n_owned])
+        found.append(operator.g[operator.point_ptr[:-1]][order])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+
+
+def test_resultants_are_those_of_particles_not_of_the_cell():
+    top = pd.Traction(pd.region.Named("+y"), x=lambda x, t: t * (0.5 + 0.1 * np.sin(0.2 * np.pi * x[:, 0] + 0.3)))
+    held = pd.Displacement(pd.region.Slab("y", high=1.0), x=0.0, y=0.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (10.0, 6.0), 1.0, thickness=2.0), horizon=2.1,
+        material=pd.LinearElastic(E=10.0, nu=0.3), conditions=[held, top],
+        cell=pd.Cell((0.0, 0.0), (10.0, 6.0), axes="x"),
+    )  # fmt: skip
+    found = [found for term in pd.prepare(case).problem.terms for found in term.resultants]
+    np.testing.assert_allclose(found[0][2], [10.0, 0.0], atol=1e-12)
+
+
+def test_an_area_of_a_load_on_facets_is_refused():
+    with pytest.raises(pd.CaseError, match="takes no area"):
+        pd.Traction(pd.region.All(), x=1.0, area=3.0)
+    with pytest.raises(pd.CaseError, match="takes no area"):
+        pd.Pressure(pd.region.All(), 1.0, area=3.0)
+
+
+def test_what_fails_in_a_pressure_is_named():
+    plate = shaken_plate()
+    case = uniform(plate, 0.26, [pd.region.Named("-x"), pd.region.Named("+x")])
+    bad = pd.Pressure(pd.region.Named("+y"), lambda x, t: x)
+    with pytest.raises(pd.CaseError, match="value of a SurfacePressure condition"):
+        pd.prepare(pd.Case(**{**vars(case), "conditions": [*case.conditions, bad]}))
+
+
+def test_options_of_a_run_reach_the_solver_of_the_weights(tmp_path):
+    case = uniform(shaken_plate(), 0.26, [pd.region.Named("-x"), pd.region.Named("+x")])
+    result = pd.run(case, tmp_path, options={"weights_pc_type": "jacobi"})
+    assert result.summary["unused_options"] == []
+    notes = [result.summary["scheme"]["note"], pd.run(case, tmp_path).summary["scheme"]["note"]]
+    iterations = [int(note.split(" iterations")[0].split()[-1]) for note in notes]
+    assert iterations[0] > 2 * iterations[1]
+    with pytest.raises(pd.CaseError, match="PETSc refused the solver options"):
+        pd.run(case, tmp_path, options={"weights_pc_type": "nonsense"})

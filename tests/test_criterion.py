@@ -408,3 +408,17 @@ def test_the_strain_of_a_gradient_tears_by_what_it_would_drive(rng):
         drive, length = model.problem.damage.drive, model.failure.length
         assert np.allclose(drive.at_strain(np.full(len(length), 0.01)), 0.01 * length / 0.02, rtol=1e-14)
         assert damaged_body(dim, LAWS[law](FamilyStretch(0.02))).problem.damage.drive.at_strain(length) is None
+
+
+@pytest.mark.parametrize("graded", [True, False])
+def test_a_fracture_energy_of_several_materials_is_refused(graded):
+    soft = pd.BondBased(E=10.0)
+    right = pd.region.Slab("x", low=8.0)
+    several = pd.Graded(soft, lambda x: 1.0 + x[:, 0]) if graded else [(~right, soft), (right, pd.BondBased(E=40.0))]
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (16.0, 8.0), 1.0), horizon=3.015, material=several,
+        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)],
+        damage=pd.Brittle(pd.FractureEnergy(0.05)),
+    )  # fmt: skip
+    with pytest.raises(pd.CaseError, match="FractureEnergy gives one critical stretch, for one material"):
+        pd.prepare(case)

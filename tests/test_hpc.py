@@ -141,7 +141,7 @@ families = find_families(cloud); look()
 problem = make_problem(scene, cloud, families); look()
 refuse_rigid_motion(cloud, families, problem.supports.fixed); look()
 choice = choose(problem, {}, Newton())
-with Options({}, default_options(problem, Newton(), choice)).active():
+with Options({}).suggest(default_options(problem, Newton(), choice)).active():
     solver = StaticSolver(problem, assembler(problem, choice), lambda: False); look()
     u, result = solver.solve(np.zeros((cloud.n_owned, 2)), 1.0); look()
     assert result.converged

@@ -1,5 +1,6 @@
 """Use from Python: results, runs opened again, problems driven by hand, groups of ranks, options, logging."""
 
+import json
 import logging
 import textwrap
 
@@ -218,3 +219,58 @@ def test_groups_of_ranks_run_side_by_side(tmp_path):
         alone = pd.run(bar(pull=pull), tmp_path / "alone").gathered(pd.displacement)
         np.testing.assert_allclose(np.load(tmp_path / f"{name}.npy"), alone, atol=1e-12)
     assert len(pd.open(tmp_path / "group_1").history["t"]) == 4
+
+
+def test_a_result_does_not_show_the_fields_of_a_later_run(tmp_path):
+    first = pd.run(bar(), tmp_path)
+    u = first.field("displacement").copy()
+    second = pd.run(bar(pull=2.0 * PULL), tmp_path)
+    with pytest.raises(pd.CaseError, match="fields of a later run"):
+        first.field("displacement")
+    np.testing.assert_allclose(second.field("displacement"), 2.0 * u, atol=1e-12)
+    np.testing.assert_allclose(first.gathered(pd.displacement), u[:, :2], atol=1e-15)
+
+
+@pytest.mark.parametrize("found", ['{"a": null}', "[1, 2]", '{"a": "x"}'])
+def test_a_summary_with_damaged_results_is_refused(found, tmp_path):
+    (tmp_path / "summary.json").write_text(f'{{"status": "converged", "results": {found}}}')
+    with pytest.raises(pd.CaseError, match="results are not numbers"):
+        pd.open(tmp_path)
+
+
+def test_an_option_for_the_end_of_petsc_is_not_that_of_a_run(tmp_path):
+    """The options of a run have left PETSc when that ends, so nothing reads ``log_view``."""
+    result = pd.run(bar(), tmp_path, options={"log_view": None})
+    assert result.summary["unused_options"] == ["log_view"]
+
+
+NESTED = """
+    import sys
+    sys.path.insert(0, {root!r})
+    from mpi4py import MPI
+    import pdpetsc as pd
+    from tests.test_library import bar
+
+    world = MPI.COMM_WORLD
+    halves = world.Split(world.rank // {size})
+
+    class Inner(pd.Quantity):
+        # One group fails inside the run of all; its ranks agree with each other, not with the others.
+        def evaluate(self, solution):
+            if solution.t > 0.6 and world.rank // {size} == 1:
+                pd.run(bar(horizon=1e-9), {folder!r} + "/inner", comm=halves)
+            return 0.0
+
+    pd.run(bar(history={{"inner": Inner()}}, results=None), {folder!r} + "/outer")
+"""
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_a_group_that_fails_inside_the_run_of_all_ends_that(size, tmp_path):
+    script = tmp_path / "nested.py"
+    script.write_text(textwrap.dedent(NESTED).format(root=str(ROOT), folder=str(tmp_path), size=size))
+    finished = python_on(2 * size, script)
+    assert finished.returncode != 0
+    assert "horizon" in finished.stderr
+    summary = json.loads((tmp_path / "outer" / "summary.json").read_text())
+    assert summary["status"] != "running"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -260,7 +260,15 @@ class LinearDrive(LocalDrive):
 
 
 class Criterion(Declared, ABC):
-    """What drives the damage of a bond; derive a frozen dataclass from it for another one."""
+    """What drives the damage of a bond; derive a frozen dataclass from it for another one.
+
+    Attributes
+    ----------
+    of_one_material : bool
+        Whether what it resolves from the bonds fits a body of one material only.
+    """
+
+    of_one_material: ClassVar[bool] = False
 
     @abstractmethod
     def build(self, bonds: DrivenBonds) -> Drive:

@@ -12,7 +12,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive
 from pdpetsc.declared import numbers_from
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import largest
 from pdpetsc.errors import CaseError
 
 # Families whose energy is this close to the largest one are whole.
@@ -154,6 +154,8 @@ class FractureEnergy(CriticalStretch):
 
     Gc: float
 
+    of_one_material = True
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.Gc) and self.Gc > 0.0):
@@ -163,15 +165,16 @@ class FractureEnergy(CriticalStretch):
         """Return the critical stretch for the bonds of the body (collective).
 
         Breaking all bonds across a unit area with normal ``n`` takes ``G = 1 / V_i sum_j w_ij |xi . n|`` with the
-        energy ``w_ij`` of a bond from one end, averaged over the axes and the whole families of the body.
+        energy ``w_ij`` of a bond from one end, averaged over the axes; of the whole families of the body the median.
         """
         cloud, families = bonds.cloud, bonds.families
         share = 0.5 * toughness(2.0)
         energy = share * bonds.k * bonds.length**2 * np.abs(families.bonds(cloud.x)).mean(axis=1)
         G = np.bincount(families.centres, energy, cloud.n_owned) / cloud.volume[: cloud.n_owned]
         whole = (1.0 - WHOLE) * largest(cloud.comm, float(G.max(initial=0.0))) <= G
-        sums = total(cloud.comm, [float(G[whole].sum()), float(np.count_nonzero(whole))])
-        return ConstantCritical(float(np.sqrt(self.Gc * sums[1] / sums[0])))
+        # Families that are cut by little count as whole; most are not, so that the median is not theirs.
+        middle = float(np.median(np.concatenate(cloud.comm.allgather(G[whole]))))
+        return ConstantCritical(float(np.sqrt(self.Gc / middle)))
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: it is resolved into a number once the stiffness of the bonds is known."""

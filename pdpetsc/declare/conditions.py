@@ -58,14 +58,18 @@ class _Vector(Declared):
         SolveError
             A function or the schedule fails or does not return numbers.
         """
-        if len(x) == 0:  # a function need not know what to do with no particles
-            return np.zeros(0)
-        name = type(self).__name__
-        schedule = self.schedule or (Hold() if callable(component) else Ramp())
-        factor = evaluated(f"schedule of a {name} condition", schedule, (), t, t)
-        if not callable(component):
-            return np.full(len(x), component * factor)
-        return np.asarray(factor * evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
+        return _values(type(self).__name__, component, self.schedule, x, t)
+
+
+def _values(name: str, component: Value, schedule: Schedule | None, x: Float, t: float) -> Float:
+    """Return what a component of a condition called ``name`` is at positions ``x`` and step time ``t`` (n,)."""
+    if len(x) == 0:  # a function need not know what to do with no particles
+        return np.zeros(0)
+    chosen = schedule or (Hold() if callable(component) else Ramp())
+    factor = evaluated(f"schedule of a {name} condition", chosen, (), t, t)
+    if not callable(component):
+        return np.full(len(x), component * factor)
+    return np.asarray(factor * evaluated(f"value of a {name} condition", component, (len(x),), t, x, t))
 
 
 def evaluated(what: str, function: Callable[..., object], shape: tuple[int, ...], t: float, *arguments: Any) -> Float:
@@ -208,6 +212,19 @@ class Traction(_Vector):
         """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.surface_traction(self, name) if self.on_surface else onto.traction(self, name)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.distribution not in ("surface", "layer", "consistent", None):
+            raise CaseError(
+                f'A Traction takes distribution="surface", "layer" or "consistent", not {self.distribution!r}.'
+            )
+        if self.area is not None and not (math.isfinite(self.area) and self.area > 0.0):
+            raise CaseError(f"The area of the face of a Traction is positive, not {self.area}.")
+        if self.area is not None and self.on_surface:
+            raise CaseError(
+                "A Traction on the surface takes no area: it is that of its facets; give a normal for a layer."
+            )
+
     @property
     def on_surface(self) -> bool:
         """Return whether it acts on facets of the surface."""
@@ -219,12 +236,6 @@ class Traction(_Vector):
         length = float(np.linalg.norm(normal)) if normal.shape == (dim,) else 0.0
         if not (math.isfinite(length) and length > 0.0):
             raise CaseError(f"A Traction needs an outward normal of {dim} numbers, not {list(np.ravel(normal))}.")
-        if self.distribution not in ("surface", "layer", "consistent", None):
-            raise CaseError(
-                f'A Traction takes distribution="surface", "layer" or "consistent", not {self.distribution!r}.'
-            )
-        if self.area is not None and not (math.isfinite(self.area) and self.area > 0.0):
-            raise CaseError(f"The area of the face of a Traction is positive, not {self.area}.")
         return normal / length
 
 
@@ -259,7 +270,7 @@ class SurfacePressure(Declared):
 
     def values(self, x: Float, t: float) -> Float:
         """Return ``p`` (n,) [stress] at facets ``x`` (n, dim) and step time ``t``; raises SolveError where it fails."""
-        return _Vector(self.region, self.value, schedule=self.schedule).value(self.value, x, t)
+        return _values(type(self).__name__, self.value, self.schedule, x, t)
 
 
 def Pressure(

@@ -78,8 +78,7 @@ def agreed(comm: Comm) -> Iterator[None]:
         cause = None
     if isinstance(error, RunError) and None not in told:
         error.rank = None
-    # The only communicator besides that of a run is that of one rank alone.
-    error.agreed = comm.size > 1 or MPI.COMM_WORLD.size == 1
+    error.agreed = comm.size
     if error is cause:
         raise error
     raise error from cause

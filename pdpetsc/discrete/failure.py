@@ -39,7 +39,7 @@ def messages_apart(comm: Comm) -> Iterator[None]:
 
     Notes
     -----
-    Collective. Where the body raises the communicator is not freed: ranks may be anywhere then.
+    Collective. It is not freed where ranks may be anywhere, after an error that they have not agreed on.
     """
     if not _apart and MPI.Comm.Compare(comm, world()) in (MPI.IDENT, MPI.CONGRUENT):
         _apart.append(MPI.Intracomm(comm.Dup()))
@@ -49,12 +49,16 @@ def messages_apart(comm: Comm) -> Iterator[None]:
     else:
         own = MPI.Intracomm(comm.Dup())
         _apart.append(own)
+    together = True
     try:
         yield
+    except BaseException as error:
+        together = getattr(error, "agreed", 0) >= comm.size
+        raise
     finally:
         _apart.pop()
-    if own not in _apart:
-        own.Free()
+        if together and own not in _apart:
+            own.Free()
 
 
 def _channel() -> Comm:
@@ -75,7 +79,7 @@ def all_failed(error: BaseException, failure: PdpetscError) -> bool:
     only. Of several that fail each on their own the lowest returns, and the others wait for it to abort them.
     """
     comm = _channel()
-    if comm.size == 1 or failure.agreed:
+    if failure.agreed >= comm.size:
         return True
     stopped = isinstance(error, KeyboardInterrupt)
     patience = SIGNALLED if stopped else FOUND if isinstance(error, PdpetscError) else SURPRISED

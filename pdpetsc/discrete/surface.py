@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.region import Region, View
@@ -17,11 +18,11 @@ from pdpetsc.errors import CaseError
 
 # A surface is closed, and encloses the volume of its particles, up to this share of its area and of that volume.
 CLOSED = 1e-8
-# A facet lies on the side of a periodic cell where it is this near to it, as a share of the period.
+# Two facets are on each other's back where they are this near a whole period apart, as a share of the period.
 ON_SIDE = 1e-9
 # A particle nearer to its facet than this share of the horizon sits on it, as nodes of a mesh do.
 NEAR_FACET = 1e-3
-# Particles behind a facet lie in one plane where an eigenvalue of their moments is this share of the largest.
+# A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8
 
 
@@ -128,16 +129,31 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
 
 
 def _on_periodic_side(cloud: Cloud, x: Float, area: Float) -> Mask:
-    """Return which facets lie on a side of the periodic cell, behind which there are images."""
+    """Return which facets have another one on their back a period away: there are images behind them (collective)."""
     found = np.zeros(len(x), dtype=bool)
     if cloud.images is None:
         return found
-    cell = cloud.images.cell
+    comm, cell = cloud.comm, cloud.images.cell
     size = np.linalg.norm(area, axis=1)
     for axis in cell.periodic:
-        place = (x[:, axis] - cell.origin[axis]) / cell.lengths[axis]
-        across = np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size
-        found |= across & ((np.abs(place) <= ON_SIDE) | (np.abs(place - 1.0) <= ON_SIDE))
+        across = np.flatnonzero(np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size)
+        rank = np.full(len(across), comm.rank)
+        every, areas, ranks = (np.concatenate(comm.allgather(values)) for values in (x[across], area[across], rank))
+        # One period apart along this axis, and whole periods along others.
+        boxes = np.where(np.isin(np.arange(cloud.dim), cell.periodic), cell.lengths, 0.0)
+        places = every - np.asarray(cell.origin)
+        for other in cell.periodic:
+            places[:, other] %= boxes[other]
+            places[boxes[other] - places[:, other] <= ON_SIDE * boxes[other], other] = 0.0
+        reach = ON_SIDE * float(boxes.max())
+        pairs = cKDTree(places).query_pairs(2.0 * reach, output_type="ndarray")
+        opposite = np.abs(areas[pairs[:, 0]] + areas[pairs[:, 1]]).max(axis=1, initial=0.0) <= 2.0 * ON_SIDE * size.max(
+            initial=0.0
+        )
+        apart = np.abs(every[pairs[:, 0], axis] - every[pairs[:, 1], axis]) > 0.5 * boxes[axis]
+        taken = np.zeros(len(every), dtype=bool)
+        taken[np.ravel(pairs[opposite & apart])] = True
+        found[across] |= taken[ranks == comm.rank]
     return found
 
 
@@ -169,7 +185,7 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
 def _interpolated(
     cloud: Cloud, families: Families, x: Float, owner: GlobalIndex
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
-    """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner`` (collective)."""
+    """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
     dim, size = cloud.dim, np.diff(families.indptr)[owner]
     ptr = np.concatenate([[0], np.cumsum(size + 1)]).astype(np.int64)
     of = np.repeat(np.arange(len(x)), size + 1)
@@ -182,18 +198,31 @@ def _interpolated(
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
     unit = np.where(unit > NEAR_FACET * cloud.horizon, unit, 0.25 * cloud.horizon)
     apart = apart / unit
-    phi = np.concatenate([np.ones((len(of), 1)), apart], axis=1)
+    # Directions in which the family has no extent, of a line or a plane of particles, have no slope: facets beside it
+    # are interpolated as if they lay in it, which keeps the sum of a load but not its moment.
+    axes, spread = _extent(cloud, members, of, ptr, unit)
+    along = np.einsum("ei,eij->ej", apart, axes[of]) * spread[of]
+    phi = np.concatenate([np.ones((len(of), 1)), along], axis=1)
     weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4
     moments = np.zeros((len(x), dim + 1, dim + 1))
     for a in range(dim + 1):
         for b in range(dim + 1):
             moments[:, a, b] = np.bincount(of, weight * phi[:, a] * phi[:, b], len(x))
-    low = np.linalg.eigvalsh(moments)
-    alone = int(total(cloud.comm, np.count_nonzero(low[:, 0] < FLAT * low[:, -1])))
-    if alone:
-        raise CaseError(
-            f"{alone} facets of the surface belong to particles with too few neighbours, or with all of them in one "
-            f"plane, to be interpolated from; widen the horizon, or add particles there."
-        )
+    moments[:, 1:, 1:] += np.einsum("fi,ij->fij", 1.0 - spread, np.eye(dim))
     first = np.linalg.inv(moments)[:, :, 0]
     return ptr, members, weight * (phi * first[of]).sum(axis=1)
+
+
+def _extent(cloud: Cloud, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, unit: Float) -> tuple[Float, Float]:
+    """Return principal axes (n, dim, dim) of the particles of each facet, in columns, and 1 where they extend, else 0.
+
+    The second is (n, dim).
+    """
+    dim, n = cloud.dim, len(ptr) - 1
+    around = (cloud.x[members] - cloud.x[members[ptr[:-1]][of]]) / unit
+    second = np.zeros((n, dim, dim))
+    for a in range(dim):
+        for b in range(dim):
+            second[:, a, b] = np.bincount(of, around[:, a] * around[:, b], n)
+    size, axes = np.linalg.eigh(second)
+    return axes, np.where(size > FLAT * np.maximum(size[:, -1:], np.finfo(float).tiny), 1.0, 0.0)

@@ -180,21 +180,23 @@ def conforming(
         # What round-off of many iterations leaves the next round takes.
         multipliers, more = solve(system, near, -left, max(0.1 * TOLERANCE * scale / after, 1e-12))
         changed = g + system.change(multipliers)
-        left = system.excess(changed, s)
-        found = largest(cloud.comm, float(np.abs(left).max(initial=0.0)))
+        rest = system.excess(changed, s)
+        found = largest(cloud.comm, float(np.abs(rest).max(initial=0.0)))
         iterations += more
         if not found < after:
             break
-        g, after = changed, found
+        g, left, after = changed, rest, found
         if after <= TOLERANCE * scale:
             break
     if not after <= TOLERANCE * scale:
-        worst = int(np.argmax(np.abs(left).max(axis=1))) if len(left) else 0
+        found = np.abs(left).max(axis=1, initial=0.0)
+        here = (float(found.max()), cloud.x[int(np.argmax(found))].tolist()) if len(found) else (0.0, [])
+        after, worst = max(cloud.comm.allgather(here))
         raise CaseError(
             f"No conforming weights were found: the divergence theorem is off by {after / scale:.1e} of the weights of "
-            f"a particle after {iterations} iterations, on this rank most near {cloud.x[worst]}; its family is too "
+            f"a particle at {worst} after {iterations} iterations; its family is too "
             f"small to be changed, so widen the horizon, or its facets are not those of its cell."
         )
-    grown = largest(cloud.comm, float(np.abs(g - operator.g).max(initial=0.0) / max(np.abs(operator.g).max(), 1e-300)))
-    note = f"conforming weights, {iterations} iterations, changed by at most {grown:.2g} of the largest"
+    change, size = (largest(cloud.comm, float(np.abs(w).max(initial=0.0))) for w in (g - operator.g, operator.g))
+    note = f"conforming weights, {iterations} iterations, changed by at most {change / size:.2g} of the largest"
     return replace(operator, g=g, note="; ".join(filter(None, [operator.note, note])))

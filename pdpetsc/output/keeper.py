@@ -47,6 +47,8 @@ class Keeper:
     ----------
     history : dict of str to list of float
         The columns so far.
+    run : str
+        What the files of this run say they belong to.
     took_over : bool
         Whether an earlier history was found, where there is a restart.
 
@@ -85,13 +87,13 @@ class Keeper:
             self._remember(row)
         # A run that goes on in its own folder adds to what is there.
         own = origin is not None and origin.inside(folder)
-        self._run: str = origin.record.run if own and origin is not None else comm.bcast(uuid.uuid4().hex)
+        self.run: str = origin.record.run if own and origin is not None else comm.bcast(uuid.uuid4().hex)
         if own and rows is None:
             # A table of other columns, or of another run, is not lost to the one that begins.
             set_history_aside(comm, folder)
         self._broken = None if damage is None else BrokenBonds(comm, folder, damage.bonds, broken)
         first = start.step if own else 0
-        self._fields = FieldWriter(cloud, order, folder, fields, self._run, first) if fields else None
+        self._fields = FieldWriter(cloud, order, folder, fields, self.run, first) if fields else None
         # The work of the next step needs these forces, and by then bonds may have failed.
         _ = start.internal_force
         if self._fields is not None:
@@ -136,7 +138,7 @@ class Keeper:
         if self._broken is not None:
             self._broken.flush()
         if self._every > 0 and self._saved != self._last.step:
-            record = Record(self._run, self._declared, self._row)
+            record = Record(self.run, self._declared, self._row)
             write_checkpoint(self._last, self._order, self._checkpoint, record)
             self._saved = self._last.step
 

@@ -58,6 +58,8 @@ class StoredFields:
     ----------
     folder : Path
         Folder of the run.
+    run : str, optional
+        Which run they must be of.
 
     Raises
     ------
@@ -65,9 +67,13 @@ class StoredFields:
         It holds no fields that can be read; every method raises it too, where there is no such step or field.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, run: str | None = None) -> None:
         self._path = folder / "fields.h5"
         with self._open() as file:
+            if run is not None and file["particles"].attrs["run"] != run:
+                raise CaseError(
+                    f"{folder} holds the fields of a later run; those of this one are in earlier/, or gone."
+                )
             self.steps = sorted(int(group.removeprefix("step_")) for group in file if group.startswith("step_"))
             self.n_particles = len(file["particles/id"])
         if not self.steps:

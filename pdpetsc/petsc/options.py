@@ -53,18 +53,19 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
 class Options:
     """PETSc's options of one run, which are in PETSc's database only while the run uses PETSc.
 
-    What is already there, from the command line or the environment, wins over ``chosen``, which wins over ``defaults``.
+    What is already there, from the command line or the environment, wins over ``chosen``, which wins over what
+    pdpetsc suggests.
     Two runs in one process, one after the other, in turns or one inside the other, do not see each other's.
 
     Parameters
     ----------
     chosen : mapping
         What case and caller ask for; a value of None stands for an option without value.
-    defaults : mapping
-        What pdpetsc suggests.
 
     Attributes
     ----------
+    chosen : mapping
+        As given.
     in_force : dict
         Value and source of every option, by name.
 
@@ -77,13 +78,20 @@ class Options:
     # Those whose options are in the database, the last one for PETSc to see.
     _active: ClassVar[list[Options]] = []
 
-    def __init__(self, chosen: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
+    def __init__(self, chosen: Mapping[str, Any]) -> None:
         refuse_names(chosen)
-        self._chosen, self._defaults = chosen, defaults
+        self.chosen: Mapping[str, Any] = chosen
+        self._defaults: dict[str, Any] = {}
         self._inserted: list[str] = []
         self._used: set[str] = set()
+        self.suggest({})
+
+    def suggest(self, defaults: Mapping[str, Any]) -> Options:
+        """Add what pdpetsc suggests, and return them."""
+        self._defaults |= defaults
         with self.active():
             self.in_force = self._found()
+        return self
 
     @contextlib.contextmanager
     def active(self) -> Iterator[None]:
@@ -104,20 +112,23 @@ class Options:
     def unused(self) -> list[str]:
         """Return the options in force that nothing has looked up (not collective).
 
-        Those that pdpetsc suggests are not among them, nor those that PETSc reads when it ends.
+        Those that pdpetsc suggests are not among them, nor those of command line and environment that PETSc reads when
+        it ends: those of a case are gone by then.
         """
         self._note_used()
         return [
             name
             for name, option in self.in_force.items()
-            if option["from"] != "pdpetsc" and not name.startswith(READ_AT_THE_END) and name not in self._used
+            if option["from"] != "pdpetsc"
+            and name not in self._used
+            and (option["from"] == "case" or not name.startswith(READ_AT_THE_END))
         ]
 
     def _insert(self) -> None:
         database = PETSc.Options()
         # Asking for a name would count as its use.
         there = {name.lower() for name in database.getAll()}
-        for name, value in [*self._chosen.items(), *self._defaults.items()]:
+        for name, value in [*self.chosen.items(), *self._defaults.items()]:
             if name.lower() not in there:
                 database.setValue(name, _text(value))
                 there.add(name.lower())
@@ -135,7 +146,7 @@ class Options:
         self._used |= {name for name in getattr(self, "in_force", {}) if option_used(name)}
 
     def _found(self) -> dict[str, dict[str, Any]]:
-        sources = {"case": self._chosen, "environment": _environment(), "pdpetsc": self._defaults}
+        sources = {"case": self.chosen, "environment": _environment(), "pdpetsc": self._defaults}
         found: dict[str, dict[str, Any]] = {}
         for name, value in sorted(PETSc.Options().getAll().items()):
             if name != SKIP_FILES:

@@ -63,7 +63,9 @@ class _Preconditioner:
         self._inner.apply(x, y)
 
 
-def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float) -> tuple[Float, int]:
+def solve_scalar(
+    system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float, options: Options | None = None
+) -> tuple[Float, int]:
     """Return the solutions of a system whose null space are linear functions, and the iterations of all of them.
 
     Parameters
@@ -74,6 +76,8 @@ def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float
         Right-hand sides, of which every one is solved for.
     rtol : float
         Relative tolerance of the residual.
+    options : Options, optional
+        Those of the run, which may change the solver; none but the command line's by default.
 
     Notes
     -----
@@ -82,7 +86,8 @@ def solve_scalar(system: ScalarSystem, near: csr_matrix, rhs: Float, rtol: float
     cloud = system.cloud
     sizes = (cloud.n_owned, cloud.n_global)
     found = np.zeros_like(rhs)
-    options = Options({}, FACTOR if cloud.n_global <= DIRECT[cloud.dim] else MULTIGRID)
+    options = Options({}) if options is None else options
+    options.suggest(FACTOR if cloud.n_global <= DIRECT[cloud.dim] else MULTIGRID)
     operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -25,6 +26,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
+from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import solve_scalar
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.body import Body
@@ -69,8 +71,8 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None
     refuse_beyond_memory(comm, bonds * each / comm.size, what)
 
 
-def make_problem(case: Case, cloud: Cloud, families: Families) -> Problem:
-    """Return the problem of a case on a distributed cloud (collective)."""
+def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
+    """Return the problem of a case on a distributed cloud, set up with PETSc options of its run (collective)."""
     if int(total(cloud.comm, len(families.neighbours))) == 0:
         raise CaseError(
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
@@ -82,7 +84,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families) -> Problem:
         with agreed(cloud.comm):
             facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
         surface = surface_of(cloud, families, facets)
-    return _problem(case, Body(cloud, families, surface), materials, material_of, factor)
+    return _problem(case, Body(cloud, families, surface), materials, material_of, factor, options)
 
 
 def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
@@ -125,15 +127,18 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
 
 
 def _problem(
-    case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None
-) -> Problem:
+    case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None,
+    options: Options | None = None,
+) -> Problem:  # fmt: skip
     cloud, families = body.cloud, body.families
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     with agreed(cloud.comm):
         omega = evaluate(case.influence, length / cloud.horizon)
     bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
-    make = _bonds if case.of_bonds else _points
-    matter, others, damage = make(case, body, bonds, materials, material_of, factor)
+    if case.of_bonds:
+        matter, others, damage = _bonds(case, body, bonds, materials, material_of, factor)
+    else:
+        matter, others, damage = _points(case, body, bonds, materials, material_of, factor, options)
     supports, loads = apply(body, matter, case.conditions, case.particles)
     extra = []
     for number, declared in enumerate(case.terms, 1):
@@ -153,6 +158,7 @@ def _bonds(
     matter = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
     if case.damage is None:
         return matter, [], None
+    _refuse_several(case.damage, materials, factor)
     damage = _failing(case.damage, body, bonds, matter.k, matter.finite)
     matter.take_damage(damage)
     return matter, [], damage
@@ -160,7 +166,7 @@ def _bonds(
 
 def _points(
     case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
-    material_of: LocalIndex, factor: Float | None,
+    material_of: LocalIndex, factor: Float | None, options: Options | None,
 ) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
     """Return the terms of a body with deformation gradients (collective)."""
     continuum = cast(Sequence[Material], materials)
@@ -168,11 +174,13 @@ def _points(
     matter: Matter
 
     def weigh(operator: GradientOperator) -> GradientOperator:
-        return case.weights.of(operator, body.cloud, body.families, body.surface, solve_scalar)
+        solve = partial(solve_scalar, options=options)
+        return case.weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None:
         alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in continuum]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
+        _refuse_several(case.damage, materials, factor)
         damage = _failing(case.damage, body, bonds, k, finite=True)
         matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
@@ -186,6 +194,15 @@ def _points(
 def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:
     """Return the damage of bonds of stiffness ``k`` (n_bonds,) (collective)."""
     return make_damage(declared, body, bonds.omega, k, finite, _protected(declared, body.cloud))
+
+
+def _refuse_several(declared: BondDamage, materials: Sequence[Material | BondMaterial], factor: Float | None) -> None:
+    """Raise CaseError where what drives damage is resolved for a body of one material, and there are several."""
+    if declared.criterion.of_one_material and (factor is not None or any(one != materials[0] for one in materials)):
+        raise CaseError(
+            f"{type(declared.criterion).__name__} gives one critical stretch, for one material; in a graded body, "
+            f"or one of several materials, give critical stretches by place with CriticalFunction."
+        )
 
 
 def _protected(declared: BondDamage, cloud: Cloud) -> Mask | None:

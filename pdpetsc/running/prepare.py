@@ -18,7 +18,7 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.petsc.defaults import default_options
 from pdpetsc.petsc.jacobian import Choice, assembler, choose
 from pdpetsc.petsc.matrix import predicted_bytes
-from pdpetsc.petsc.options import Options, refuse_names
+from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import make_cloud, make_problem, rehearse
@@ -47,7 +47,7 @@ class Prepared:
     Every method is collective on ``comm``.
     """
 
-    def __init__(self, case: Case, problem: Problem, chosen: Mapping[str, Any], phases: Phases) -> None:
+    def __init__(self, case: Case, problem: Problem, chosen: Options, phases: Phases) -> None:
         self.case = case
         self.problem = problem
         self.phases = phases
@@ -66,12 +66,12 @@ class Prepared:
     @cached_property
     def choice(self) -> Choice:
         """Return how the tangent is represented."""
-        return choose(self.problem, self._chosen, self.case.solver)
+        return choose(self.problem, self._chosen.chosen, self.case.solver)
 
     @cached_property
     def options(self) -> Options:
         """Return PETSc's options of this problem: the caller's, the case's, and what suits it."""
-        return Options(self._chosen, default_options(self.problem, self.case.solver, self.choice))
+        return self._chosen.suggest(default_options(self.problem, self.case.solver, self.choice))
 
     def solution(self, unknowns: Float | None = None, t: float = 0.0, step: int = 0) -> Solution:
         """Return a solution, for fields and quantities: the undeformed body by default.
@@ -183,8 +183,7 @@ def prepare(
     """
     ranks = communicator(comm)
     phases = Phases() if phases is None else phases
-    chosen = {**case.options, **(options or {})}
-    refuse_names(chosen)
+    chosen = Options({**case.options, **(options or {})})
     with phases.timed("particles"):
         cloud = make_cloud(ranks, case)
         with agreed(ranks):
@@ -194,6 +193,6 @@ def prepare(
     with phases.timed("families"):
         families = find_families(cloud, case.cracks)
     with phases.timed("model"):
-        problem = make_problem(case, cloud, families)
+        problem = make_problem(case, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)
     return Prepared(case, problem, chosen, phases)

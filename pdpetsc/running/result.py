@@ -42,13 +42,14 @@ class Result(Mapping[str, float]):
 
     def __init__(
         self, folder: Path, results: Mapping[str, float], history: Mapping[str, Any], summary: Mapping[str, Any],
-        solution: Solution | None = None,
+        solution: Solution | None = None, run: str | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.history: dict[str, Float] = {name: np.asarray(values, dtype=float) for name, values in history.items()}
         self.summary = dict(summary)
         self.solution = solution
         self._results = dict(results)
+        self._run = run
 
     def __getitem__(self, name: str) -> float:
         return self._results[name]
@@ -70,12 +71,12 @@ class Result(Mapping[str, float]):
         Raises
         ------
         CaseError
-            The run wrote none.
+            The run wrote none, or a later one has taken its folder.
         """
-        return StoredFields(self.folder)
+        return StoredFields(self.folder, self._run)
 
     def field(self, name: str, step: int | None = None) -> NDArray[Any]:
-        """Return a field of all particles in creation order, of the last step by default (not collective).
+        """Return a field of all particles in creation order, of the last step that has any by default (not collective).
 
         Vectors are (n, 3) and tensors (n, 3, 3), whatever the dimension of the body.
 
@@ -141,6 +142,9 @@ def open_run(folder: str | Path) -> Result:
     """
     folder = Path(folder)
     summary = read_summary(folder)
-    results = {str(name): float(value) for name, value in dict(summary.get("results") or {}).items()}
+    try:
+        results = {str(name): float(value) for name, value in dict(summary.get("results") or {}).items()}
+    except (TypeError, ValueError) as error:
+        raise CaseError(f"{folder} holds a summary.json whose results are not numbers: {error}.") from error
     history = read_history(folder) if (folder / "history.csv").exists() else {}
     return Result(folder, results, history, summary)

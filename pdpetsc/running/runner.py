@@ -193,7 +193,7 @@ class _Run:
         failure = described(error)
         if isinstance(failure, RunError):
             failure.phase = failure.phase or self.phase
-            if failure.rank is None and self.comm.size > 1 and not failure.agreed:
+            if failure.rank is None and self.comm.size > 1 and failure.agreed < self.comm.size:
                 failure.rank = self.comm.rank
         if isinstance(error, KeyboardInterrupt):
             kept = "results are complete up to the step before" if self.taken else "nothing was run"
@@ -201,14 +201,14 @@ class _Run:
         self.signals.deaf = True
         together = all_failed(error, failure)
         self.signals.deaf = not together
-        if isinstance(failure, RunError) and together and not failure.agreed:
+        if isinstance(failure, RunError) and together and failure.agreed < self.comm.size:
             failure.rank = None
         failure = self._of_right_status(failure, together)
         if isinstance(failure, RunError) and failure.bug and ((together and is_root(self.comm)) or not together):
             self._write_traceback(error)
         if not together:
             self._leave(failure)
-        failure.agreed = True
+        failure.agreed = self.comm.size
         if not self.taken:
             return failure
         said = str(failure)
@@ -236,7 +236,7 @@ class _Run:
     def _of_right_status(self, failure: PdpetscError, together: bool) -> PdpetscError:
         """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
         if isinstance(failure, RunError) and not self.steps:
-            if failure.of_option and self.phase in ("set-up", "solve"):
+            if failure.of_option and self.phase in ("kernels", "model", "set-up", "solve"):
                 return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
             if failure.of_user and not self.taken and failure.exit_status == 1:
                 failure.exit_status = CaseError.exit_status
@@ -356,7 +356,7 @@ class _Run:
                 f'Steps(unstable="shorten") end the run before.'
             )
         self._show(results)
-        return Result(self.folder, results, self.history, summary, keeper.last)
+        return Result(self.folder, results, self.history, summary, keeper.last, keeper.run)
 
     def _try_records(self, start: Solution) -> None:
         """Evaluate once what the case asks for, before files of an earlier run are replaced (collective).

@@ -121,7 +121,8 @@ class SurfaceLoads(Term):
         self._applied.append(applied)
         self._last = None
         try:
-            sums = [total(self.body.cloud.comm, self._sum([applied], t).sum(axis=0)) for t in SHOWN]
+            n = self.body.cloud.n_owned
+            sums = [total(self.body.cloud.comm, self._sum([applied], t)[:n].sum(axis=0)) for t in SHOWN]
         except SolveError as error:
             raise CaseError(str(error)) from error
         acting = next((number for number, force in enumerate(sums) if force.any()), 0)

@@ -41,7 +41,7 @@ def measure(scene, updates):
     cloud = make_cloud(world(), scene)
     problem = make_problem(scene, cloud, find_families(cloud))
     choice = choose(problem, {}, EventDriven())
-    with Options({}, default_options(problem, EventDriven(), choice)).active():
+    with Options({}).suggest(default_options(problem, EventDriven(), choice)).active():
         solver = EventSolver(problem, Assembler(problem), EventDriven(updates), lambda: False)
         start = np.zeros((cloud.n_rows, problem.dim))
         spent, before = [], time.perf_counter()

@@ -73,7 +73,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     supports = problem.supports
     chosen = {"pd_jacobian": jacobian}
     choice = choose(problem, chosen, Newton())
-    with Options(chosen, default_options(problem, Newton(), choice)).active():
+    with Options(chosen).suggest(default_options(problem, Newton(), choice)).active():
         with clock("pattern"):
             filled = assembler(problem, choice)
         with clock("allocation"):

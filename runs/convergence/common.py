@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 import pdpetsc as pd
 
 sys.path.append(str(Path(__file__).parent.parent))
-from patch.tension import shaken  # noqa: E402
+from patch.tension import shaken
 
 # Particles within this many spacings of a place at the surface give the stress there.
 REACH = 2.6
@@ -41,15 +41,12 @@ def of_cells(points, cells, x=None):
     free = np.flatnonzero(count[np.ravel(inverse)] == 1)
     start, end = points[edges[free, 0]], points[edges[free, 1]]
     along = end - start
-    facets = pd.Facets(
-        0.5 * (start + end), np.stack([along[:, 1], -along[:, 0]], axis=1), np.repeat(np.arange(len(cells)), 4)[free]
-        if cells.shape[1] == 4 else np.repeat(np.arange(len(cells)), 3)[free],
-    )  # fmt: skip
+    facets = pd.Facets(0.5 * (start + end), np.stack([along[:, 1], -along[:, 0]], axis=1), free // cells.shape[1])
     return pd.Arrays(centroid if x is None else x, area, facets=facets)
 
 
 def grid_cells(n, m, closed=False):
-    """Return the quadrilaterals (n m, 4) of a grid of nodes, (m + 1) to a row; ``closed`` joins the last to the first."""
+    """Return the quadrilaterals (n m, 4) of a grid of nodes, m + 1 to a row, or m where its ends are joined."""
     i, j = (index.ravel() for index in np.indices((n, m)))
     columns = m if closed else m + 1
 
@@ -108,10 +105,10 @@ class ErrorL2(pd.Quantity):
 
     @staticmethod
     def _rigid_part(solution, difference):
-        x, one = solution.x, np.ones(len(solution.x))
-        motions = np.stack([
-            np.stack([one, 0.0 * one], axis=1), np.stack([0.0 * one, one], axis=1), np.stack([-x[:, 1], x[:, 0]], axis=1),
-        ])  # fmt: skip
+        x = solution.x
+        motions = np.zeros((3, *x.shape))
+        motions[0, :, 0] = motions[1, :, 1] = 1.0
+        motions[2] = np.stack([-x[:, 1], x[:, 0]], axis=1)
         weighted = motions * solution.volume[:, None]
         gram = solution.sum(np.einsum("anc,bnc->ab", weighted, motions))
         moments = solution.sum(np.einsum("anc,nc->a", weighted, difference))
@@ -120,7 +117,7 @@ class ErrorL2(pd.Quantity):
 
 @dataclass(frozen=True)
 class SurfaceStressError(pd.Quantity):
-    """Error of the stress along the surface, the root of the mean square over places on it by that of the exact one [-].
+    """Relative error of the stress along the surface, root of the mean square over places on it [-].
 
     The stress at a place is that of the linear function that fits the mean Cauchy stress of the particles within
     ``REACH`` spacings best. ``places`` are reference positions (n, 2), ``along`` the tangents there (n, 2).

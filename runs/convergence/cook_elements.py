@@ -1,12 +1,12 @@
 """Cook's membrane by finite elements: python runs/convergence/cook_elements.py writes cook_elements.json.
 
-Biquadratic quadrilaterals (scikit-fem), finer towards the sides, since corners are singular; the same neo-Hookean law, plane strain, a dead shear traction on the right, Newton's method in five steps. Stored
-are the displacements of all nodes as a grid, with the relative change in the L2 norm, at the particles of a cloud of
-``CHECK`` a side, from a mesh of half as many elements each way, of displacement and Cauchy stress.
+Biquadratic quadrilaterals (scikit-fem), finer towards the sides, since corners are singular; the same neo-Hookean law,
+plane strain, a dead shear traction on the right, Newton's method in five steps. Stored are the displacements of all
+nodes as a grid, and what half as many elements each way change, of displacement and Cauchy stress, relative and in the
+L2 norm over a cloud of ``CHECK`` particles a side.
 """
 
 import json
-import sys
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,6 +16,7 @@ STORE = Path(__file__).with_suffix(".json")
 CORNERS = np.array([[0.0, 0.0], [48.0, 44.0], [48.0, 60.0], [0.0, 44.0]])
 LENGTH = 48.0
 E, NU, SHEAR = 1.0, 0.3, 0.03
+# Elements a side, and particles a side that they are compared at.
 ELEMENTS, CHECK = 32, 32
 
 
@@ -52,8 +53,7 @@ def middles(s):
 
 def solved(n):
     """Return the displacements (2 n + 1, 2 n + 1, 2) at the corners, sides and middles of n x n elements."""
-    from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad, asm
-    from skfem import condense, solve
+    from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad, asm, condense, solve
 
     # In units of the length, which the elements of skfem are found with.
     mesh = MeshQuad.init_tensor(line(n), line(n))
@@ -64,8 +64,7 @@ def solved(n):
     right = mesh.facets_satisfying(lambda x: np.abs(x[0] - 1.0) < 1e-12)
     ends = mesh.facets[:, right]
     share = SHEAR * np.abs(np.diff(mesh.p[1, ends], axis=0)[0]) / 6.0
-    load = np.zeros(basis.N)
-    load += np.bincount(basis.nodal_dofs[1, ends].ravel(), np.tile(share, 2), basis.N)
+    load = np.bincount(basis.nodal_dofs[1, ends].ravel(), np.tile(share, 2), basis.N)
     load[basis.facet_dofs[1, right]] = 4.0 * share
     held = basis.get_dofs(lambda x: np.abs(x[0]) < 1e-12).all()
     lam, mu = lame()
@@ -172,4 +171,4 @@ def main():
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

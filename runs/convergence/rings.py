@@ -28,8 +28,9 @@ def quads(n):
 
 def triangles(n, shake, seed):
     """Return triangles as large as the cells of the others, whose inner nodes are moved by up to ``shake`` sides."""
-    rings = max(round(n * np.sqrt(np.sqrt(3.0) / 4.0) / np.sqrt(0.75)), 2)
-    random, points = np.random.default_rng(seed), []
+    # Equilateral triangles of area a have the height sqrt(sqrt(3) a).
+    rings = max(round(n / 3.0**0.25), 2)
+    random, points, inside = np.random.default_rng(seed), [], 0
     for radius in np.linspace(INNER, OUTER, rings + 1):
         # Equilateral triangles of the height of the rings have sides 2 / sqrt(3) as long.
         m = round(2.0 * np.pi * radius * rings * np.sqrt(0.75))
@@ -37,8 +38,8 @@ def triangles(n, shake, seed):
         on = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         if INNER < radius < OUTER:
             on += shake / (rings * np.sqrt(0.75)) * random.uniform(-1.0, 1.0, on.shape)
-        else:
-            inside = m if radius == INNER else inside
+        elif radius == INNER:
+            inside = m
         points.append(on)
     points = np.concatenate(points)
     cells = Delaunay(points).simplices

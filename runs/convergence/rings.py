@@ -18,12 +18,17 @@ def lattice(n):
     return pd.Lattice(-side, side, (OUTER - INNER) / n, keep=inside)
 
 
-def quads(n):
-    """Return the cells between n + 1 circles and as many rays as make them square in the middle."""
+def polar(n):
+    """Return nodes and quadrilaterals between n + 1 circles and as many rays as make them square in the middle."""
     m = round(np.pi * (INNER + OUTER) / (OUTER - INNER) * n)
     radius, angle = np.meshgrid(np.linspace(INNER, OUTER, n + 1), np.arange(m) * 2.0 * np.pi / m, indexing="ij")
     points = np.stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()], axis=1)
-    return common.of_cells(points, common.grid_cells(n, m, closed=True))
+    return points, common.grid_cells(n, m, closed=True)
+
+
+def quads(n):
+    """Return the particles of the polar quadrilaterals."""
+    return common.of_cells(*polar(n))
 
 
 def triangles(n, shake, seed):

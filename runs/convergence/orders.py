@@ -1,7 +1,7 @@
 """Orders of convergence of standard and conforming weights: python runs/convergence/orders.py [folder [case ...]].
 
 Leaves ``orders.csv`` with the errors of three sizes, the slopes of the lines that fit their logarithms best and those
-between the last two, ``numbers.json`` with the first slopes, and a picture per case. Errors of shaken clouds are the
+between the last two, ``numbers.json`` with the first slopes, and a picture per case and cloud. Errors of shaken clouds are the
 roots of the mean squares over ``SEEDS``: those of one cloud scatter. A row whose weights were refused has no numbers.
 It takes about four minutes.
 """
@@ -73,7 +73,7 @@ def order(sizes, values):
 
 
 def study_of(folder, name):
-    """Run one case; return rows of the table, orders by name, curves of the error of the displacement."""
+    """Run one case; return rows of the table, orders by name, errors of the displacement as curves of each cloud."""
     module, sizes, clouds = CASES[name]
     rows, numbers, curves = [], {}, {}
     for cloud, (methods, parameters) in clouds.items():
@@ -97,7 +97,7 @@ def study_of(folder, name):
                     rows.append((name, cloud, weights, method, error, *values, slope, order(sizes[1:], values[1:])))
                     print(*(f"{v:.3g}" if isinstance(v, float) else v for v in rows[-1]), sep=" | ", flush=True)
                     numbers[f"{name}, {cloud}, {weights}, {method}, {error}"] = slope
-                curves[f"{cloud}, {weights}, {method}"] = (sizes, [of_size["error_u"] for of_size in found])
+                curves.setdefault(cloud, {})[f"{weights}, {method}"] = (sizes, [of_size["error_u"] for of_size in found])
     return rows, numbers, curves
 
 
@@ -110,13 +110,13 @@ def main():
         rows += found
         numbers |= slopes
         sizes = np.array(CASES[name][1], dtype=float)
-        top = max(values[0] for _, values in curves.values())
-        for power in (1, 2):
-            curves[f"order {power}"] = sizes, top * (sizes[0] / sizes) ** power
-        study.write_curves(
-            folder, name, f"{name}: relative error of the displacement", ["n", "error"], curves,
-            reference=("order 1", "order 2"), xscale="log", yscale="log",
-        )  # fmt: skip
+        for cloud, of_cloud in curves.items():
+            top = max(values[0] for _, values in of_cloud.values())
+            powers = {f"order {power}": (sizes, top * (sizes[0] / sizes) ** power) for power in (1, 2)}
+            study.write_curves(
+                folder, f"{name}_{cloud.replace(' ', '_')}", f"{name}, {cloud}: relative error of the displacement",
+                ["n", "error"], of_cloud | powers, reference=powers, xscale="log", yscale="log",
+            )  # fmt: skip
     header = ("case", "cloud", "weights", "method", "error", "size 1", "size 2", "size 3", "order", "last order")
     study.write_table(folder, "orders", header, rows)
     study.write_numbers(folder, numbers)

@@ -1,9 +1,9 @@
 """Orders of convergence of standard and conforming weights: python runs/convergence/orders.py [folder [case ...]].
 
 Leaves ``orders.csv`` with the errors of three sizes, the slopes of the lines that fit their logarithms best and those
-between the last two, ``numbers.json`` with the first slopes, and a picture per case and cloud. Errors of shaken clouds are the
-roots of the mean squares over ``SEEDS``: those of one cloud scatter. A row whose weights were refused has no numbers.
-It takes about four minutes.
+between the last two, ``numbers.json`` with the first slopes, and a picture per case and cloud. Errors of shaken clouds
+are the roots of the mean squares over ``SEEDS``: those of one cloud scatter. A row whose weights were refused has no
+numbers. It takes about four minutes.
 """
 
 import sys
@@ -97,7 +97,8 @@ def study_of(folder, name):
                     rows.append((name, cloud, weights, method, error, *values, slope, order(sizes[1:], values[1:])))
                     print(*(f"{v:.3g}" if isinstance(v, float) else v for v in rows[-1]), sep=" | ", flush=True)
                     numbers[f"{name}, {cloud}, {weights}, {method}, {error}"] = slope
-                curves.setdefault(cloud, {})[f"{weights}, {method}"] = (sizes, [of_size["error_u"] for of_size in found])
+                of_u = [of_size["error_u"] for of_size in found]
+                curves.setdefault(cloud, {})[f"{weights}, {method}"] = sizes, of_u
     return rows, numbers, curves
 
 

@@ -19,6 +19,7 @@ FOLDERS = {
     "singular_bar": "Bars whose modulus vanishes: zero-energy modes and their cures",
     "plasticity": "Elastic-plastic plate and beam",
     "patch": "Patch tests, eigenvalues, clouds without a lattice",
+    "convergence": "Orders of convergence against exact solutions and finite elements",
     "hard": "Large strains and shaken clouds: what every method makes of hard cases",
     "bonds": "Bond-based and state-based materials against closed forms",
     "fracture": "Cracks, softening, complete separation",

@@ -1,0 +1,40 @@
+"""Thick ring under internal pressure, plane strain, against the solution of Lame.
+
+Radii 1 and 2, ``n`` particles across. ``mesh`` is ``quads`` (polar), ``triangles`` (irregular, their nodes moved by up
+to ``shake``) or ``lattice``, whose round surfaces are staircases: it loads and bounds a body with corners of one
+spacing. ``error_surface`` is that of the hoop stress at the inner surface.
+"""
+
+import common
+import numpy as np
+import rings
+
+import pdpetsc as pd
+
+E, NU, PRESSURE = 1.0, 0.3, 0.1
+A = PRESSURE * rings.INNER**2 / (rings.OUTER**2 - rings.INNER**2)
+B = A * rings.OUTER**2
+
+
+def displacement(x, t):
+    r = np.linalg.norm(x, axis=1)
+    return (1.0 + NU) / E * ((1.0 - 2.0 * NU) * A + B / r**2)[:, None] * x
+
+
+def stress(x, t):
+    r = np.linalg.norm(x, axis=1)
+    return rings.radial(x, A - B / r**2, A + B / r**2)
+
+
+def case(
+    n=12, mesh="quads", shake=0.2, seed=0, scheme="correspondence", weights="conforming", horizon=2.015, G=0.5,
+):  # fmt: skip
+    particles = rings.cloud(mesh, n, shake, seed)
+    spacing = common.spacing_of(particles)
+    return pd.Case(
+        particles=particles,
+        material=pd.LinearElastic(E=E, nu=NU),
+        conditions=[*rings.supports(displacement), pd.Pressure(rings.HOLE, PRESSURE)],
+        **common.common(scheme, weights, horizon, G, spacing),
+        **common.errors(displacement, stress, surface=rings.inner_surface(A + B, spacing)),
+    )

@@ -227,6 +227,34 @@ def test_unstructured_meshes_pass_the_patch_test(at, scheme, tmp_path):
     assert pd.run(case, tmp_path / "out")["F"] < 1e-8 * 1e-3
 
 
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons", "stress_points"])
+def test_a_plane_that_nodes_of_a_mesh_hold_carries_the_exact_stress(scheme, tmp_path):
+    """Supports that hold the boundary take all of the reaction: a plate on rollers is in the uniform state up to it."""
+    E, nu, pull = 1000.0, 0.3, 1.0
+    F = np.diag([1.0 + (1.0 - nu**2) * pull / E, 1.0 - nu * (1.0 + nu) * pull / E])
+    case = pd.Case(
+        particles=pd.MeshNodes(written(tmp_path / "plate.xdmf")),
+        horizon=2.2 / 6,
+        material=pd.LinearElastic(E=E, nu=nu),
+        scheme=pd.SCHEMES[scheme],
+        weights=pd.Conforming(),
+        control=pd.Silling(0.5) if scheme == "correspondence" else None,
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=1e-9), x=0.0),
+            pd.Displacement(pd.region.Nearest((0.0, 0.0)), y=0.0),
+            pd.Traction(pd.region.Slab("x", low=2.0 - 1e-9), x=pull),
+        ],
+        history={
+            "F": pd.LargestError(pd.deformation_gradient, lambda x, t: np.eye(2) + t * (F - np.eye(2))),
+            "force": pd.Reaction("x", pd.region.Slab("x", high=1e-9)),
+        },
+        results=lambda h: {"F": h["F"][-1], "force": h["force"][-1]},
+    )
+    found = pd.run(case, tmp_path / "out")
+    assert found["F"] < 1e-8 * 1e-3
+    assert found["force"] == pytest.approx(-pull, rel=1e-9)
+
+
 def test_tags_of_a_lattice_and_regions_give_the_same_load(tmp_path):
     lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125, thickness=0.5)
     named = [pd.region.Named("-x"), pd.region.Named("+x")]

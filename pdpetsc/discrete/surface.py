@@ -21,7 +21,7 @@ CLOSED = 1e-8
 # Two facets are on each other's back where they are this near a whole period apart, as a share of the period.
 ON_SIDE = 1e-9
 # A particle nearer to its facet than this share of the horizon sits on it, as nodes of a mesh do.
-NEAR_FACET = 1e-3
+NEAR_FACET = 1e-6
 # A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8
 
@@ -125,7 +125,7 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     x, area, owner = np.ascontiguousarray(x[kept]), np.ascontiguousarray(area[kept]), owner[kept]
     tagged = {name: packed[kept, 2 * dim + n] > 0.5 for n, name in enumerate(names)}
     _refuse_open(cloud, x, area)
-    return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, owner))
+    return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, area, owner))
 
 
 def _on_periodic_side(cloud: Cloud, x: Float, area: Float) -> Mask:
@@ -183,7 +183,7 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
 
 
 def _interpolated(
-    cloud: Cloud, families: Families, x: Float, owner: GlobalIndex
+    cloud: Cloud, families: Families, x: Float, area: Float, owner: GlobalIndex
 ) -> tuple[GlobalIndex, LocalIndex, Float]:
     """Return ``ptr``, ``members`` and ``N`` of facets at ``x`` of the own particles ``owner``."""
     dim, size = cloud.dim, np.diff(families.indptr)[owner]
@@ -200,10 +200,11 @@ def _interpolated(
     apart = apart / unit
     # Directions in which the family has no extent, of a line or a plane of particles, have no slope: facets beside it
     # are interpolated as if they lay in it, which keeps the sum of a load but not its moment.
-    axes, spread = _extent(cloud, members, of, ptr, unit)
+    on_face = _on_face(cloud, area, members, of, ptr, apart * unit)
+    axes, spread = _extent(cloud, members, of, ptr, unit, on_face)
     along = np.einsum("ei,eij->ej", apart, axes[of]) * spread[of]
     phi = np.concatenate([np.ones((len(of), 1)), along], axis=1)
-    weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4
+    weight = (1.0 + 0.25 * (apart**2).sum(axis=1)) ** -4 * on_face
     moments = np.zeros((len(x), dim + 1, dim + 1))
     for a in range(dim + 1):
         for b in range(dim + 1):
@@ -213,7 +214,20 @@ def _interpolated(
     return ptr, members, weight * (phi * first[of]).sum(axis=1)
 
 
-def _extent(cloud: Cloud, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, unit: Float) -> tuple[Float, Float]:
+def _on_face(cloud: Cloud, area: Float, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, apart: Float) -> Float:
+    """Return 1 for the particles that a facet is interpolated from, 0 for others (n_entries,).
+
+    Where the particle behind it sits on the facet, as nodes of a mesh do, these are the ones in its plane: a force on
+    it then acts on the boundary alone, and all of it on supports where these hold the boundary.
+    """
+    normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
+    off = np.abs(np.einsum("ei,ei->e", apart, normal[of])) > NEAR_FACET * cloud.horizon
+    return np.where(off & ~off[ptr[:-1]][of], 0.0, 1.0)
+
+
+def _extent(
+    cloud: Cloud, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex, unit: Float, taken: Float
+) -> tuple[Float, Float]:
     """Return principal axes (n, dim, dim) of the particles of each facet, in columns, and 1 where they extend, else 0.
 
     The second is (n, dim).
@@ -223,6 +237,6 @@ def _extent(cloud: Cloud, members: LocalIndex, of: GlobalIndex, ptr: GlobalIndex
     second = np.zeros((n, dim, dim))
     for a in range(dim):
         for b in range(dim):
-            second[:, a, b] = np.bincount(of, around[:, a] * around[:, b], n)
+            second[:, a, b] = np.bincount(of, taken * around[:, a] * around[:, b], n)
     size, axes = np.linalg.eigh(second)
     return axes, np.where(size > FLAT * np.maximum(size[:, -1:], np.finfo(float).tiny), 1.0, 0.0)

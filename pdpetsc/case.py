@@ -141,8 +141,9 @@ class Case(Declared):
 
     @property
     def needs_surface(self) -> bool:
-        """Return whether weights or loads need the facets of the surface."""
-        return self.weights.conform or any(getattr(condition, "on_surface", False) for condition in self.conditions)
+        """Return whether weights, loads or quantities need the facets of the surface."""
+        asked = [*self.conditions, *self.history.values()]
+        return self.weights.conform or any(getattr(one, "on_surface", False) for one in asked)
 
     @property
     def gradients(self) -> Scheme:

@@ -593,3 +593,34 @@ def test_options_of_a_run_reach_the_solver_of_the_weights(tmp_path):
     assert iterations[0] > 2 * iterations[1]
     with pytest.raises(pd.CaseError, match="PETSc refused the solver options"):
         pd.run(case, tmp_path, options={"weights_pc_type": "nonsense"})
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_field_on_the_surface_is_exact_where_it_is_linear(ranks, tmp_path):
+    """Particles of a shaken cloud; the mean by area and the largest over one side of 2 x + 3 y."""
+    script = tmp_path / "linear.py"
+    script.write_text(
+        textwrap.dedent(
+            f"""
+            import sys
+            sys.path.insert(0, {str(ROOT)!r})
+            import pdpetsc as pd
+            from tests.test_conforming import shaken_plate, uniform
+
+            def linear(solution):
+                return 2.0 * solution.x[:, 0] + 3.0 * solution.x[:, 1]
+
+            def case():
+                ends = [pd.region.Named("-x"), pd.region.Named("+x")]
+                case = uniform(shaken_plate(), 0.26, ends)
+                history = {{
+                    "mean": pd.OnSurface(linear, "", ends[1]),
+                    "largest": pd.OnSurface(linear, "", ends[1], take="largest"),
+                }}
+                return pd.Case(**{{**vars(case), "history": history, "results": lambda h: {{k: h[k][-1] for k in h}}}})
+            """
+        )
+    )
+    found = results(script, output=tmp_path / "out", ranks=ranks)["results"]
+    assert found["mean"] == pytest.approx(4.0 + 1.5, rel=1e-12)
+    assert found["largest"] == pytest.approx(4.0 + 3.0 * 15 / 16, rel=1e-12)

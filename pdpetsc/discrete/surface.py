@@ -63,6 +63,11 @@ class Surface:
         for axis in range(onto.shape[1]):
             onto[:, axis] += np.bincount(self.members, self.N * values[of, axis], len(onto))
 
+    def interpolated(self, values: Float) -> Float:
+        """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` (n_local,) with ghosts (not collective)."""
+        of = np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
+        return np.asarray(np.bincount(of, self.N * values[self.members], len(self.x)))
+
     def select(self, cloud: Cloud, region: Region, what: str) -> Mask:
         """Return which facets have their centroid in a region; named regions are tags, or sets of their particles.
 

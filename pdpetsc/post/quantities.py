@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -347,6 +348,62 @@ class Largest(Quantity):
         """Return the maximum."""
         values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
         return solution.largest(float(values.max(initial=-np.inf)))
+
+
+@dataclass(frozen=True)
+class OnSurface(Quantity):
+    """A field component on facets of the surface: their mean by area, or the largest value.
+
+    Particles sit half a cell inside the body; ``sum_k N_f(x_k) v_k`` with the linear-exact weights of the facets is the
+    field at the surface itself, extrapolated from the particle behind each facet and its family.
+
+    Parameters
+    ----------
+    field, component
+        As for ``Mean``.
+    region : Region
+        The facets in it, or a tag of them.
+    take : {"mean", "largest"}
+        Which number.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> at_the_hole = pd.OnSurface(pd.stress, "yy", pd.region.Sphere((0.0, 0.0), radius=1.01), take="largest")
+    """
+
+    field: Field
+    component: str = ""
+    region: Region = EVERYWHERE
+    take: Literal["mean", "largest"] = "mean"
+
+    on_surface: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("An OnSurface", self.field, self.component)
+        if self.take not in ("mean", "largest"):
+            raise CaseError(f'An OnSurface takes take="mean" or "largest", not {self.take!r}.')
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component("An OnSurface", self.field, self.component, dim)
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the number."""
+        cloud, surface = solution.cloud, solution.problem.body.surface
+        assert surface is not None
+        values = np.zeros(cloud.n_local)
+        values[: cloud.n_owned] = _component_of(solution, self.field, self.component)
+        cloud.halo.forward(values)
+        chosen = surface.select(cloud, self.region, "an OnSurface")
+        found = surface.interpolated(values)[chosen]
+        if self.take == "largest":
+            return solution.largest(float(found.max(initial=-np.inf)))
+        size = np.linalg.norm(surface.area[chosen], axis=1)
+        moment, area = solution.sum([size @ found, size.sum()])
+        return float(moment / area)
 
 
 @dataclass(frozen=True)

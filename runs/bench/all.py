@@ -21,7 +21,8 @@ REPEATS = 3
 # A ratio this far from the recorded one is marked.
 FAR = 1.5
 STUDIES = (
-    ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"], ["conforming.py", "300000", "{folder}/conforming"],
+    ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"],
+    ["conforming.py", "300000", "{folder}/conforming"],
     ["robustness.py"], ["performance_model.py"], ["footprint.py"], ["scaling.py", "{folder}/scaling"],
     ["../beams/speed.py", "{folder}/speed"],
 )  # fmt: skip

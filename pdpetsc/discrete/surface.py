@@ -17,7 +17,8 @@ from pdpetsc.errors import CaseError
 
 # A surface is closed, and encloses the volume of its particles, up to this share of its area and of that volume.
 CLOSED = 1e-8
-# A facet lies on the side of a periodic cell where it is this near to it, as a share of the period.
+# A facet lies on the side of a periodic cell where it is this near to it, as a share of the period, and on a mirror
+# plane as a share of the horizon.
 ON_SIDE = 1e-9
 
 
@@ -116,20 +117,23 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     rows = np.arange(len(owner)) - np.repeat(first, count) + np.repeat(start, count)
     packed = fetch(comm, np.repeat(creator, count), rows, packed)
     x, area = packed[:, :dim], packed[:, dim : 2 * dim]
-    kept = ~_on_periodic_side(cloud, x, area)
+    kept = ~_before_images(cloud, x, area)
     x, area, owner = np.ascontiguousarray(x[kept]), np.ascontiguousarray(area[kept]), owner[kept]
     tagged = {name: packed[kept, 2 * dim + n] > 0.5 for n, name in enumerate(names)}
     _refuse_open(cloud, x, area)
     return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, owner))
 
 
-def _on_periodic_side(cloud: Cloud, x: Float, area: Float) -> Mask:
-    """Return which facets lie on a side of the periodic cell, behind which there are images."""
+def _before_images(cloud: Cloud, x: Float, area: Float) -> Mask:
+    """Return which facets lie on a side of the periodic cell or on a mirror plane, behind which there are images."""
     found = np.zeros(len(x), dtype=bool)
+    size = np.linalg.norm(area, axis=1)
+    for axis, at in cloud.places.planes.items():
+        across = np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size
+        found |= across & (np.abs(x[:, axis] - at) <= ON_SIDE * cloud.horizon)
     if cloud.images is None:
         return found
     cell = cloud.images.cell
-    size = np.linalg.norm(area, axis=1)
     for axis in cell.periodic:
         place = (x[:, axis] - cell.origin[axis]) / cell.lengths[axis]
         across = np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size
@@ -144,7 +148,13 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
     size = float(total(comm, float(np.linalg.norm(area, axis=1).sum())))
     sums = total(comm, area.sum(axis=0))
     centre = total(comm, (cloud.x[: cloud.n_owned]).sum(axis=0)) / cloud.n_global
+    # What is left out on a mirror plane has areas along its normal alone, and no moment about a point on it.
+    for axis, at in cloud.places.planes.items():
+        sums[axis], centre[axis] = 0.0, at
     moment = total(comm, (x - centre).T @ area)
+    for axis in cloud.places.planes:
+        beside = np.arange(dim) != axis
+        moment[beside, axis] = 0.0
     periodic = [] if cloud.images is None else list(cloud.images.cell.periodic)
     if np.abs(sums).max(initial=0.0) > CLOSED * size:
         raise CaseError(

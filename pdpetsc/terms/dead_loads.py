@@ -23,6 +23,8 @@ from pdpetsc.problem.term import LinearisedTerm, Term
 WHOLE_FACE = (0.5, 2.0)
 # A share that differs from 1 by less than this differs by round-off.
 EXACT = 1e-9
+# A face lies on a mirror plane where it is this near to it, as a share of the cell.
+ON_MIRROR = 1e-6
 # The record has the resultant of a load at the first of these step times at which it is not zero.
 SHOWN = (1.0, 0.75, 0.5, 0.25)
 
@@ -195,12 +197,24 @@ class DeadLoads(Term):
             except CaseError as error:
                 raise CaseError(f"{name}: {str(error)[:1].lower()}{str(error)[1:]}") from None
         face = from_parts(cloud, part)[where]
+        face[self._on_mirror(normal, where, face)] = 0.0
         if not float(total(cloud.comm, float(face.sum()))) > 0.0:
             raise CaseError(
                 f"The region of {name} has no free face with normal {np.round(normal, 6).tolist()}; select the outer "
                 f"particles of the face, and let the normal point out of the body."
             )
         return np.asarray(face)
+
+    def _on_mirror(self, normal: Float, where: GlobalIndex, face: Float) -> Mask:
+        """Return which of the faces of particles (len(where),) are on a mirror plane, half a cell from the particle."""
+        cloud = self.body.cloud
+        found = np.zeros(len(where), dtype=bool)
+        for axis, at in cloud.places.planes.items():
+            if abs(normal[axis]) >= 1.0 - ON_MIRROR:
+                ahead = (at - self._x[where, axis]) * normal[axis]
+                cell = np.divide(cloud.volume[where], face, out=np.zeros(len(where)), where=face > 0.0)
+                found |= (ahead > 0.0) & (np.abs(ahead - 0.5 * cell) <= ON_MIRROR * cell)
+        return found
 
     def _share(self, normal: Float, mask: Mask, face: Float, name: str) -> Float:
         """Return what the forces of a uniform stress are multiplied with to be those of a traction (n_owned,) [-].

@@ -225,6 +225,7 @@ class DeadLoads(Term):
         """
         P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
         reached = self._reach(mask)
+        self._refuse_mirrored(normal, reached, name)
         along = self._matter.uniform_stress_force(P)[: len(self._x)] @ normal
         found, wanted = total(self.body.cloud.comm, [along[reached].sum(), face.sum()])
         if not WHOLE_FACE[0] * wanted <= found <= WHOLE_FACE[1] * wanted:
@@ -234,6 +235,20 @@ class DeadLoads(Term):
             )
         factor = float(wanted / found)
         return np.where(reached, 1.0 if abs(factor - 1.0) < EXACT else factor, 0.0)
+
+    def _refuse_mirrored(self, normal: Float, reached: Mask, name: str) -> None:
+        """Raise on all ranks where a mirror plane puts another face, with another stress, within reach (collective)."""
+        cloud = self.body.cloud
+        turned = np.zeros(cloud.n_local)
+        if len(cloud.sign):
+            turned[cloud.n_owned :] = (np.abs(cloud.sign * normal - normal) > ON_MIRROR).any(axis=1)
+        cloud.halo.reverse(turned)
+        beside = reached & (turned[: cloud.n_owned] > 0.0)
+        if int(total(cloud.comm, np.count_nonzero(beside))):
+            raise CaseError(
+                f"{name} is consistent, and its face within three horizons of its own image behind a mirror plane; use "
+                f'distribution="layer" or "surface", or the whole body.'
+            )
 
     def _reach(self, mask: Mask) -> Mask:
         """Return the own particles whose forces depend on a marked own one."""

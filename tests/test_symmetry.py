@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy.spatial import cKDTree
 
 import pdpetsc as pd
 from pdpetsc.gradient import stress_points
-from tests.commands import ROOT, field, jacobian_ratios, results, run
+from tests.commands import ROOT, Stop, field, jacobian_ratios, results, run, run_several
 from tests.scenes import ALL_CONTROLS, BONDS
 
 TOP = {1: (5.0,), 2: (4.0, 5.0), 3: (3.0, 3.0, 4.0)}
@@ -295,3 +296,186 @@ def test_pressure_with_conforming_weights_is_that_of_the_whole():
     changes = {"weights": pd.Conforming(), "material": pd.LinearElastic(E=10.0, nu=0.3)}
     part, whole = (loaded("xy", whole, "pressure", **changes) for whole in (False, True))
     assert_the_part_is_the_whole(part, whole, tolerance=1e-8)
+
+
+CASE_FILE = """
+import sys
+sys.path.insert(0, {root!r})
+import pdpetsc as pd
+from tests import test_symmetry
+
+
+def case(name="plane", steps=1, stop=1.0):
+    return test_symmetry.named(name, steps, stop)
+"""
+
+
+def named(name, steps, stop):
+    """Return the cases that are run on several ranks."""
+    on_steps = {"steps": pd.Steps(steps), "fields": (pd.displacement, pd.lost_bonds), "history": {"stop": Stop(stop)}}
+    silling = {"scheme": pd.Correspondence(), "control": pd.Silling(0.3)}
+    if name in ("line", "plane", "solid"):
+        dim = 1 + ("line", "plane", "solid").index(name)
+        return pulled("xyz"[:dim], False, dim=dim, **silling, **on_steps)
+    if name == "littlewood":
+        return pulled("xy", False, scheme=pd.Correspondence(), control=pd.Littlewood(0.2), **on_steps)
+    if name == "bonds":
+        return pulled("xy", False, material=BONDS["linear_solid_finite"], **on_steps)
+    if name == "conforming":
+        return pulled("xy", False, weights=pd.Conforming(), **silling, **on_steps)
+    if name == "periodic":
+        return layered(False, **on_steps)
+    damage = pd.LinearSoftening(pd.ConstantCritical(0.04), ratio=2.0)
+    if name == "gradients":
+        damage = dataclasses.replace(damage, effect=pd.PresentStretch())
+        return cracked("xy", False, damage=damage, pull=0.2, **silling, **on_steps)
+    return cracked("xy", False, material=pd.BondBased(E=10.0, kinematics="finite"), damage=damage, **on_steps)
+
+
+def layered(whole, high=4.0, axes="x", **changes):
+    """Return layers that repeat along x, pulled and sheared along z or y, with a mirror plane below them."""
+    low = (0.0, -high if whole else 0.0)
+    conditions = [
+        pd.Displacement(pd.region.Slab("y", low=high - 1.0), x=0.0, y=0.3),
+        pd.MeanStrain(xx=0.05),
+    ]
+    if whole:
+        conditions.append(pd.Displacement(pd.region.Slab("y", high=1.0 - high), x=0.0, y=-0.3))
+    declared = {
+        "particles": pd.Lattice(low, (5.0, high), 1.0),
+        "horizon": 2.015,
+        "material": pd.Graded(ELASTIC, lambda x: 1.0 + 0.5 * np.sin(2.0 * np.pi * x[:, 0] / 5.0)),
+        "conditions": conditions,
+        "cell": pd.Cell((0.0, 0.0), (5.0, 1.0), axes),
+        "symmetry": () if whole else (pd.Symmetry("y"),),
+    }
+    return pd.Case(**(declared | changes))
+
+
+@pytest.fixture(scope="module")
+def case_file(tmp_path_factory):
+    """Return a case file that makes any of the named cases."""
+    path = tmp_path_factory.mktemp("symmetry") / "part.py"
+    path.write_text(CASE_FILE.format(root=str(ROOT)))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "ranks"),
+    [(name, 1) for name in ("line", "plane", "solid", "littlewood", "bonds", "softening", "gradients", "periodic")]
+    + [(name, 3) for name in ("plane", "gradients", "periodic")],
+)
+def test_the_jacobian_beside_planes_is_correct(name, ranks, case_file, tmp_path):
+    finished = run(case_file, f"name={name}", "-snes_test_jacobian", ranks=ranks, output=tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    # Laws of softening have kinks, at which differences are of both sides.
+    assert max(jacobian_ratios(finished.stdout)) < (1e-5 if name in ("softening", "gradients") else 1e-6)
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_any_number_of_ranks_finds_the_same_part(ranks, case_file, tmp_path):
+    names = ["solid", "softening", "gradients", "periodic", "conforming"]
+    run_several([(case_file, [f"name={name}"], tmp_path / name) for name in names], ranks)
+    for name in names:
+        results(case_file, f"name={name}", output=tmp_path / "one")
+        for of in ("displacement", "lost_bonds"):
+            one, other = (field(tmp_path / folder, of) for folder in ("one", name))
+            assert np.abs(one - other).max() <= 1e-8 * np.abs(one).max(), of
+        if name in ("softening", "gradients"):
+            one, other = (
+                [line.split(",")[2:4] for line in (tmp_path / folder / "broken_bonds.csv").read_text().splitlines()]
+                for folder in ("one", name)
+            )
+            assert len(one) > 2
+            assert one == other
+
+
+@pytest.mark.parametrize("ranks", [(1, 2), (2, 1)])
+def test_a_restart_on_other_ranks_knows_the_broken_bonds(ranks, case_file, tmp_path):
+    before, after = ranks
+    results(case_file, "name=softening", "steps=4", ranks=1, output=tmp_path / "whole")
+    first, second = tmp_path / "first", tmp_path / "second"
+    run(case_file, "name=softening", "steps=4", "stop=0.8", ranks=before, output=first)
+    assert len((first / "broken_bonds.csv").read_text().splitlines()) > 2
+    finished = run(
+        case_file, "name=softening", "steps=4", "--restart", first / "checkpoint.h5", ranks=after, output=second
+    )
+    assert finished.returncode == 0, finished.stderr
+    for of in ("displacement", "lost_bonds"):
+        one, other = (field(tmp_path / name, of) for name in ("whole", "second"))
+        assert np.abs(one - other).max() <= 1e-8 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("scheme", ["sub_horizons", "bond_associated"])
+def test_a_plane_and_a_periodic_axis_go_together(scheme):
+    part, whole = (layered(whole, scheme=pd.SCHEMES[scheme]) for whole in (False, True))
+    assert_the_part_is_the_whole(part, whole)
+
+
+def test_a_plane_lies_anywhere_and_the_body_on_either_side():
+    def case(at, side):
+        ends = sorted((at, at + side * 4.0))
+        outer, middle = at + side * 3.5, at + side * 0.5
+        conditions = [
+            pd.Displacement(pd.region.Nearest((outer, 2.5)), x=0.2 * side, y=0.1),
+            pd.Displacement(pd.region.Nearest((middle, 0.5)), y=0.0),
+        ]
+        return pd.Case(
+            particles=pd.Lattice((ends[0], 0.0), (ends[1], 5.0), 1.0), horizon=2.015, material=ELASTIC,
+            conditions=conditions, symmetry=[pd.Symmetry("x", at=at)],
+        )  # fmt: skip
+
+    x, at_home, _ = solved(case(0.0, 1.0))
+    for at, side in ((3.0, 1.0), (-2.5, -1.0)):
+        moved, found, _ = solved(case(at, side))
+        place = cKDTree(moved).query(x * [side, 1.0] + [at, 0.0])[1]
+        difference = found["displacement"][:, place] * [side, 1.0] - at_home["displacement"]
+        assert np.abs(difference).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"symmetry": [pd.Symmetry("x", at=0.5)]}, "lie on or beyond the mirror plane x = 0.5"),
+        ({"symmetry": [pd.Symmetry("x", at=1.0)]}, "5 of 20 particles lie on or beyond the mirror plane x = 1;"),
+        ({"symmetry": [pd.Symmetry("z")]}, "no Symmetry across z of particles with 2 coordinates"),
+        ({"symmetry": [pd.Symmetry("x"), pd.Symmetry("x", at=4.0)]}, "one Symmetry across an axis"),
+        ({"symmetry": [pd.Symmetry("x")], "cell": pd.Cell((0.0, 0.0), (4.0, 5.0), "x")}, "periodic in x"),
+        ({"symmetry": pd.Symmetry("x")}, "put it into a list"),
+        ({"symmetry": [pd.Symmetry("y")], "conditions": []}, "1 of 3 rigid motions"),
+        ({"symmetry": [], "conditions": []}, "3 of 3 rigid motions"),
+        # Cut from its image a piece moves as it likes, but for the turn that only its own image stops.
+        ({"symmetry": [pd.Symmetry("y")], "cracks": [pd.PlaneCrack((0.0, 2.0), (0.0, 1.0))]}, "piece with particle 2"),
+    ],
+)
+def test_wrong_planes_are_refused(changes, message):
+    with pytest.raises(pd.CaseError, match=message):
+        held = [pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0)]
+        pd.prepare(pulled("", False, **({"conditions": held} | changes)))
+
+
+def test_a_plane_that_is_nowhere_is_refused():
+    for wrong in ({"axis": "w"}, {"axis": "x", "at": np.inf}):
+        with pytest.raises(pd.CaseError, match="Symmetry"):
+            pd.Symmetry(**wrong)
+
+
+@pytest.mark.parametrize("planes", ["x", "xy"])
+def test_planes_alone_hold_what_they_hold_of_the_whole(planes):
+    """Two planes hold a plane body; one leaves the translation along it."""
+    load = [pd.Pressure(pd.region.All(), 0.1)]
+    case = dataclasses.replace(pulled(planes, False), conditions=load)
+    if planes == "x":
+        with pytest.raises(pd.CaseError, match="1 of 3 rigid motions"):
+            pd.prepare(case)
+    else:
+        _, found, _ = solved(case)
+        assert np.abs(found["displacement"]).max() > 0.0
+
+
+def test_pieces_are_those_of_the_whole_body(tmp_path):
+    """Cut along the plane the halves are two pieces, though the part that is computed is one."""
+    weak = pd.CriticalFunction(lambda length, middle: np.where(np.abs(middle[:, 0]) < 1e-9, 0.03, 0.5))
+    case = pulled("x", False, dim=1, horizon=1.015, material=pd.BondBased(E=10.0), damage=pd.Brittle(weak))
+    pd.run(case, output=tmp_path)
+    assert json.loads((tmp_path / "summary.json").read_text())["pieces"]["pieces"] == 2

@@ -12,9 +12,11 @@ import pdpetsc as pd
 from pdpetsc.gradient import stress_points
 from tests.commands import ROOT, Stop, field, jacobian_ratios, results, run, run_several
 from tests.scenes import ALL_CONTROLS, BONDS
+from tests.test_criterion import FamilyStretch
 
 TOP = {1: (5.0,), 2: (4.0, 5.0), 3: (3.0, 3.0, 4.0)}
 ELASTIC = pd.Hencky(E=10.0, nu=0.3)
+FIELDS = (pd.displacement, pd.stress, pd.lost_bonds, pd.local_damage)
 
 
 def pulled(planes, whole, dim=2, pull=0.4, **changes):
@@ -57,7 +59,7 @@ def solved(case, options=None):
         states = []
         for converged in prepared.march(solver):
             solution = prepared.solution(converged.u, converged.t)
-            fields = {f.__name__: f(solution).copy() for f in (pd.displacement, pd.stress, pd.lost_bonds)}
+            fields = {f.__name__: f(solution).copy() for f in FIELDS}
             states.append({**fields, **solution.energies, "broken": solution.broken_bonds})
         found = {name: np.array([state[name] for state in states]) for name in states[0]}
         return solution.x.copy(), found, converged.t
@@ -72,7 +74,7 @@ def assert_the_part_is_the_whole(part, whole, options=None, tolerance=1e-10):
     apart, place = cKDTree(x_whole).query(x)
     assert apart.max() < 1e-9
     assert t == pytest.approx(t_whole, rel=tolerance)
-    for name in ("displacement", "stress", "lost_bonds"):
+    for name in (f.__name__ for f in FIELDS):
         values = found_whole[name]
         assert np.abs(found[name] - values[:, place]).max() <= tolerance * np.abs(values).max(), name
     images = len(x_whole) // len(x)
@@ -162,8 +164,8 @@ def both_cracked(planes, options=None, tolerance=1e-10, least=1, **changes):
     """Compare a cracked part with the whole, in which bonds must break."""
     part, whole = (cracked(planes, whole, **changes) for whole in (False, True))
     found = assert_the_part_is_the_whole(part, whole, options, tolerance)
-    print("broken", found["broken"])
     assert found["broken"].max() >= least
+    assert found["local_damage"].max() > 0.0
     return found
 
 
@@ -187,6 +189,38 @@ def test_bonds_of_gradients_break_as_in_the_whole(scheme, effect):
     both_cracked(
         "xy", scheme=pd.SCHEMES[scheme], control=control, damage=damage, steps=pd.Steps(2), pull=0.2, tolerance=1e-8
     )
+
+
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+def test_criteria_that_reach_over_families_are_those_of_the_whole(kinematics):
+    damage = pd.LinearSoftening(FamilyStretch(0.006), ratio=6.0)
+    material = pd.BondBased(E=10.0, kinematics=kinematics)
+    both_cracked("xy", material=material, damage=damage, steps=pd.Steps(4), least=0, pull=0.08, tolerance=1e-8)
+
+
+def test_without_a_matrix_bonds_break_as_in_the_whole():
+    options = {"pd_jacobian": "matfree", "ksp_rtol": 1e-12}
+    damage = pd.LinearSoftening(pd.ConstantCritical(0.04), ratio=2.0)
+    both_cracked("xy", options, material=pd.BondBased(E=10.0), damage=damage, steps=pd.Steps(2), tolerance=1e-8)
+    both_cracked("xy", options, control=pd.Silling(0.3), steps=pd.Steps(2), pull=0.3, tolerance=1e-8)
+
+
+def test_numbers_of_a_part_are_its_share_of_the_whole(tmp_path):
+    history = {
+        "work": pd.ExternalWork(), "strain": pd.StrainEnergy(), "dissipated": pd.DissipatedEnergy(),
+        "reaction": pd.Reaction("y", pd.region.Slab("y", low=4.0)),
+    }  # fmt: skip
+    found = []
+    for whole in (False, True):
+        case = cracked(
+            "xy", whole, material=pd.BondBased(E=10.0), damage=SOFTENING, steps=pd.Steps(2), history=history,
+            results=lambda h: {name: sum(values) for name, values in h.items()},
+        )  # fmt: skip
+        found.append(pd.run(case, output=tmp_path / str(whole)))
+    part, whole = found
+    for name, images in (("work", 4), ("strain", 4), ("dissipated", 4), ("reaction", 2)):
+        assert whole[name] != 0.0
+        assert images * part[name] == pytest.approx(whole[name], rel=1e-7), name
 
 
 def test_bonds_that_fail_in_a_solid_break_as_in_the_whole():
@@ -326,6 +360,11 @@ def named(name, steps, stop):
     if name == "periodic":
         return layered(False, **on_steps)
     damage = pd.LinearSoftening(pd.ConstantCritical(0.04), ratio=2.0)
+    if name == "families":
+        damage = pd.LinearSoftening(FamilyStretch(0.006), ratio=6.0)
+    if name == "events":
+        events = pd.EventDriven(fields_every=1)
+        return cracked("xy", False, material=pd.BondBased(E=10.0), damage=BRITTLE, solver=events, **on_steps)
     if name == "gradients":
         damage = dataclasses.replace(damage, effect=pd.PresentStretch())
         return cracked("xy", False, damage=damage, pull=0.2, **silling, **on_steps)
@@ -362,26 +401,27 @@ def case_file(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("name", "ranks"),
-    [(name, 1) for name in ("line", "plane", "solid", "littlewood", "bonds", "softening", "gradients", "periodic")]
-    + [(name, 3) for name in ("plane", "gradients", "periodic")],
+    [(name, 1) for name in ("line", "plane", "solid", "littlewood", "bonds", "softening", "families")]
+    + [(name, ranks) for name in ("gradients", "periodic") for ranks in (1, 3)],
 )
 def test_the_jacobian_beside_planes_is_correct(name, ranks, case_file, tmp_path):
     finished = run(case_file, f"name={name}", "-snes_test_jacobian", ranks=ranks, output=tmp_path)
     assert finished.returncode == 0, finished.stderr
     # Laws of softening have kinks, at which differences are of both sides.
-    assert max(jacobian_ratios(finished.stdout)) < (1e-5 if name in ("softening", "gradients") else 1e-6)
+    kinks = name in ("softening", "gradients", "families")
+    assert max(jacobian_ratios(finished.stdout)) < (1e-5 if kinks else 1e-6)
 
 
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_any_number_of_ranks_finds_the_same_part(ranks, case_file, tmp_path):
-    names = ["solid", "softening", "gradients", "periodic", "conforming"]
+    names = ["solid", "softening", "gradients", "periodic", "conforming", "events"]
     run_several([(case_file, [f"name={name}"], tmp_path / name) for name in names], ranks)
     for name in names:
         results(case_file, f"name={name}", output=tmp_path / "one")
         for of in ("displacement", "lost_bonds"):
             one, other = (field(tmp_path / folder, of) for folder in ("one", name))
             assert np.abs(one - other).max() <= 1e-8 * np.abs(one).max(), of
-        if name in ("softening", "gradients"):
+        if name in ("softening", "gradients", "events"):
             one, other = (
                 [line.split(",")[2:4] for line in (tmp_path / folder / "broken_bonds.csv").read_text().splitlines()]
                 for folder in ("one", name)

@@ -17,9 +17,10 @@ from pdpetsc.errors import CaseError
 
 # A surface is closed, and encloses the volume of its particles, up to this share of its area and of that volume.
 CLOSED = 1e-8
-# A facet lies on the side of a periodic cell where it is this near to it, as a share of the period, and on a mirror
-# plane as a share of the horizon.
+# A facet lies on the side of a periodic cell where it is this near to it, as a share of the period.
 ON_SIDE = 1e-9
+# A facet lies on a mirror plane where it is this near to it, as a share of the horizon.
+ON_MIRROR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,8 @@ def _before_images(cloud: Cloud, x: Float, area: Float) -> Mask:
     found = np.zeros(len(x), dtype=bool)
     size = np.linalg.norm(area, axis=1)
     for axis, at in cloud.places.planes.items():
-        across = np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size
-        found |= across & (np.abs(x[:, axis] - at) <= ON_SIDE * cloud.horizon)
+        across = np.abs(area[:, axis]) >= (1.0 - ON_MIRROR) * size
+        found |= across & (np.abs(x[:, axis] - at) <= ON_MIRROR * cloud.horizon)
     if cloud.images is None:
         return found
     cell = cloud.images.cell

@@ -12,6 +12,7 @@ from pdpetsc.declare.conditions import BodyForce, Force, MeanStress, Traction, V
 from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.cloud import from_parts
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.surface import ON_MIRROR
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
@@ -23,8 +24,6 @@ from pdpetsc.problem.term import LinearisedTerm, Term
 WHOLE_FACE = (0.5, 2.0)
 # A share that differs from 1 by less than this differs by round-off.
 EXACT = 1e-9
-# A face lies on a mirror plane where it is this near to it, as a share of the cell.
-ON_MIRROR = 1e-6
 # The record has the resultant of a load at the first of these step times at which it is not zero.
 SHOWN = (1.0, 0.75, 0.5, 0.25)
 
@@ -193,11 +192,12 @@ class DeadLoads(Term):
             return np.asarray(traction.area * share / float(total(cloud.comm, float(share.sum()))))
         with agreed(cloud.comm):
             try:
-                part = self._particles.faces(cloud.comm.rank, cloud.comm.size, normal)
+                whole = self._particles.faces(cloud.comm.rank, cloud.comm.size, normal)
+                part = whole - self._on_mirrors(normal, len(whole))
+                part[part <= ON_MIRROR * whole] = 0.0
             except CaseError as error:
                 raise CaseError(f"{name}: {str(error)[:1].lower()}{str(error)[1:]}") from None
         face = from_parts(cloud, part)[where]
-        face[self._on_mirror(normal, where, face)] = 0.0
         if not float(total(cloud.comm, float(face.sum()))) > 0.0:
             raise CaseError(
                 f"The region of {name} has no free face with normal {np.round(normal, 6).tolist()}; select the outer "
@@ -205,15 +205,17 @@ class DeadLoads(Term):
             )
         return np.asarray(face)
 
-    def _on_mirror(self, normal: Float, where: GlobalIndex, face: Float) -> Mask:
-        """Return which of the faces of particles (len(where),) are on a mirror plane, half a cell from the particle."""
+    def _on_mirrors(self, normal: Float, count: int) -> Float:
+        """Return what of the free faces of the particles that this rank created is on mirror planes (count,) [area]."""
         cloud = self.body.cloud
-        found = np.zeros(len(where), dtype=bool)
-        for axis, at in cloud.places.planes.items():
-            if abs(normal[axis]) >= 1.0 - ON_MIRROR:
-                ahead = (at - self._x[where, axis]) * normal[axis]
-                cell = np.divide(cloud.volume[where], face, out=np.zeros(len(where)), where=face > 0.0)
-                found |= (ahead > 0.0) & (np.abs(ahead - 0.5 * cell) <= ON_MIRROR * cell)
+        found = np.zeros(count)
+        if cloud.places.planes:
+            x, area, particle, _ = self._particles.surface(cloud.comm.rank, cloud.comm.size).arrays
+            on = np.zeros(len(x), dtype=bool)
+            for axis, at in cloud.places.planes.items():
+                across = np.abs(area[:, axis]) >= (1.0 - ON_MIRROR) * np.linalg.norm(area, axis=1)
+                on |= across & (np.abs(x[:, axis] - at) <= ON_MIRROR * cloud.horizon)
+            np.add.at(found, particle[on], np.maximum(area[on] @ normal, 0.0))
         return found
 
     def _share(self, normal: Float, mask: Mask, face: Float, name: str) -> Float:

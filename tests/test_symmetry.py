@@ -519,3 +519,10 @@ def test_pieces_are_those_of_the_whole_body(tmp_path):
     case = pulled("x", False, dim=1, horizon=1.015, material=pd.BondBased(E=10.0), damage=pd.Brittle(weak))
     pd.run(case, output=tmp_path)
     assert json.loads((tmp_path / "summary.json").read_text())["pieces"]["pieces"] == 2
+
+
+def test_a_checkpoint_of_a_part_is_of_no_other_planes(tmp_path):
+    pd.run(pulled("xy", False), output=tmp_path / "part")
+    checkpoint = tmp_path / "part" / "checkpoint.h5"
+    with pytest.raises(pd.CaseError, match="another body"):
+        pd.run(dataclasses.replace(pulled("xy", False), symmetry=()), output=tmp_path / "other", restart=checkpoint)

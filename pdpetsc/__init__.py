@@ -42,6 +42,7 @@ from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
+from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
@@ -163,6 +164,7 @@ __all__ = [
     "Steps",
     "StrainEnergy",
     "SurfacePressure",
+    "Symmetry",
     "Table",
     "Term",
     "TextFile",

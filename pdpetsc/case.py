@@ -20,6 +20,7 @@ from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
+from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
@@ -85,6 +86,8 @@ class Case(Declared):
         How bonds fail, of bond-based materials or of deformation gradients; they do not where absent.
     cell : Cell, optional
         Periodic cell that the particles fill; hold one particle against translation.
+    symmetry : sequence of Symmetry
+        Mirror planes, at most one across each axis: the particles are a half, a quarter or an eighth of the body.
     steps : Steps or AdaptiveSteps
         How the load is applied.
     solver : Newton, DynamicRelaxation, EventDriven or PathFollowing
@@ -117,6 +120,7 @@ class Case(Declared):
     cracks: Sequence[Crack] = ()
     damage: BondDamage | None = None
     cell: Cell | None = None
+    symmetry: Sequence[Symmetry] = ()
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
     solver: AnySolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
@@ -168,8 +172,20 @@ class Case(Declared):
             raise CaseError(f"Case takes checkpoints >= 0, not {self.checkpoints}.")
         if not self.materials:
             raise CaseError("Case takes at least one material.")
+        self._check_symmetry()
         self._check_formulation()
         self._check_names()
+
+    def _check_symmetry(self) -> None:
+        axes = [plane.axis for plane in self.symmetry]
+        if len(set(axes)) < len(axes):
+            raise CaseError(f"A body has one Symmetry across an axis, not planes across {', '.join(axes)}.")
+        periodic = [] if self.cell is None else ["xyz"[axis] for axis in self.cell.periodic]
+        both = sorted(set(axes) & set(periodic))
+        if both:
+            raise CaseError(
+                f"The Cell is periodic in {both[0]} and the case has a Symmetry across it; take one of both."
+            )
 
     def _check_names(self) -> None:
         clash = _COLUMNS & set(self.history)

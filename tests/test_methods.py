@@ -126,17 +126,28 @@ def test_displacement_and_stress_of_the_plate_come_nearer_to_finite_elements_wit
 @pytest.mark.parametrize("scheme", ["stress_points", "sub_horizons"])
 def test_symmetry_lines_spoil_the_stress_and_not_the_displacement(scheme, tmp_path):
     whole, quarter = (
-        results(PLATE, f"scheme={scheme}", f"part={part}", output=tmp_path)["results"] for part in ("whole", "quarter")
+        results(PLATE, f"scheme={scheme}", f"part={part}", output=tmp_path)["results"]
+        for part in ("whole", "quarter_cut")
     )
     assert quarter["u_amplitude"] < whole["u_amplitude"]
     assert quarter["stress_amplitude_away"] > 3.0 * whole["stress_amplitude_away"]
     assert quarter["stress_oscillation_away"] > 4.0 * whole["stress_oscillation_away"]
 
 
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+def test_a_quarter_before_mirror_planes_is_the_whole_plate(scheme, tmp_path):
+    whole, quarter = (
+        results(PLATE, f"scheme={scheme}", *words, output=tmp_path)["results"]
+        for words in (("cells=inside",), ("part=quarter",))
+    )
+    assert quarter == pytest.approx(whole, rel=1e-6)
+    assert quarter["stress_amplitude_away"] < 0.04
+
+
 def test_half_cells_on_symmetry_lines_make_the_quarter_the_whole_with_sub_horizons(tmp_path):
     quarter, whole = (
         results(PLATE, "scheme=sub_horizons", "cells=clipped", f"part={part}", output=tmp_path)["results"]
-        for part in ("quarter", "whole")
+        for part in ("quarter_cut", "whole")
     )
     assert quarter == pytest.approx(whole, rel=1e-6)
     assert whole["stress_amplitude_away"] < 0.015

@@ -10,11 +10,10 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.control.base import (
     Control,
     ControlMatrix,
-    IsotropicMatrix,
     Stencil,
     Stiffness,
     ZeroEnergyControl,
-    fill,
+    isotropic,
     refuse_negative,
     relative_factor,
 )
@@ -126,4 +125,4 @@ class _Averaged(Control):
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
         data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
-        return IsotropicMatrix(sparsity, *fill(sparsity, 1, assemble_kernel(1), self._stencils, *data))
+        return isotropic(sparsity, assemble_kernel(1), self._stencils, *data)

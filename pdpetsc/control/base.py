@@ -17,7 +17,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
-from pdpetsc.kernels.assembly import add_isotropic_kernel
+from pdpetsc.kernels.assembly import add_diagonal_kernel
 from pdpetsc.kernels.sparsity import transpose
 
 Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
@@ -74,7 +74,13 @@ class ControlMatrix(ABC):
 
 @dataclass(frozen=True)
 class IsotropicMatrix(ControlMatrix):
-    """One scalar per block, times the identity."""
+    """One scalar per block, times the identity; beside mirror planes one for each component.
+
+    Attributes
+    ----------
+    diag, off : (1 or dim, n_blocks) float64
+        Own columns and others.
+    """
 
     sparsity: Sparsity
     diag: Float
@@ -82,7 +88,7 @@ class IsotropicMatrix(ControlMatrix):
 
     def add(self, dim: int, diag: Float, off: Float) -> None:
         """Add it to the values of the own rows."""
-        kernel = add_isotropic_kernel(dim)
+        kernel = add_diagonal_kernel(dim)
         kernel(self.sparsity.owned.diag_ptr, self.diag, diag)
         kernel(self.sparsity.owned.off_ptr, self.off, off)
 
@@ -100,8 +106,18 @@ class BlockMatrix(ControlMatrix):
         off += self.off
 
 
+def isotropic(sparsity: Sparsity, kernel: Callable[..., None], stencils: Stencil, *data: Float) -> IsotropicMatrix:
+    """Return the matrix whose blocks a kernel fills with a scalar for each pair of local particles (collective).
+
+    Arguments as for ``fill``. A component turns its sign behind some mirror planes and not behind others.
+    """
+    components = sparsity.cloud.dim if len(sparsity.cloud.places.mirrors[0]) > 1 else 1
+    parts = [fill(sparsity, 1, kernel, stencils, *data, component=c) for c in range(components)]
+    return IsotropicMatrix(sparsity, np.array([diag for diag, _ in parts]), np.array([off for _, off in parts]))
+
+
 def fill(
-    sparsity: Sparsity, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float
+    sparsity: Sparsity, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float, component: int = 0
 ) -> tuple[Float, Float]:
     """Return the values of the own rows, own columns and others, of a matrix with ``dim x dim`` values per block.
 
@@ -117,17 +133,21 @@ def fill(
         What the matrix couples.
     data
         What the kernel reads after the stencils.
+    component : int
+        The first of the components that a block has.
 
     Notes
     -----
     Collective.
     """
     transposed = transpose(*stencils, sparsity.cloud.n_local)
+    *locals_of_columns, signs = sparsity.locals_of_columns
+    signs = np.ascontiguousarray(signs[:, component : component + dim])
     values = []
     for rows in (sparsity.owned, sparsity.ghost):
         diag, off = np.zeros(dim * dim * rows.diag_ptr[-1]), np.zeros(dim * dim * rows.off_ptr[-1])
         kernel(
-            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *transposed,
+            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *locals_of_columns, signs, *transposed,
             *stencils, *data, diag, off,
         )  # fmt: skip
         values.append((diag, off))

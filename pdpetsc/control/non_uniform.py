@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
-from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, IsotropicMatrix, Stencil, fill
+from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
@@ -66,7 +66,7 @@ class NonUniform(Control):
         forces = np.insert(self._forces, self._families.indptr[:-1], 0.0)
         data = forces, with_centre.weight, self._K_inverse, self._cloud.x
         stencils = with_centre.point_ptr, with_centre.members
-        return IsotropicMatrix(sparsity, *fill(sparsity, 1, kernel, stencils, *data))
+        return isotropic(sparsity, kernel, stencils, *data)
 
     def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
         """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""

@@ -41,7 +41,8 @@ class DrivenBonds:
     middle : (n_bonds, dim) float64
         Middle of each bond with its first end at home [length].
     keys : (n_bonds, 3) int64
-        Global ids of both ends, the lower first, and the relative place of the second: the same from both ends.
+        Global ids of both ends, the lower first, and the place of the second seen from the first: the same from both
+        ends. A bond to the own mirror image has one end only, in the part of the body that is computed.
     """
 
     cloud: Cloud
@@ -56,14 +57,14 @@ class DrivenBonds:
     @classmethod
     def of(cls, cloud: Cloud, families: Families, omega: Float, k: Float, finite: bool) -> DrivenBonds:
         """Return the bonds of a body with what follows from the places of their ends (not collective)."""
-        order, centres, neighbours = cloud.order, families.centres, families.neighbours
-        low = order[centres] <= order[neighbours]
+        centres, neighbours = families.centres, families.neighbours
+        place = cloud.place[neighbours]
+        back = cloud.places.opposite(place)
+        i, j = cloud.gid[centres], cloud.gid[neighbours]
+        low = (i < j) | ((i == j) & (back <= place))
         one, other = np.where(low, centres, neighbours), np.where(low, neighbours, centres)
-        keys = np.stack([cloud.gid[one], cloud.gid[other], cloud.place[other] - cloud.place[one]], axis=1)
-        middle = 0.5 * (cloud.x[one] + cloud.x[other])
-        if cloud.images is not None:
-            home = np.concatenate([np.zeros((cloud.n_owned, cloud.dim)), cloud.offset])
-            middle -= home[one]
+        keys = np.stack([cloud.gid[one], cloud.gid[other], np.where(low, place, back)], axis=1)
+        middle = cloud.places.at_home(cloud.place[one], 0.5 * (cloud.x[one] + cloud.x[other]))
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
         return cls(cloud, families, omega, k, finite, length, middle, keys)
 

@@ -51,6 +51,9 @@ class FailingBonds:
         if protected is not None:
             self.protected = np.flatnonzero(protected[centres] | protected[neighbours])
         self._first = np.asarray(bonds.cloud.gid[centres] == self.keys[:, 0])
+        # Bonds to the own mirror image, which has the other end: what is counted from both ends counts them twice.
+        own = self.keys[:, 0] == self.keys[:, 1]
+        self._twice: Mask = own & (bonds.cloud.places.opposite(self.keys[:, 2]) == self.keys[:, 2])
         self.integrity: Float = np.ones(len(self.length))
         self.worst: Float = np.zeros(len(self.length))
         self.frozen = False
@@ -174,13 +177,15 @@ class FailingBonds:
             return 0
         least = self.law.final
         if most is not None:
-            parts = self._comm.allgather(np.sort(over[over >= least])[::-1][: 2 * most])
+            past = over >= least
+            ends = np.concatenate([over[past], over[past & self._twice]])
+            parts = self._comm.allgather(np.sort(ends)[::-1][: 2 * most])
             candidates = np.sort(np.concatenate(parts))[::-1]
             least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
         broken = over >= least
         self.integrity[broken] = 0.0
         self.worst[broken] = np.maximum(self.worst, over)[broken]
-        return int(total(self._comm, np.count_nonzero(broken))) // 2
+        return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
         """Return keys (n, 3) and states (n, 2), integrity and worst, of damaged bonds, each from its first end only."""
@@ -215,7 +220,11 @@ class FailingBonds:
 
     def count_broken(self) -> int:
         """Return how many pairs have lost their bond (collective)."""
-        return int(total(self._comm, np.count_nonzero(~self.intact))) // 2
+        return self._pairs(~self.intact)
+
+    def _pairs(self, chosen: Mask) -> int:
+        """Return how many pairs the chosen bonds (n_bonds,), chosen from both ends, are (collective)."""
+        return int(total(self._comm, np.count_nonzero(chosen) + np.count_nonzero(chosen & self._twice))) // 2
 
     @property
     def weakened(self) -> GlobalIndex:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +12,12 @@ from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cell import Cell
+from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.discrete.communicator import Comm, exchange, fetch, offset, total
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.discrete.partition import bisect
 from pdpetsc.discrete.periodic import Images, refuse_outside, shifts
+from pdpetsc.discrete.places import Places, refuse_beyond
 from pdpetsc.errors import CaseError
 
 # Bonds exactly as long as the horizon belong to the family whatever the rounding of the positions.
@@ -30,7 +32,7 @@ FAR = 4.0
 class Cloud:
     """Particles of this rank, owned ones first, then the ghosts within one horizon of an owned one.
 
-    In a periodic cell images are ghosts too, also those of own particles.
+    In a periodic cell and beside mirror planes images are ghosts too, also those of own particles.
 
     Attributes
     ----------
@@ -55,12 +57,16 @@ class Cloud:
     images : Images or None
         The periodic cell.
     offset : (n_ghost, dim) float64
-        How far each ghost is from its particle [length]: whole periods; no rows without a cell.
+        How many whole periods each ghost is from its particle, or from its mirror image [length]; no rows without a
+        cell.
+    sign : (n_ghost, dim) float64
+        What the components of vectors of its particle are multiplied with to be those of each ghost: -1 along the
+        normals of the mirror planes that it is behind; no rows without mirror planes.
     place : (n_local,) int64
-        In a periodic cell, the number of the period that each particle is in: 0 at home, and everywhere without a cell.
-        Differences tell how two images lie relative to each other; it is no position and no rank.
-    n_places : int
-        How many such numbers there are, 1 without a cell.
+        The number of the place that each particle is in: 0 at home, and everywhere without images. It is no position
+        and no rank.
+    places : Places
+        What the numbers mean.
     n_created : int
         How many particles this rank created.
     """
@@ -78,14 +84,15 @@ class Cloud:
     halo: Halo
     images: Images | None
     offset: Float
+    sign: Float
     place: GlobalIndex
-    n_places: int
+    places: Places
     n_created: int
 
     @property
     def order(self) -> GlobalIndex:
         """Return the key that sorts a family the same on any rank count: by global id, images by their place."""
-        return np.asarray(self.gid * self.n_places + self.place + self.n_places // 2)
+        return np.asarray(self.gid * self.places.n + self.place + self.places.home)
 
     @property
     def n_virtual(self) -> int:
@@ -119,8 +126,9 @@ class Cloud:
 
 
 def distribute(
-    comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float, cell: Cell | None = None
-) -> Cloud:
+    comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float, cell: Cell | None = None,
+    planes: Sequence[Symmetry] = (),
+) -> Cloud:  # fmt: skip
     """Partition particles over the ranks, number them and give every rank its ghosts.
 
     Parameters
@@ -131,6 +139,8 @@ def distribute(
         Radius of the families [length].
     cell : Cell, optional
         The periodic cell that holds the particles.
+    planes : sequence of Symmetry
+        Mirror planes, of different axes that are not periodic.
 
     Returns
     -------
@@ -139,7 +149,7 @@ def distribute(
     Raises
     ------
     CaseError
-        Fewer particles than ranks, or particles outside the cell.
+        Fewer particles than ranks, particles outside the cell, or on both sides of a mirror plane.
 
     Notes
     -----
@@ -159,6 +169,7 @@ def distribute(
 
     if cell is not None:
         refuse_outside(comm, cell, x)
+    refuse_beyond(comm, planes, x, horizon)
     (x, volume, gid, flags), _ = exchange(comm, bisect(comm, x), [x, volume, gid, np.ascontiguousarray(flags)])
     order = _near_in_memory(x, gid, horizon)
     x, volume, gid, flags = x[order], volume[order], gid[order], flags[order]
@@ -166,10 +177,11 @@ def distribute(
     first = offset(comm, n_owned)
     row = first + np.arange(n_owned, dtype=np.int64)
 
-    offsets = [np.zeros(dim)]
+    periods = [np.zeros(dim)]
     if cell is not None:
-        offsets = [n * cell.lengths for n in shifts(cell, horizon * (1.0 + HORIZON_TOLERANCE))]
-    ghosts, counts = _candidates(comm, x, [volume, gid, row, flags], horizon, offsets)
+        periods = [n * cell.lengths for n in shifts(cell, horizon * (1.0 + HORIZON_TOLERANCE))]
+    places = Places.of(dim, planes, periods)
+    ghosts, counts = _candidates(comm, x, [volume, gid, row, flags], horizon, places)
     near = _within(x, ghosts[0], horizon)
     owner = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[near]
     positions, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
@@ -189,9 +201,10 @@ def distribute(
         first=first,
         halo=halo,
         images=None if cell is None else Images(comm, cell),
-        offset=np.array(offsets)[number] if cell is not None else np.empty((0, dim)),
-        place=np.concatenate([np.zeros(n_owned, dtype=np.int64), number - len(offsets) // 2]),
-        n_places=len(offsets),
+        offset=places.period[number] if cell is not None else np.empty((0, dim)),
+        sign=places.sign[number] if planes else np.empty((0, dim)),
+        place=np.concatenate([np.zeros(n_owned, dtype=np.int64), number - places.home]),
+        places=places,
         n_created=n_created,
     )
 
@@ -228,11 +241,11 @@ def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:
 
 
 def _candidates(
-    comm: Comm, x: Float, arrays: list[NDArray[Any]], horizon: float, offsets: list[Float]
+    comm: Comm, x: Float, arrays: list[NDArray[Any]], horizon: float, places: Places
 ) -> tuple[list[NDArray[Any]], GlobalIndex]:
     """Receive the particles and images that lie in this rank's bounding box widened by one horizon.
 
-    Returns their positions, their rows of ``arrays`` and the number of their offset; and how many each rank sent.
+    Returns their positions, their rows of ``arrays`` and the row of their place; and how many each rank sent.
     """
     dim = x.shape[1]
     box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
@@ -240,10 +253,11 @@ def _candidates(
     comm.Allgather(box, boxes)
     reach = horizon * (1.0 + HORIZON_TOLERANCE)
     index, destination, number = [], [], []
-    for n, shift in enumerate(offsets):
-        low, high = boxes[:, :dim] - reach - shift, boxes[:, dim:] + reach - shift
+    for n, (sign, shift) in enumerate(zip(places.sign, places.shift, strict=True)):
+        one, other = sign * (boxes[:, :dim] - reach - shift), sign * (boxes[:, dim:] + reach - shift)
+        low, high = np.minimum(one, other), np.maximum(one, other)
         for rank in np.flatnonzero(np.all((low <= box[dim:]) & (high >= box[:dim]), axis=1)):
-            if rank == comm.rank and not shift.any():
+            if rank == comm.rank and n == places.home:
                 continue
             index.append(np.flatnonzero(np.all((x >= low[rank]) & (x <= high[rank]), axis=1)))
             destination.append(np.full(len(index[-1]), rank, dtype=np.int32))
@@ -251,8 +265,8 @@ def _candidates(
     chosen = np.concatenate([np.empty(0, dtype=np.int64), *index])
     rank_of = np.concatenate([np.empty(0, dtype=np.int32), *destination])
     number_of = np.concatenate([np.empty(0, dtype=np.int64), *number])
-    place = x[chosen] + np.array(offsets)[number_of]
-    return exchange(comm, rank_of, [place, *(array[chosen] for array in arrays), number_of])
+    image = places.sign[number_of] * x[chosen] + places.shift[number_of]
+    return exchange(comm, rank_of, [image, *(array[chosen] for array in arrays), number_of])
 
 
 def _within(x: Float, candidates: Float, horizon: float) -> Mask:

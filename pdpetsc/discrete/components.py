@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
@@ -44,7 +44,8 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
     Parameters
     ----------
     fixed : (n_owned, dim) bool
-        Prescribed degrees of freedom.
+        Prescribed degrees of freedom. A mirror plane holds the pieces that it crosses in the body: they cannot move
+        along its normal, nor turn it.
 
     Raises
     ------
@@ -62,6 +63,9 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
     held = np.where(fixed[:, :, None], modes, 0.0)
     gram = np.zeros((len(labels), n_modes, n_modes))
     np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
+    across = np.flatnonzero(cloud.places.behind(cloud.place[families.neighbours]))
+    torn = _torn_by_mirrors(cloud, families.neighbours[across])
+    np.add.at(gram, index[families.centres[across]], np.einsum("nia,nib->nab", torn, torn))
     sums: dict[int, Float] = {}
     for part in cloud.comm.allgather(dict(zip(labels.tolist(), gram, strict=True))):
         for piece, matrix in part.items():
@@ -89,12 +93,24 @@ def rigid_modes(cloud: Cloud) -> Float:
     -----
     Collective.
     """
+    return _rigid_at(cloud, cloud.x[: cloud.n_owned])
+
+
+def _torn_by_mirrors(cloud: Cloud, images: LocalIndex) -> Float:
+    """Return by how much images of particles that move rigidly are off the same motion (n, dim, modes) (collective)."""
+    place = cloud.place[images]
+    moved = _rigid_at(cloud, cloud.places.at_home(place, cloud.x[images]))
+    sign = cloud.places.sign[place + cloud.places.home]
+    return np.asarray(sign[:, :, None] * moved - _rigid_at(cloud, cloud.x[images]))
+
+
+def _rigid_at(cloud: Cloud, points: Float) -> Float:
+    """Return the rigid motions at points (n, dim), of all ranks together (collective)."""
     x = cloud.x[: cloud.n_owned]
-    n, dim = x.shape
+    n, dim = points.shape
     centre = total(cloud.comm, x.sum(axis=0)) / cloud.n_global
-    r = x - centre
-    size = float(np.sqrt(total(cloud.comm, (r * r).sum()) / cloud.n_global)) or 1.0
-    r = r / size
+    size = float(np.sqrt(total(cloud.comm, ((x - centre) ** 2).sum()) / cloud.n_global)) or 1.0
+    r = (points - centre) / size
     periodic = [] if cloud.images is None else cloud.images.cell.periodic
     planes = [(0, 1), (1, 2), (2, 0)][: {1: 0, 2: 1, 3: 3}[dim]]
     planes = [plane for plane in planes if not set(plane) & set(periodic)]

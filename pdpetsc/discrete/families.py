@@ -55,7 +55,7 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = ()) -> Families:
     cloud : Cloud
         Particles of this rank with their ghosts.
     cracks : sequence of Crack
-        What cuts bonds from the start; in a periodic cell their images do too.
+        What cuts bonds from the start; their images in a periodic cell and behind mirror planes do too.
 
     Returns
     -------
@@ -96,10 +96,12 @@ def _cut(cloud: Cloud, pairs: LocalIndex, cracks: Sequence[Crack]) -> Mask:
         home[cloud.n_owned :] = cloud.offset
     for number, crack in enumerate(cracks):
         with agreed(cloud.comm):
-            separated = crack.cuts(a, b)
-            for end in (0, 1) if cloud.images is not None else ():
-                shift = home[pairs[:, end]]
-                separated |= crack.cuts(a - shift, b - shift)
+            separated = np.zeros(len(pairs), dtype=bool)
+            for sign, to in zip(*cloud.places.mirrors, strict=True):
+                separated |= crack.cuts(sign * a + to, sign * b + to)
+                for end in (0, 1) if cloud.images is not None else ():
+                    shift = home[pairs[:, end]]
+                    separated |= crack.cuts(sign * (a - shift) + to, sign * (b - shift) + to)
         if int(total(cloud.comm, np.count_nonzero(separated))) == 0:
             raise CaseError(f"Crack {number + 1} cuts no bond: {crack}.")
         cut |= separated

@@ -19,7 +19,7 @@ Finish: TypeAlias = Callable[[], None]
 class Halo:
     """Forward (owner to ghost) and reverse (ghost added to owner) exchange.
 
-    Local arrays hold ``n_owned`` own rows, then the ghosts grouped by owning rank. In a periodic cell a rank can own
+    Local arrays hold ``n_owned`` own rows, then the ghosts grouped by owning rank. With images a rank can own
     its ghosts: images of its own particles.
 
     Parameters
@@ -46,7 +46,7 @@ class Halo:
         self.send_index: LocalIndex = send_index
         self.targets = np.flatnonzero(asked)
         self.target_ptr: GlobalIndex = np.concatenate([[0], np.cumsum(asked[self.targets])])
-        # Images of one particle arrive in ascending runs, one per offset; no run names a particle twice.
+        # Images of one particle arrive in ascending runs, one per place; no run names a particle twice.
         again = np.flatnonzero(np.diff(self.send_index) <= 0) + 1
         self._runs = np.union1d(again, self.target_ptr)
         held = np.bincount(ghost_owner, minlength=comm.size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from mpi4py import MPI
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.cell import Cell
+from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.discrete.communicator import Comm, agreed, total
+from pdpetsc.discrete.places import Places
 from pdpetsc.errors import CaseError
 
 # Least memory of a particle until it has its rank, and of a bond until families are found [bytes].
@@ -79,7 +82,9 @@ def refuse_beyond_memory(comm: Comm, needed: float, what: str) -> None:
             )
 
 
-def predicted_bonds(comm: Comm, x: Float, horizon: float, cell: Cell | None = None) -> float:
+def predicted_bonds(
+    comm: Comm, x: Float, horizon: float, cell: Cell | None = None, planes: Sequence[Symmetry] = ()
+) -> float:
     """Return about how many bonds a body has, counted at a sample of its particles.
 
     Where the horizon is longer than half a period, it is what a ball holds at the mean density of the cell.
@@ -92,6 +97,8 @@ def predicted_bonds(comm: Comm, x: Float, horizon: float, cell: Cell | None = No
         Radius of the families [length].
     cell : Cell, optional
         The periodic cell.
+    planes : sequence of Symmetry
+        Mirror planes.
 
     Raises
     ------
@@ -117,14 +124,17 @@ def predicted_bonds(comm: Comm, x: Float, horizon: float, cell: Cell | None = No
     sample = np.concatenate(comm.allgather(x[rows]))
     wide = bool((periods > 0.5).any())
     found = np.zeros(len(sample))
+    inside = [plane for plane in planes if plane.number < x.shape[1]]
+    mirrors = Places.of(x.shape[1], inside, [np.zeros(x.shape[1])])
     for k, centre in enumerate(sample):
-        apart = x - centre
-        if wide:
-            apart = apart[:, lengths == 0.0]
-        else:
-            for axis in np.flatnonzero(lengths > 0.0):
-                apart[:, axis] -= lengths[axis] * np.round(apart[:, axis] / lengths[axis])
-        found[k] = np.count_nonzero(np.linalg.norm(apart, axis=1) <= horizon)
+        for sign, shift in zip(mirrors.sign, mirrors.shift, strict=True):
+            apart = x - (sign * centre + shift)
+            if wide:
+                apart = apart[:, lengths == 0.0]
+            else:
+                for axis in np.flatnonzero(lengths > 0.0):
+                    apart[:, axis] -= lengths[axis] * np.round(apart[:, axis] / lengths[axis])
+            found[k] += np.count_nonzero(np.linalg.norm(apart, axis=1) <= horizon)
     family = float(total(comm, found).mean()) if len(sample) else 0.0
     if wide:
         ball = {1: 1.0, 2: math.pi / 4.0, 3: math.pi / 6.0}[x.shape[1]]

@@ -64,6 +64,8 @@ def start_displacements(cloud: Cloud, u: Float, v: Float) -> Finish:
 
     def finish() -> None:
         arrived()
+        if len(cloud.sign):
+            v[n:] *= cloud.sign
         if cloud.images is not None:
             v[n:] += cloud.offset @ cloud.images.strain(u[n:])
 
@@ -77,6 +79,8 @@ def start_forces(cloud: Cloud, f: Float) -> Callable[[], Float]:
     """
     n = cloud.n_owned
     virtual = None if cloud.images is None else cloud.images.force(cloud.offset, f[n:])
+    if len(cloud.sign):
+        f[n:] *= cloud.sign
     home = cloud.halo.start_reverse(f)
 
     def finish() -> Float:

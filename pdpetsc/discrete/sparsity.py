@@ -96,9 +96,10 @@ class Sparsity:
         Rows of the virtual unknowns that this rank holds; their own columns are of particles and virtual.
     other_columns : (n_other,) int64
         Global row number of the columns that this rank does not own, ascending.
-    locals_of_columns : (n_columns + 1,) int64, (n_local,) int32
+    locals_of_columns : (n_columns + 1,) int64, (n_local,) int32, (n_local,) int32, (n_mirrors, dim) float64
         Where the local particles of each column start in the second array: several where there are images, none for a
-        column that only other ranks add to.
+        column that only other ranks add to. Which mirror planes each local particle is behind, and what multiplies the
+        components of the vectors of those that are behind them.
     border : Border or None
         Where the rows meet the virtual unknowns of a periodic cell.
     arrivals : Arrivals
@@ -110,7 +111,7 @@ class Sparsity:
     ghost: Rows
     virtual: Rows
     other_columns: GlobalIndex
-    locals_of_columns: tuple[GlobalIndex, LocalIndex]
+    locals_of_columns: tuple[GlobalIndex, LocalIndex, LocalIndex, Float]
     arrivals: Arrivals
     border: Border | None
 
@@ -215,7 +216,8 @@ def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) ->
     border = None
     if cloud.images is not None:
         border = Border(cloud.comm, reached, number(virtual), number(reached_rows))
-    locals_of_columns = _locals(number(cloud.row), n_own + len(other_columns))
+    behind = cloud.places.behind(cloud.place).astype(np.int32), np.ascontiguousarray(cloud.places.mirrors[0])
+    locals_of_columns = *_locals(number(cloud.row), n_own + len(other_columns)), *behind
     return Sparsity(cloud, owned, ghost, held, other_columns, locals_of_columns, arrivals, border)
 
 

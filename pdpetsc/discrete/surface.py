@@ -24,6 +24,8 @@ ON_SIDE = 1e-9
 NEAR_FACET = 1e-6
 # A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8
+# A facet lies on a mirror plane where it is this near to it, as a share of the horizon.
+ON_MIRROR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -126,20 +128,28 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     rows = np.arange(len(owner)) - np.repeat(first, count) + np.repeat(start, count)
     packed = fetch(comm, np.repeat(creator, count), rows, packed)
     x, area = packed[:, :dim], packed[:, dim : 2 * dim]
-    kept = ~_on_periodic_side(cloud, x, area)
+    kept = ~_before_images(cloud, x, area)
     x, area, owner = np.ascontiguousarray(x[kept]), np.ascontiguousarray(area[kept]), owner[kept]
     tagged = {name: packed[kept, 2 * dim + n] > 0.5 for n, name in enumerate(names)}
     _refuse_open(cloud, x, area)
     return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, area, owner))
 
 
-def _on_periodic_side(cloud: Cloud, x: Float, area: Float) -> Mask:
-    """Return which facets have another one on their back a period away: there are images behind them (collective)."""
+def _before_images(cloud: Cloud, x: Float, area: Float) -> Mask:
+    """Return which facets have images behind them: on a mirror plane, or on the back of another one a period away.
+
+    Notes
+    -----
+    Collective.
+    """
     found = np.zeros(len(x), dtype=bool)
+    size = np.linalg.norm(area, axis=1)
+    for axis, at in cloud.places.planes.items():
+        across = np.abs(area[:, axis]) >= (1.0 - ON_MIRROR) * size
+        found |= across & (np.abs(x[:, axis] - at) <= ON_MIRROR * cloud.horizon)
     if cloud.images is None:
         return found
     comm, cell = cloud.comm, cloud.images.cell
-    size = np.linalg.norm(area, axis=1)
     for axis in cell.periodic:
         across = np.flatnonzero(np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size)
         rank = np.full(len(across), comm.rank)
@@ -152,9 +162,8 @@ def _on_periodic_side(cloud: Cloud, x: Float, area: Float) -> Mask:
             places[boxes[other] - places[:, other] <= ON_SIDE * boxes[other], other] = 0.0
         reach = ON_SIDE * float(boxes.max())
         pairs = cKDTree(places).query_pairs(2.0 * reach, output_type="ndarray")
-        opposite = np.abs(areas[pairs[:, 0]] + areas[pairs[:, 1]]).max(axis=1, initial=0.0) <= 2.0 * ON_SIDE * size.max(
-            initial=0.0
-        )
+        largest = float(np.abs(areas).max(initial=0.0))
+        opposite = np.abs(areas[pairs[:, 0]] + areas[pairs[:, 1]]).max(axis=1, initial=0.0) <= 2.0 * ON_SIDE * largest
         apart = np.abs(every[pairs[:, 0], axis] - every[pairs[:, 1], axis]) > 0.5 * boxes[axis]
         taken = np.zeros(len(every), dtype=bool)
         taken[np.ravel(pairs[opposite & apart])] = True
@@ -169,7 +178,13 @@ def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:
     size = float(total(comm, float(np.linalg.norm(area, axis=1).sum())))
     sums = total(comm, area.sum(axis=0))
     centre = total(comm, (cloud.x[: cloud.n_owned]).sum(axis=0)) / cloud.n_global
+    # What is left out on a mirror plane has areas along its normal alone, and no moment about a point on it.
+    for axis, at in cloud.places.planes.items():
+        sums[axis], centre[axis] = 0.0, at
     moment = total(comm, (x - centre).T @ area)
+    for axis in cloud.places.planes:
+        beside = np.arange(dim) != axis
+        moment[beside, axis] = 0.0
     periodic = [] if cloud.images is None else list(cloud.images.cell.periodic)
     if np.abs(sums).max(initial=0.0) > CLOSED * size:
         raise CaseError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -35,7 +36,8 @@ class ConformingSystem:
     """The symmetric system for the multipliers of the divergence theorem, ``S lambda = s - sum_p W_p g_pk``.
 
     ``S = C (I - Phi M^-1 Phi^T) C^T`` with ``C_k,pk = W_p``: to the numbers that a particle ``k`` has in every point it
-    is a member of, of which each point takes the best linear function out. Linear functions are its null space.
+    is a member of, of which each point takes the best linear function out. Linear functions are its null space. Beside
+    mirror planes each component has a system of its own, because images have its numbers with another sign.
 
     Parameters
     ----------
@@ -57,6 +59,28 @@ class ConformingSystem:
         linear_moments_kernel(cloud.dim)(operator.point_ptr, operator.members, cloud.x, self._size, M)
         # A point with as few members as a linear function has numbers explains all of them.
         self._inverse = np.linalg.pinv(M, hermitian=True)
+        self._component: int | None = None
+
+    def of_component(self, component: int) -> ConformingSystem:
+        """Return the system for one component of the multipliers (not collective)."""
+        found = copy(self)
+        found._component = component
+        return found
+
+    @property
+    def null_functions(self) -> list[Float]:
+        """Return the linear functions that are linear on the images too, on the own particles (not collective)."""
+        cloud = self.cloud
+        x, planes = cloud.x[: cloud.n_owned], cloud.places.planes
+        if self._component in planes:
+            return [x[:, self._component] - planes[self._component]]
+        bent = [*planes, *([] if cloud.images is None else cloud.images.cell.periodic)]
+        return [np.ones(len(x)), *(x[:, axis] for axis in range(cloud.dim) if axis not in bent)]
+
+    def _turn(self, values: Float) -> None:
+        """Give the ghosts of ``values`` (n_local, columns) the sign of the component."""
+        if self._component is not None and len(self.cloud.sign):
+            values[self.cloud.n_owned :] *= self.cloud.sign[:, self._component, None]
 
     def product(self, values: Float) -> Float:
         """Return ``S v`` (n_owned, columns) for ``values`` of the own particles (n_owned, columns)."""
@@ -64,8 +88,10 @@ class ConformingSystem:
         v, out = np.zeros((cloud.n_local, columns)), np.zeros((cloud.n_local, columns))
         v[: cloud.n_owned] = values
         cloud.halo.forward(v)
+        self._turn(v)
         kernel = gathered_rest_kernel(cloud.dim, columns)
         kernel(*self._geometry, self._operator.volume, v, out)
+        self._turn(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
 
@@ -75,6 +101,8 @@ class ConformingSystem:
         v = np.zeros((cloud.n_local, cloud.dim))
         v[: cloud.n_owned] = values
         cloud.halo.forward(v)
+        if len(cloud.sign):
+            v[cloud.n_owned :] *= cloud.sign
         e = np.empty((len(self._operator.members), cloud.dim))
         without_linear_kernel(cloud.dim, cloud.dim)(*self._geometry, self._operator.volume, v, e)
         # The first entry of a point is its centre, which takes what the others give.
@@ -89,6 +117,8 @@ class ConformingSystem:
         out = -s
         identity = np.broadcast_to(np.eye(cloud.dim), (self._operator.n_points, cloud.dim, cloud.dim))
         replace(self._operator, g=g).divergence(np.ascontiguousarray(identity), out)
+        if len(cloud.sign):
+            out[cloud.n_owned :] *= cloud.sign
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
 
@@ -118,7 +148,9 @@ class ConformingSystem:
         shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * cloud.n_owned))
         diagonal = np.bincount(members, W**2, n)
         found = csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
-        return csr_matrix(found)
+        turned = np.ones((n, 1))
+        self._turn(turned)
+        return csr_matrix(found.multiply(turned).multiply(turned.T))
 
     @property
     def _geometry(self) -> tuple[Any, ...]:
@@ -175,10 +207,16 @@ def conforming(
     if before <= TOLERANCE * scale:
         return operator
     g, left, after, iterations = operator.g, excess, before, 0
-    near = system.near_matrix(families)
+    systems = [system]
+    if cloud.places.planes:
+        systems = [system.of_component(component) for component in range(cloud.dim)]
+    near = [one.near_matrix(families) for one in systems]
     for _ in range(ROUNDS):
         # What round-off of many iterations leaves the next round takes.
-        multipliers, more = solve(system, near, -left, max(0.1 * TOLERANCE * scale / after, 1e-12))
+        tolerance = max(0.1 * TOLERANCE * scale / after, 1e-12)
+        parts = np.split(-left, len(systems), axis=1)
+        solved = [solve(one, close, part, tolerance) for one, close, part in zip(systems, near, parts, strict=True)]
+        multipliers, more = np.concatenate([part for part, _ in solved], axis=1), sum(count for _, count in solved)
         changed = g + system.change(multipliers)
         rest = system.excess(changed, s)
         found = largest(cloud.comm, float(np.abs(rest).max(initial=0.0)))

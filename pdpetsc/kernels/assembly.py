@@ -24,12 +24,13 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
 
     The blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``. The local
     particles of a column, none where only other ranks add to it, are ``locals_of[local_ptr[c] : local_ptr[c + 1]]``.
+    Rows and columns of a particle behind mirror planes are multiplied with ``signs[behind[a]]``.
     """
     size = dim * dim
 
     @compiled
     def assemble(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
         point_ptr, members, h, g, volume, A, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int32)
@@ -37,7 +38,9 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
         n_rows = diag_ptr.size - 1
         for row in range(n_rows):
             widest = max(widest, diag_ptr[row + 1] - diag_ptr[row] + off_ptr[row + 1] - off_ptr[row])
-        blocks = np.empty(widest * size)
+        # Columns behind different mirror planes are summed apart, and multiplied with their signs at the end.
+        n_mirrors = signs.shape[0]
+        blocks = np.empty(n_mirrors * widest * size)
         left = np.empty(size * dim)
         for row in range(n_rows):
             begin = diag_ptr[row] + off_ptr[row]
@@ -46,8 +49,8 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
             for q in range(n_diag + n_off):
                 column = columns[begin + q]
                 for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = q
-            for v in range((n_diag + n_off) * size):
+                    slot[locals_of[c]] = behind[locals_of[c]] * (n_diag + n_off) + q
+            for v in range(n_mirrors * (n_diag + n_off) * size):
                 blocks[v] = 0.0
             a = first_row + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
@@ -67,15 +70,20 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
                         for n in range(dim):
                             value += left[n * size + v] * g[s, n]
                         blocks[base + v] = value
-            for i in range(dim):
-                start = size * diag_ptr[row] + i * dim * n_diag
-                for q in range(n_diag):
-                    for k in range(dim):
-                        diag[start + dim * q + k] += blocks[q * size + i * dim + k]
-                start = size * off_ptr[row] + i * dim * n_off
-                for q in range(n_off):
-                    for k in range(dim):
-                        off[start + dim * q + k] += blocks[(n_diag + q) * size + i * dim + k]
+            for mirror in range(n_mirrors):
+                base = mirror * (n_diag + n_off)
+                for i in range(dim):
+                    row_sign = signs[behind[a], i]
+                    start = size * diag_ptr[row] + i * dim * n_diag
+                    for q in range(n_diag):
+                        for k in range(dim):
+                            sign = row_sign * signs[mirror, k]
+                            diag[start + dim * q + k] += sign * blocks[(base + q) * size + i * dim + k]
+                    start = size * off_ptr[row] + i * dim * n_off
+                    for q in range(n_off):
+                        for k in range(dim):
+                            sign = row_sign * signs[mirror, k]
+                            off[start + dim * q + k] += sign * blocks[(base + n_diag + q) * size + i * dim + k]
 
     return assemble
 
@@ -111,16 +119,20 @@ def add_blocks_kernel(dim: int) -> Callable[..., Any]:
 
 
 @lru_cache
-def add_isotropic_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``add_isotropic(ptr, scalars, values)``: adds ``scalars[b]`` times the identity to block ``b``."""
+def add_diagonal_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``add_diagonal(ptr, scalars, values)``: adds ``scalars[i, b]`` to entry ``ii`` of block ``b``.
+
+    Where ``scalars`` has one row it holds for all ``i``.
+    """
 
     @compiled
-    def add_isotropic(ptr, scalars, values):  # type: ignore[no-untyped-def]
+    def add_diagonal(ptr, scalars, values):  # type: ignore[no-untyped-def]
         for row in range(ptr.size - 1):
             n = ptr[row + 1] - ptr[row]
             for i in range(dim):
                 start = dim * dim * ptr[row] + i * dim * n + i
+                c = min(i, scalars.shape[0] - 1)
                 for q in range(n):
-                    values[start + dim * q] += scalars[ptr[row] + q]
+                    values[start + dim * q] += scalars[c, ptr[row] + q]
 
-    return add_isotropic
+    return add_diagonal

@@ -93,7 +93,7 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def rows(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
         ends, x, u, stiffness, tension, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int32)
@@ -112,13 +112,15 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
                 _, current = direction(ends[2 * b], ends[2 * b + 1], x, u, finite, n)
                 turning = finite * tension[b] / current
                 for side in range(2):
-                    q = slot[ends[entries[e] ^ side]]
+                    other = ends[entries[e] ^ side]
+                    q = slot[other]
                     sign = 1.0 - 2.0 * side
                     for i in range(dim):
                         for k in range(dim):
                             value = sign * (stiffness[b] - turning) * n[i] * n[k]
                             if i == k:
                                 value += sign * turning
+                            value *= signs[behind[a], i] * signs[behind[other], k]
                             if q < n_diag:
                                 diag[size * diag_ptr[row] + i * dim * n_diag + dim * q + k] += value
                             else:
@@ -138,7 +140,7 @@ def outer_rows_kernel(dim: int) -> Callable[..., Any]:
 
     @compiled
     def rows(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
         ends, v, m, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int32)
@@ -156,11 +158,12 @@ def outer_rows_kernel(dim: int) -> Callable[..., Any]:
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
                 b = entry_point[e]
                 for side in range(2):
-                    q = slot[ends[entries[e] ^ side]]
+                    other = ends[entries[e] ^ side]
+                    q = slot[other]
                     sign = 1.0 - 2.0 * side
                     for i in range(dim):
                         for k in range(dim):
-                            value = sign * v[b, i] * m[b, k]
+                            value = sign * v[b, i] * m[b, k] * signs[behind[a], i] * signs[behind[other], k]
                             if q < n_diag:
                                 diag[size * diag_ptr[row] + i * dim * n_diag + dim * q + k] += value
                             else:

@@ -68,7 +68,7 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
-    """Return the kernel that fills the scalar matrix of the control, one number per block.
+    """Return the kernel that fills the scalar matrix of the control, one number per block, for one component.
 
     ``M_jk = s_j delta_jk - s_j w_k xi_j . K^-1 xi_k`` for neighbours of ``i``; rows and columns of ``i`` follow from
     the sum of each row and column being zero. ``point_ptr`` and ``members`` are the families with the centre first.
@@ -76,7 +76,7 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
 
     @compiled
     def matrix(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
         point_ptr, members, stiffness, weight, K_inverse, x, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int64)
@@ -124,11 +124,13 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
                     elif s == t:
                         value += stiffness[s]
                     centre -= value
+                    value *= signs[behind[a], 0] * signs[behind[k], 0]
                     q = slot[k]
                     if q < n_diag:
                         diag[diag_ptr[row] + q] += value
                     else:
                         off[off_ptr[row] + q - n_diag] += value
+                centre *= signs[behind[a], 0]
                 q = slot[i]
                 if q < n_diag:
                     diag[diag_ptr[row] + q] += centre
@@ -201,7 +203,7 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
 
     @compiled
     def matrix(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, entry_ptr, entries, entry_point,
+        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
         point_ptr, members, S, g, T, x, diag, off,
     ):  # fmt: skip
         slot = np.zeros(entry_ptr.size, np.int64)
@@ -257,12 +259,12 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
                         q = slot[k]
                         for m in range(dim):
                             for n in range(dim):
-                                blocks[q, m, n] += block[m, n]
+                                blocks[q, m, n] += signs[behind[a], m] * block[m, n] * signs[behind[k], n]
                                 centre[m, n] -= block[m, n]
                     q = slot[i]
                     for m in range(dim):
                         for n in range(dim):
-                            blocks[q, m, n] += centre[m, n]
+                            blocks[q, m, n] += signs[behind[a], m] * centre[m, n]
             for i in range(dim):
                 start = size * diag_ptr[row] + i * dim * n_diag
                 for q in range(n_diag):

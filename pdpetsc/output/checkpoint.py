@@ -456,7 +456,8 @@ def _identity(cloud: Cloud) -> Float:
     numbered = (cloud.gid[:n] % 97) @ np.abs(x).sum(axis=1)
     sums = total(cloud.comm, [volume.sum(), (x**2).sum(), numbered])
     periods = np.zeros(cloud.dim) if cloud.images is None else cloud.images.cell.lengths
-    return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums])
+    planes = [number for plane in cloud.places.planes.items() for number in plane]
+    return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums, *planes])
 
 
 def _damaged_bonds(problem: Problem) -> tuple[GlobalIndex, Float]:

@@ -35,6 +35,11 @@ class ScalarSystem(Protocol):
 
     cloud: Cloud
 
+    @property
+    def null_functions(self) -> Sequence[Float]:
+        """Return the functions on the own particles (n_owned,) that span its null space (not collective)."""
+        ...
+
     def product(self, values: Float) -> Float:
         """Return the product with numbers of the own particles (n_owned, columns) (collective)."""
         ...
@@ -91,12 +96,11 @@ def solve_scalar(
     operator = PETSc.Mat().createPython((sizes, sizes), context=_Product(system), comm=cloud.comm)
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()
-    matrix, vectors = _assembled(cloud, near), _linear_functions(cloud, [])
+    x = cloud.x[: cloud.n_owned]
+    matrix, vectors = _assembled(cloud, near), _orthonormal(cloud, [np.ones(len(x)), *x.T])
     near_null_space = PETSc.NullSpace().create(vectors=vectors, comm=cloud.comm)
     matrix.setNearNullSpace(near_null_space)
-    # A linear function along a period is none on the images.
-    periodic = [] if cloud.images is None else list(cloud.images.cell.periodic)
-    exact = _linear_functions(cloud, periodic)
+    exact = _orthonormal(cloud, system.null_functions)
     null_space = PETSc.NullSpace().create(vectors=exact, comm=cloud.comm)
     operator.setNullSpace(null_space)
     ksp = PETSc.KSP().create(comm=cloud.comm)
@@ -154,8 +158,8 @@ def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
     return mat
 
 
-def _linear_functions(cloud: Cloud, without: Sequence[int]) -> list[PETSc.Vec]:
-    """Return an orthonormal basis of the functions on the particles that are linear, constant along some axes.
+def _orthonormal(cloud: Cloud, functions: Sequence[Float]) -> list[PETSc.Vec]:
+    """Return an orthonormal basis of functions on the own particles (n_owned,).
 
     Notes
     -----
@@ -163,7 +167,7 @@ def _linear_functions(cloud: Cloud, without: Sequence[int]) -> list[PETSc.Vec]:
     """
     n = cloud.n_owned
     made: list[PETSc.Vec] = []
-    for values in (np.ones(n), *(cloud.x[:n, axis] for axis in range(cloud.dim) if axis not in without)):
+    for values in functions:
         vector = PETSc.Vec().createMPI((n, cloud.n_global), comm=cloud.comm)
         vector.setArray(values)
         for _ in range(2):

@@ -12,6 +12,8 @@ from pdpetsc.problem.problem import Problem
 def pieces_left(problem: Problem) -> tuple[int, int]:
     """Return how many pieces of two particles or more the bonds that are not broken hold together, and lone particles.
 
+    Those of the whole body, with what is behind mirror planes.
+
     Notes
     -----
     Collective.
@@ -21,8 +23,19 @@ def pieces_left(problem: Problem) -> tuple[int, int]:
         intact = problem.damage.bonds.intact
         before = np.concatenate([[0], np.cumsum(intact)])
         families = Families(before[families.indptr], families.neighbours[intact])
-    labels, size = np.unique(find_pieces(cloud, families), return_counts=True)
-    parts = cloud.comm.allgather((labels, size))
-    _, number = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
+    pieces = find_pieces(cloud, families)
+    labels, size = np.unique(pieces, return_counts=True)
+    behind = cloud.places.behind(cloud.place[families.neighbours])
+    across = np.flatnonzero(behind)
+    tied = np.unique(np.stack([pieces[families.centres[across]], behind[across]], axis=1), axis=0)
+    parts = cloud.comm.allgather((labels, size, tied))
+    found, number = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
     sizes = np.bincount(number.reshape(-1), np.concatenate([part[1] for part in parts]))
-    return int(np.count_nonzero(sizes > 1)), int(np.count_nonzero(sizes == 1))
+    # A piece with bonds to its images is one with them, and with their images in turn.
+    n_mirrors = len(cloud.places.mirrors[0])
+    together = {int(piece): {0} for piece in found}
+    for piece, mirror in np.concatenate([part[2] for part in parts]).tolist():
+        together[piece] |= {mirror ^ other for other in together[piece]}
+    whole = np.array([len(together[int(piece)]) for piece in found], dtype=np.int64)
+    several = sizes * whole > 1
+    return int((n_mirrors // whole[several]).sum()), n_mirrors * int(np.count_nonzero(~several))

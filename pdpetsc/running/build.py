@@ -59,12 +59,12 @@ def make_cloud(comm: Comm, case: Case) -> Cloud:
     if count == 0:
         raise CaseError("The case has no particles.")
     _refuse_large_families(comm, case, chunk.x, count)
-    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell)
+    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell, case.symmetry)
 
 
 def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None:
     """Raise on all ranks where families are so large that they cannot be held (collective)."""
-    bonds = predicted_bonds(comm, x, case.horizon, case.cell)
+    bonds = predicted_bonds(comm, x, case.horizon, case.cell, case.symmetry)
     family, dim = bonds / count, x.shape[1]
     each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
     what = f"A horizon of {case.horizon:g} gives {count} particles about {family:.4g} neighbours each, which"
@@ -108,7 +108,7 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 damage = None
                 if case.damage is not None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
-                bare = replace(case, damage=damage, conditions=[], cell=None, terms=())
+                bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=())
                 families = find_families(cloud)
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if case.weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)

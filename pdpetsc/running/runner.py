@@ -458,6 +458,9 @@ class _Run:
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
             f"{f'{int(points)} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
         )
+        if self.case.symmetry:
+            planes = ", ".join(f"{plane.axis} = {plane.at:g}" for plane in self.case.symmetry)
+            self.report.say(f"mirror planes {planes}; all numbers are those of the part before them")
         scheme = "bonds" if self.case.of_bonds else type(self.case.gradients).__name__
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:

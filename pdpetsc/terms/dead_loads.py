@@ -12,6 +12,7 @@ from pdpetsc.declare.conditions import BodyForce, Force, MeanStress, Traction, V
 from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.cloud import from_parts
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.surface import ON_MIRROR
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
@@ -191,7 +192,9 @@ class DeadLoads(Term):
             return np.asarray(traction.area * share / float(total(cloud.comm, float(share.sum()))))
         with agreed(cloud.comm):
             try:
-                part = self._particles.faces(cloud.comm.rank, cloud.comm.size, normal)
+                whole = self._particles.faces(cloud.comm.rank, cloud.comm.size, normal)
+                part = whole - self._on_mirrors(normal, len(whole))
+                part[part <= ON_MIRROR * whole] = 0.0
             except CaseError as error:
                 raise CaseError(f"{name}: {str(error)[:1].lower()}{str(error)[1:]}") from None
         face = from_parts(cloud, part)[where]
@@ -202,6 +205,19 @@ class DeadLoads(Term):
             )
         return np.asarray(face)
 
+    def _on_mirrors(self, normal: Float, count: int) -> Float:
+        """Return what of the free faces of the particles that this rank created is on mirror planes (count,) [area]."""
+        cloud = self.body.cloud
+        found = np.zeros(count)
+        if cloud.places.planes:
+            x, area, particle, _ = self._particles.surface(cloud.comm.rank, cloud.comm.size).arrays
+            on = np.zeros(len(x), dtype=bool)
+            for axis, at in cloud.places.planes.items():
+                across = np.abs(area[:, axis]) >= (1.0 - ON_MIRROR) * np.linalg.norm(area, axis=1)
+                on |= across & (np.abs(x[:, axis] - at) <= ON_MIRROR * cloud.horizon)
+            np.add.at(found, particle[on], np.maximum(area[on] @ normal, 0.0))
+        return found
+
     def _share(self, normal: Float, mask: Mask, face: Float, name: str) -> Float:
         """Return what the forces of a uniform stress are multiplied with to be those of a traction (n_owned,) [-].
 
@@ -211,6 +227,7 @@ class DeadLoads(Term):
         """
         P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
         reached = self._reach(mask)
+        self._refuse_mirrored(normal, reached, name)
         along = self._matter.uniform_stress_force(P)[: len(self._x)] @ normal
         found, wanted = total(self.body.cloud.comm, [along[reached].sum(), face.sum()])
         if not WHOLE_FACE[0] * wanted <= found <= WHOLE_FACE[1] * wanted:
@@ -220,6 +237,20 @@ class DeadLoads(Term):
             )
         factor = float(wanted / found)
         return np.where(reached, 1.0 if abs(factor - 1.0) < EXACT else factor, 0.0)
+
+    def _refuse_mirrored(self, normal: Float, reached: Mask, name: str) -> None:
+        """Raise on all ranks where a mirror plane puts another face, with another stress, within reach (collective)."""
+        cloud = self.body.cloud
+        turned = np.zeros(cloud.n_local)
+        if len(cloud.sign):
+            turned[cloud.n_owned :] = (np.abs(cloud.sign * normal - normal) > ON_MIRROR).any(axis=1)
+        cloud.halo.reverse(turned)
+        beside = reached & (turned[: cloud.n_owned] > 0.0)
+        if int(total(cloud.comm, np.count_nonzero(beside))):
+            raise CaseError(
+                f"{name} is consistent, and its face within three horizons of its own image behind a mirror plane; use "
+                f'distribution="layer" or "surface", or the whole body.'
+            )
 
     def _reach(self, mask: Mask) -> Mask:
         """Return the own particles whose forces depend on a marked own one."""

@@ -26,7 +26,7 @@ PROBLEMS = {
     "plate": ("plates/square_opening.py", "dx", ("4", "2", "1"), "error"),
 }
 # A quarter has nearly the displacements of the whole plate, in a quarter of the time.
-FIXED = {"plate": {"part": ["quarter"]}}
+FIXED = {"plate": {"part": ["quarter_cut"]}}
 
 
 def outcomes(folder, case, choices, words=()):

@@ -144,12 +144,14 @@ def numbers_of(prefix, results):
 def luo_10(folder):
     """Displacement, stress and their amplitudes along the x axis of the plate with a square opening.
 
-    Of the whole plate and of a quarter on its symmetry lines, with whole cells and with cells clipped at the edges.
+    Of the whole plate and of a quarter on its symmetry lines, with whole cells and with cells clipped at the edges, and
+    of a quarter before mirror planes.
     """
     fields = {"u": (plate.displacement_x, "u_x / mm"), "stress": (plate.stress_xx, "sigma_xx / MPa")}
     numbers = {}
-    kinds = {"whole": {}, "quarter": {"part": "quarter"}, "clipped": {"cells": "clipped"}}
-    kinds["clipped_quarter"] = {"part": "quarter", "cells": "clipped"}
+    kinds = {"whole": {}, "quarter": {"part": "quarter_cut"}, "clipped": {"cells": "clipped"}}
+    kinds["clipped_quarter"] = {"part": "quarter_cut", "cells": "clipped"}
+    kinds["mirrored_quarter"] = {"part": "quarter"}
     for kind, more in kinds.items():
         cases = {LABELS[key][0]: square_opening.case(**more, **LABELS[key][1]) for key in LUO}
         found = curves(folder, f"luo_10_{kind}", f"{kind.replace('_', ' ')} plate, y = 0", cases, **fields)

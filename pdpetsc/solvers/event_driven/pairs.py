@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
 from pdpetsc.terms.bond_forces import BondForces
 
-# The same name of a bond on every rank: ids of both ends, and the period that the second is in relative to the first.
+# The same name of a bond on every rank: ids of both ends, and the place that the second is in relative to the first.
 Key: TypeAlias = tuple[int, int, int]
 
 

@@ -1,6 +1,7 @@
 """Lower layers never import higher ones, and PETSc and MPI stay where they belong."""
 
 import ast
+import importlib
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,16 @@ def test_no_file_imports_itself_by_way_of_others():
         for path in ends:
             del left[path]
     assert not left, sorted(str(path.relative_to(PACKAGE)) for path in left)
+
+
+SCRIPTS = sorted((PACKAGE.parent / "runs").rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: str(p.relative_to(PACKAGE.parent)))
+def test_what_examples_import_is_there(path):
+    """Also where a study takes hours, which nobody runs after a name has changed."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pdpetsc":
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                assert hasattr(module, alias.name) or files_of(f"{node.module}.{alias.name}"), alias.name

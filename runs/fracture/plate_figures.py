@@ -33,7 +33,7 @@ from pdpetsc.declare.solvers import Newton  # noqa: E402
 from pdpetsc.discrete.communicator import world  # noqa: E402
 from pdpetsc.petsc.defaults import default_options  # noqa: E402
 from pdpetsc.petsc.jacobian import choose  # noqa: E402
-from pdpetsc.petsc.library import options  # noqa: E402
+from pdpetsc.petsc.options import Options  # noqa: E402
 from pdpetsc.problem.assembly import Assembler  # noqa: E402
 from pdpetsc.solvers.newton import StaticSolver  # noqa: E402
 
@@ -80,7 +80,7 @@ def by_newton(nx, G, steps=STEPS, **changes):
     cloud, bonds = problem.body.cloud, problem.damage.bonds
     right = problem.supports.fixed[:, 0] & (cloud.x[: cloud.n_owned, 0] > LENGTH)
     u, damage, force, note, most = np.zeros((cloud.n_rows, 2)), [], [], "", 0
-    with options({}, default_options(problem, Newton(), choose(problem, {}, Newton()))):
+    with Options({}).suggest(default_options(problem, Newton(), choose(problem, {}, Newton()))).active():
         solver = StaticSolver(problem, Assembler(problem), lambda: False)
         for step in range(1, steps + 1):
             after, result = solver.solve(u, step / steps)

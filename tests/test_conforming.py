@@ -624,3 +624,32 @@ def test_a_field_on_the_surface_is_exact_where_it_is_linear(ranks, tmp_path):
     found = results(script, output=tmp_path / "out", ranks=ranks)["results"]
     assert found["mean"] == pytest.approx(4.0 + 1.5, rel=1e-12)
     assert found["largest"] == pytest.approx(4.0 + 3.0 * 15 / 16, rel=1e-12)
+
+
+def bent(half):
+    """Return a plate pressed from above towards x = 0, whole or as its right half, with a shear stress at its top."""
+    low = 0.0 if half else -2.0
+    right = pd.region.Slab("x", low=1.75)
+    near = pd.region.Named("+y") & pd.region.Box((0.0, 0.0), (0.25, 1.0))
+    return pd.Case(
+        particles=pd.Lattice((low, 0.0), (2.0, 1.0), 0.25),
+        horizon=0.51,
+        material=pd.LinearElastic(E=10.0, nu=0.3),
+        control=pd.Silling(0.5),
+        scheme=pd.Correspondence(),
+        symmetry=[pd.Symmetry("x")] if half else [],
+        conditions=[
+            pd.Displacement(right if half else right | pd.region.Slab("x", high=-1.75), x=0.0, y=0.0),
+            pd.Pressure(pd.region.Named("+y"), lambda x, t: t * np.abs(x[:, 0])),
+        ],
+        history={name: pd.OnSurface(pd.stress, name, near) for name in ("xx", "xy", "yy")},
+        results=lambda h: {name: h[name][-1] for name in ("xx", "xy", "yy")},
+    )
+
+
+def test_fields_at_the_surface_of_a_half_are_those_of_the_whole(tmp_path):
+    """Also the shear stress beside the mirror plane, whose sign is another behind it."""
+    one, two = (dict(pd.run(bent(half), tmp_path)) for half in (False, True))
+    assert abs(one["xy"]) > 1e-3 * abs(one["xx"])
+    for name, value in one.items():
+        assert two[name] == pytest.approx(value, rel=1e-9), name

@@ -397,6 +397,9 @@ class OnSurface(Quantity):
         values = np.zeros(cloud.n_local)
         values[: cloud.n_owned] = _component_of(solution, self.field, self.component)
         cloud.halo.forward(values)
+        if len(cloud.sign):
+            # A component along the normal of a mirror plane changes its sign behind it.
+            values[cloud.n_owned :] *= cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
         chosen = surface.select(cloud, self.region, "an OnSurface")
         found = surface.interpolated(values)[chosen]
         if self.take == "largest":

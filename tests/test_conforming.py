@@ -43,7 +43,10 @@ def test_standard_weights_do_not_on_a_shaken_cloud(tmp_path):
     assert found["max_F_error"] > 0.2 * found["strain"]
 
 
-@pytest.mark.parametrize("ranks", [2, 3, 4])
+LONG = pytest.mark.long
+
+
+@pytest.mark.parametrize("ranks", [pytest.param(2, marks=LONG), pytest.param(3, marks=LONG), 4])
 def test_any_number_of_ranks_gives_the_same(ranks, tmp_path):
     words = ("dim=2", "shake=0.3", "horizon=2.015")
     assert tension(tmp_path, *words, ranks=ranks) < 1e-8

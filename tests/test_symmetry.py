@@ -412,7 +412,7 @@ def test_the_jacobian_beside_planes_is_correct(name, ranks, case_file, tmp_path)
     assert max(jacobian_ratios(finished.stdout)) < (1e-5 if kinks else 1e-6)
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_any_number_of_ranks_finds_the_same_part(ranks, case_file, tmp_path):
     names = ["solid", "softening", "gradients", "periodic", "conforming", "events"]
     run_several([(case_file, [f"name={name}"], tmp_path / name) for name in names], ranks)
@@ -430,7 +430,7 @@ def test_any_number_of_ranks_finds_the_same_part(ranks, case_file, tmp_path):
             assert one == other
 
 
-@pytest.mark.parametrize("ranks", [(1, 2), (2, 1)])
+@pytest.mark.parametrize("ranks", [pytest.param((1, 2), marks=pytest.mark.long), (2, 1)])
 def test_a_restart_on_other_ranks_knows_the_broken_bonds(ranks, case_file, tmp_path):
     before, after = ranks
     results(case_file, "name=softening", "steps=4", ranks=1, output=tmp_path / "whole")

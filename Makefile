@@ -10,7 +10,7 @@ run: .venv/ready
 	.ci/mpirun 2 $(PYTHON) -m pdpetsc runs/beams/clamped.py ny=5 -o out/clamped
 
 test: .venv/ready
-	$(PYTHON) -m pytest -n 2
+	$(PYTHON) -m pytest -n 3
 
 long: .venv/ready
 	$(PYTHON) -m pytest -n 2 -m long

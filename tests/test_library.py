@@ -265,7 +265,8 @@ NESTED = """
 """
 
 
-@pytest.mark.parametrize("size", [pytest.param(1, marks=pytest.mark.long), 2])
+@pytest.mark.long
+@pytest.mark.parametrize("size", [1, 2])
 def test_a_group_that_fails_inside_the_run_of_all_ends_that(size, tmp_path):
     script = tmp_path / "nested.py"
     script.write_text(textwrap.dedent(NESTED).format(root=str(ROOT), folder=str(tmp_path), size=size))

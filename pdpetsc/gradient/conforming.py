@@ -17,16 +17,12 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
-from pdpetsc.kernels.conforming import (
-    gathered_rest_kernel,
-    linear_moments_kernel,
-    near_members_kernel,
-    without_linear_kernel,
-)
+from pdpetsc.kernels.conforming import linear_moments_kernel, remainder_kernel
+from pdpetsc.kernels.near import reach_kernel
 
 # The divergence theorem holds up to this share of the largest sum of weights of a particle.
 TOLERANCE = 1e-10
-# Near members are this many times as far as the nearest ones at most; on lattices those along the diagonals are.
+# Near members are up to this many times as far as the 2 dim-th nearest one; on lattices those along the diagonals are.
 NEAR = 1.6
 # Times that the system is solved, for what is left of the right-hand side.
 ROUNDS = 4
@@ -55,6 +51,7 @@ class ConformingSystem:
         self.cloud = cloud
         self._operator = operator
         self._size = np.full(operator.n_points, cloud.horizon)
+        self._square = operator.volume**2
         M = np.empty((operator.n_points, cloud.dim + 1, cloud.dim + 1))
         linear_moments_kernel(cloud.dim)(operator.point_ptr, operator.members, cloud.x, self._size, M)
         # A point with as few members as a linear function has numbers explains all of them.
@@ -89,8 +86,8 @@ class ConformingSystem:
         v[: cloud.n_owned] = values
         cloud.halo.forward(v)
         self._turn(v)
-        kernel = gathered_rest_kernel(cloud.dim, columns)
-        kernel(*self._geometry, self._operator.volume, v, out)
+        kernel = remainder_kernel(cloud.dim, columns, 1)
+        kernel(*self._geometry, self._square, v, out)
         self._turn(out)
         cloud.halo.reverse(out)
         return out[: cloud.n_owned]
@@ -103,8 +100,8 @@ class ConformingSystem:
         cloud.halo.forward(v)
         if len(cloud.sign):
             v[cloud.n_owned :] *= cloud.sign
-        e = np.empty((len(self._operator.members), cloud.dim))
-        without_linear_kernel(cloud.dim, cloud.dim)(*self._geometry, self._operator.volume, v, e)
+        e = np.zeros((len(self._operator.members), cloud.dim))
+        remainder_kernel(cloud.dim, cloud.dim, 0)(*self._geometry, self._operator.volume, v, e)
         # The first entry of a point is its centre, which takes what the others give.
         first = self._operator.point_ptr[:-1]
         e[first] = 0.0
@@ -128,8 +125,9 @@ class ConformingSystem:
         It preconditions ``S``, and has about 25 entries in a row in the plane and 85 in space for any horizon.
         """
         cloud, dim = self.cloud, self.cloud.dim
-        near = np.zeros(len(families.neighbours), dtype=bool)
-        near_members_kernel(dim)(families.indptr, families.neighbours, cloud.x, NEAR, near)
+        reach, every = np.zeros(cloud.n_owned), np.ones(len(families.neighbours), dtype=bool)
+        reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
+        near = np.linalg.norm(families.bonds(cloud.x), axis=1) <= NEAR * reach[families.centres]
         counts = np.bincount(families.centres[near], minlength=cloud.n_owned)
         ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
         members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(cloud.n_owned), np.arange(cloud.n_owned))
@@ -148,9 +146,13 @@ class ConformingSystem:
         shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * cloud.n_owned))
         diagonal = np.bincount(members, W**2, n)
         found = csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
-        turned = np.ones((n, 1))
-        self._turn(turned)
-        return csr_matrix(found.multiply(turned).multiply(turned.T))
+        return csr_matrix(found)
+
+    def turned(self, matrix: csr_matrix) -> csr_matrix:
+        """Return a matrix over the local particles with the signs that the component has on them (not collective)."""
+        sign = np.ones((self.cloud.n_local, 1))
+        self._turn(sign)
+        return csr_matrix(matrix.multiply(sign).multiply(sign.T))
 
     @property
     def _geometry(self) -> tuple[Any, ...]:
@@ -210,12 +212,13 @@ def conforming(
     systems = [system]
     if cloud.places.planes:
         systems = [system.of_component(component) for component in range(cloud.dim)]
-    near = [one.near_matrix(families) for one in systems]
+    close = system.near_matrix(families)
+    near = [one.turned(close) for one in systems]
     for _ in range(ROUNDS):
         # What round-off of many iterations leaves the next round takes.
         tolerance = max(0.1 * TOLERANCE * scale / after, 1e-12)
         parts = np.split(-left, len(systems), axis=1)
-        solved = [solve(one, close, part, tolerance) for one, close, part in zip(systems, near, parts, strict=True)]
+        solved = [solve(one, of_it, part, tolerance) for one, of_it, part in zip(systems, near, parts, strict=True)]
         multipliers, more = np.concatenate([part for part, _ in solved], axis=1), sum(count for _, count in solved)
         changed = g + system.change(multipliers)
         rest = system.excess(changed, s)

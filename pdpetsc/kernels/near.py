@@ -12,15 +12,15 @@ from pdpetsc.kernels.compile import compiled
 
 
 @lru_cache
-def reach_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``reach(indptr, neighbours, kept, x, reach)``: the length of the ``dim``-th shortest kept bond of each.
+def reach_kernel(dim: int, most: int) -> Callable[..., Any]:
+    """Return ``reach(indptr, neighbours, kept, x, reach)``: the length of the ``most``-th shortest kept bond of each.
 
     Of a family with fewer it is the longest one's, 0 without any.
     """
 
     @compiled
     def reach(indptr, neighbours, kept, x, reach):  # type: ignore[no-untyped-def]
-        shortest = np.empty(dim)
+        shortest = np.empty(most)
         for i in range(indptr.size - 1):
             count = 0
             for b in range(indptr[i], indptr[i + 1]):
@@ -30,9 +30,9 @@ def reach_kernel(dim: int) -> Callable[..., Any]:
                 square = 0.0
                 for m in range(dim):
                     square += (x[j, m] - x[i, m]) ** 2
-                if count < dim:
+                if count < most:
                     count += 1
-                elif square >= shortest[dim - 1]:
+                elif square >= shortest[most - 1]:
                     continue
                 at = count - 1
                 while at > 0 and shortest[at - 1] > square:

@@ -146,15 +146,12 @@ def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
     mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=cloud.comm)
     diagonal = mat.getDiagonal()
     diagonal.scale(LIFTED)
-    lifted = diagonal.duplicate()
-    diagonal.copy(lifted)
-    lifted.shift(float(diagonal.max()[1]) * LIFTED)
+    diagonal.shift(float(diagonal.max()[1]) * LIFTED)
     mat.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-    mat.setDiagonal(lifted, addv=True)
+    mat.setDiagonal(diagonal, addv=True)
     mat.assemble()
     mat.setOption(PETSc.Mat.Option.SPD, True)
     diagonal.destroy()
-    lifted.destroy()
     return mat
 
 

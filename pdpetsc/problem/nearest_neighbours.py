@@ -117,7 +117,7 @@ def near_families(problem: Problem) -> Families:
     cloud, families, dim, damage = problem.body.cloud, problem.body.families, problem.dim, problem.damage
     kept = np.ones(len(families.neighbours), dtype=bool) if damage is None else damage.bonds.intact
     reach = np.zeros(cloud.n_local)
-    reach_kernel(dim)(families.indptr, families.neighbours, kept, cloud.x, reach[: cloud.n_owned])
+    reach_kernel(dim, dim)(families.indptr, families.neighbours, kept, cloud.x, reach[: cloud.n_owned])
     reach *= REACH
     for _ in range(WIDENINGS):
         near = _within(problem, kept, reach)

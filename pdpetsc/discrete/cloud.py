@@ -221,10 +221,21 @@ def from_parts(cloud: Cloud, part: NDArray[Any]) -> NDArray[Any]:
     -----
     Collective.
     """
+    creator, row = creators(cloud)
+    return fetch(cloud.comm, creator, row, part)
+
+
+def creators(cloud: Cloud) -> tuple[GlobalIndex, GlobalIndex]:
+    """Return the rank that created each own particle (n_owned,), and its number among those that rank created.
+
+    Notes
+    -----
+    Collective.
+    """
     comm, gid = cloud.comm, cloud.gid[: cloud.n_owned]
-    starts = np.array(comm.allgather(offset(comm, len(part))), dtype=np.int64)
+    starts = np.array(comm.allgather(offset(comm, cloud.n_created)), dtype=np.int64)
     creator = np.searchsorted(starts, gid, side="right") - 1
-    return fetch(comm, creator, gid - starts[creator], part)
+    return creator, gid - starts[creator]
 
 
 def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,8 +12,8 @@ from scipy.spatial import cKDTree
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.region import Region, View
 from pdpetsc.declare.surface import Facets
-from pdpetsc.discrete.cloud import Cloud, from_parts
-from pdpetsc.discrete.communicator import agreed, fetch, offset, smallest, total
+from pdpetsc.discrete.cloud import Cloud, creators
+from pdpetsc.discrete.communicator import agreed, fetch, smallest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 
@@ -61,14 +62,17 @@ class Surface:
 
     def spread(self, values: Float, onto: Float) -> None:
         """Add ``sum_f N_f(x_k) v_f`` to ``onto`` (n_local, dim) for ``values`` (n_facets, dim) (not collective)."""
-        of = np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
         for axis in range(onto.shape[1]):
-            onto[:, axis] += np.bincount(self.members, self.N * values[of, axis], len(onto))
+            onto[:, axis] += np.bincount(self.members, self.N * values[self._facet_of, axis], len(onto))
 
     def interpolated(self, values: Float) -> Float:
         """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` (n_local,) with ghosts (not collective)."""
-        of = np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
-        return np.asarray(np.bincount(of, self.N * values[self.members], len(self.x)))
+        return np.asarray(np.bincount(self._facet_of, self.N * values[self.members], len(self.x)))
+
+    @cached_property
+    def _facet_of(self) -> GlobalIndex:
+        """Return the facet of every entry (n_entries,)."""
+        return np.repeat(np.arange(len(self.x)), np.diff(self.ptr))
 
     def select(self, cloud: Cloud, region: Region, what: str) -> Mask:
         """Return which facets have their centroid in a region; named regions are tags, or sets of their particles.
@@ -119,10 +123,8 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     flags = np.array([tags.get(name, empty) for name in names], dtype=float).reshape(len(names), len(x)).T
     packed = np.concatenate([x, area, flags], axis=1)[order]
     counts = np.bincount(particle, minlength=cloud.n_created).astype(np.int64)
-    count = from_parts(cloud, counts)
-    start = from_parts(cloud, np.cumsum(counts) - counts)
-    starts = np.array(comm.allgather(offset(comm, cloud.n_created)), dtype=np.int64)
-    creator = np.searchsorted(starts, cloud.gid[: cloud.n_owned], side="right") - 1
+    creator, row = creators(cloud)
+    count, start = fetch(comm, creator, row, np.stack([counts, np.cumsum(counts) - counts], axis=1)).T
     owner = np.repeat(np.arange(cloud.n_owned), count)
     first = np.cumsum(count) - count
     rows = np.arange(len(owner)) - np.repeat(first, count) + np.repeat(start, count)

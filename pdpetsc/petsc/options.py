@@ -54,8 +54,8 @@ class Options:
     """PETSc's options of one run, which are in PETSc's database only while the run uses PETSc.
 
     What is already there, from the command line or the environment, wins over ``chosen``, which wins over what
-    pdpetsc suggests.
-    Two runs in one process, one after the other, in turns or one inside the other, do not see each other's.
+    pdpetsc suggests. Two runs in one process, one after the other, in turns or one inside the other, do not see each
+    other's.
 
     Parameters
     ----------
@@ -84,6 +84,7 @@ class Options:
         self._defaults: dict[str, Any] = {}
         self._inserted: list[str] = []
         self._used: set[str] = set()
+        self.in_force: dict[str, dict[str, Any]] = {}
         self.suggest({})
 
     def suggest(self, defaults: Mapping[str, Any]) -> Options:
@@ -143,7 +144,7 @@ class Options:
 
     def _note_used(self) -> None:
         """Remember what has been looked up: PETSc forgets it with the option."""
-        self._used |= {name for name in getattr(self, "in_force", {}) if option_used(name)}
+        self._used |= {name for name in self.in_force if option_used(name)}
 
     def _found(self) -> dict[str, dict[str, Any]]:
         sources = {"case": self.chosen, "environment": _environment(), "pdpetsc": self._defaults}

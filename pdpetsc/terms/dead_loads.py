@@ -13,19 +13,16 @@ from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.cloud import from_parts
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.surface import ON_MIRROR
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.matter import Matter
-from pdpetsc.problem.state import State
-from pdpetsc.problem.term import LinearisedTerm, Term
+from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
 # The forces of a consistent traction add up to this share of traction times face, or the region is not one whole face.
 WHOLE_FACE = (0.5, 2.0)
 # A share that differs from 1 by less than this differs by round-off.
 EXACT = 1e-9
-# The record has the resultant of a load at the first of these step times at which it is not zero.
-SHOWN = (1.0, 0.75, 0.5, 0.25)
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,7 @@ class _Consistent:
     share: Float
 
 
-class DeadLoads(Term):
+class DeadLoads(PrescribedLoads):
     """External forces of a case on this rank.
 
     Parameters
@@ -70,11 +67,8 @@ class DeadLoads(Term):
     Construction and every method are collective.
     """
 
-    load = True
-
     def __init__(self, body: Body, matter: Matter, particles: Particles, cell: CellRows | None = None) -> None:
-        self.body = body
-        self._resultants: list[tuple[str, float, Float]] = []
+        super().__init__(body)
         self._matter = matter
         self._particles = particles
         self._cell = cell
@@ -82,38 +76,16 @@ class DeadLoads(Term):
         self._forces: list[_Applied] = []
         self._consistent: list[_Consistent] = []
         self._stresses: list[tuple[MeanStress, int, float]] = []
-        self._last: tuple[float, Float] | None = None
 
-    @property
-    def parts(self) -> list[str]:
-        """Return nothing: loads have a record of their own."""
-        return []
-
-    @property
-    def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, step time and sum of the forces (dim,) [force] of every load, at a step time when it acts."""
-        return self._resultants
-
-    def add_row_force(self, state: State, r: Float) -> None:
-        """Subtract the forces at the step time of the state."""
-        r -= self.forces(state.t)
-
-    def linearised(self, state: State) -> LinearisedTerm | None:
-        """Return None: they do not depend on the displacement."""
-        return None
-
-    def forces(self, t: float) -> Float:
-        """Return the external forces at step time ``t`` (n_rows, dim) [force]; not to be changed."""
-        if self._last is None or self._last[0] != t:
-            f = self._sum(self._forces, self._consistent, t)
-            with agreed(self.body.cloud.comm):
-                what = "schedule of a MeanStress condition"
-                factors = [float(evaluated(what, stress.schedule, (), t, t)) for stress, _, _ in self._stresses]
-            if self._cell is not None and self._cell.here:
-                for (_, unknown, value), factor in zip(self._stresses, factors, strict=True):
-                    self._cell.rows(f)[unknown] += self._cell.per_stress[unknown] * value * factor
-            self._last = t, f
-        return self._last[1]
+    def _evaluated(self, t: float) -> Float:
+        f = self._sum(self._forces, self._consistent, t)
+        with agreed(self.body.cloud.comm):
+            what = "schedule of a MeanStress condition"
+            factors = [float(evaluated(what, stress.schedule, (), t, t)) for stress, _, _ in self._stresses]
+        if self._cell is not None and self._cell.here:
+            for (_, unknown, value), factor in zip(self._stresses, factors, strict=True):
+                self._cell.rows(f)[unknown] += self._cell.per_stress[unknown] * value * factor
+        return f
 
     def add_total(
         self, condition: Force, components: Sequence[tuple[int, Value]], where: GlobalIndex, name: str
@@ -151,19 +123,13 @@ class DeadLoads(Term):
     def add_stress(self, condition: MeanStress, components: Sequence[tuple[int, float]]) -> None:
         """Add components of the mean stress of the cell."""
         self._stresses += [(condition, unknown, value) for unknown, value in components]
-        self._last = None
+        self._changed()
 
     def _add(self, forces: Sequence[_Applied], consistent: Sequence[_Consistent], name: str) -> None:
         """Take in a load and note its resultant."""
         self._forces += forces
         self._consistent += consistent
-        self._last = None
-        try:
-            sums = [total(self.body.cloud.comm, self._sum(forces, consistent, t).sum(axis=0)) for t in SHOWN]
-        except SolveError as error:
-            raise CaseError(str(error)) from error
-        acting = next((number for number, force in enumerate(sums) if force.any()), 0)
-        self._resultants.append((name, SHOWN[acting], sums[acting]))
+        self._note(name, lambda t: self._sum(forces, consistent, t))
 
     def _sum(self, forces: Sequence[_Applied], consistent: Sequence[_Consistent], t: float) -> Float:
         """Return the sum of loads at step time ``t`` (n_rows, dim) [force]."""

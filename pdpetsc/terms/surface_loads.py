@@ -12,11 +12,9 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.conditions import SurfacePressure, Traction
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.surface import Surface
-from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.state import State
-from pdpetsc.problem.term import LinearisedTerm, Term
-from pdpetsc.terms.dead_loads import SHOWN
+from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
 # Facets look in the direction of a given normal where the cosine between the two is above this.
 LOOKS = np.cos(np.pi / 4.0)
@@ -33,7 +31,7 @@ class _OnFacets:
     forces: _OfFacets
 
 
-class SurfaceLoads(Term):
+class SurfaceLoads(PrescribedLoads):
     """Tractions on facets, ``f_k = sum_f N_f(x_k) t_f |a_f|``, and pressures, ``t_f |a_f| = -p a_f``.
 
     Since ``N_f`` is linear-exact the forces have the resultant and the moment of the tractions at the centroids.
@@ -48,37 +46,9 @@ class SurfaceLoads(Term):
     Construction and every method are collective.
     """
 
-    load = True
-
     def __init__(self, body: Body) -> None:
-        self.body = body
+        super().__init__(body)
         self._applied: list[_OnFacets] = []
-        self._resultants: list[tuple[str, float, Float]] = []
-        self._last: tuple[float, Float] | None = None
-
-    @property
-    def parts(self) -> list[str]:
-        """Return nothing: loads have a record of their own."""
-        return []
-
-    @property
-    def resultants(self) -> list[tuple[str, float, Float]]:
-        """Return name, step time and sum of the forces (dim,) [force] of every load, at a step time when it acts."""
-        return self._resultants
-
-    def add_row_force(self, state: State, r: Float) -> None:
-        """Subtract the forces at the step time of the state."""
-        r -= self.forces(state.t)
-
-    def linearised(self, state: State) -> LinearisedTerm | None:
-        """Return None: they do not depend on the displacement."""
-        return None
-
-    def forces(self, t: float) -> Float:
-        """Return the external forces at step time ``t`` (n_rows, dim) [force]; not to be changed."""
-        if self._last is None or self._last[0] != t:
-            self._last = t, self._sum(self._applied, t)
-        return self._last[1]
 
     def add_traction(self, condition: Traction, name: str) -> None:
         """Add a traction on the facets of its region."""
@@ -119,14 +89,10 @@ class SurfaceLoads(Term):
     def _add(self, applied: _OnFacets, name: str) -> None:
         """Take in a load and note its resultant."""
         self._applied.append(applied)
-        self._last = None
-        try:
-            n = self.body.cloud.n_owned
-            sums = [total(self.body.cloud.comm, self._sum([applied], t)[:n].sum(axis=0)) for t in SHOWN]
-        except SolveError as error:
-            raise CaseError(str(error)) from error
-        acting = next((number for number, force in enumerate(sums) if force.any()), 0)
-        self._resultants.append((name, SHOWN[acting], sums[acting]))
+        self._note(name, lambda t: self._sum([applied], t))
+
+    def _evaluated(self, t: float) -> Float:
+        return self._sum(self._applied, t)
 
     def _sum(self, loads: list[_OnFacets], t: float) -> Float:
         """Return the sum of loads at step time ``t`` (n_rows, dim) [force]."""

@@ -1,0 +1,80 @@
+"""What all loads share whose forces depend on the step time alone."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import LinearisedTerm, Term
+
+# The record has the resultant of a load at the first of these step times at which it is not zero.
+SHOWN = (1.0, 0.75, 0.5, 0.25)
+
+
+class PrescribedLoads(Term):
+    """External forces that depend on the step time alone, with a record of the resultant of each load.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+
+    Notes
+    -----
+    Construction and every method are collective.
+    """
+
+    load = True
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self._resultants: list[tuple[str, float, Float]] = []
+        self._last: tuple[float, Float] | None = None
+
+    @property
+    def parts(self) -> list[str]:
+        """Return nothing: loads have a record of their own."""
+        return []
+
+    @property
+    def resultants(self) -> list[tuple[str, float, Float]]:
+        """Return name, step time and sum of the forces (dim,) [force] of every load, at a step time when it acts."""
+        return self._resultants
+
+    def add_row_force(self, state: State, r: Float) -> None:
+        """Subtract the forces at the step time of the state."""
+        r -= self.forces(state.t)
+
+    def linearised(self, state: State) -> LinearisedTerm | None:
+        """Return None: they do not depend on the displacement."""
+        return None
+
+    def forces(self, t: float) -> Float:
+        """Return the external forces at step time ``t`` (n_rows, dim) [force]; not to be changed."""
+        if self._last is None or self._last[0] != t:
+            self._last = t, self._evaluated(t)
+        return self._last[1]
+
+    @abstractmethod
+    def _evaluated(self, t: float) -> Float:
+        """Return the external forces at step time ``t`` (n_rows, dim) [force] as a new array."""
+
+    def _changed(self) -> None:
+        """Forget forces that were evaluated before another load was taken in (not collective)."""
+        self._last = None
+
+    def _note(self, name: str, forces: Callable[[float], Float]) -> None:
+        """Note the resultant of a new load on the particles, whose forces (n_rows, dim) at a step time are given."""
+        self._changed()
+        comm, n = self.body.cloud.comm, self.body.cloud.n_owned
+        try:
+            sums = [total(comm, forces(t)[:n].sum(axis=0)) for t in SHOWN]
+        except SolveError as error:
+            raise CaseError(str(error)) from error
+        acting = next((number for number, force in enumerate(sums) if force.any()), 0)
+        self._resultants.append((name, SHOWN[acting], sums[acting]))

@@ -156,33 +156,35 @@ class Mesh(Particles):
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
-        count, cell, area = _surface(self, _version(Path(self.path)))
+        count, found = _whole_surface(self, _version(Path(self.path)))
+        _, area, particle, _ = found.arrays
         rows = slice(part * count // parts, (part + 1) * count // parts)
         along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
-        return np.bincount(cell, along, count).astype(float)[rows]
+        return np.bincount(particle, along, count).astype(float)[rows]
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that belong to one cell only, or that a crack frees.
 
         Groups of boundary lines and faces are their tags.
         """
+        count, found = self._facets(cracks) if cracks else _whole_surface(self, _version(Path(self.path)))
+        return found.of_particles(part * count // parts, (part + 1) * count // parts)
+
+    def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
+        """Return the number of particles, and the facets of all of them."""
         mesh, points, blocks = self._cells()
         found = facets(points, blocks)
         free = found.free
-        _, x = _volumes_and_centroids(Path(self.path), points, blocks)
         if cracks:
+            _, x = _volumes_and_centroids(Path(self.path), points, blocks)
             one, other = found.shared
             cut = np.zeros(len(one), dtype=bool)
             for crack in cracks:
                 cut |= crack.cuts(x[found.cell[one]], x[found.cell[other]])
             free[one[cut]] = free[other[cut]] = True
-        tags = _tags(mesh, found, points.shape[1])
-        first, last = part * len(x) // parts, (part + 1) * len(x) // parts
-        mine = np.flatnonzero(free & (found.cell >= first) & (found.cell < last))
-        return Facets(
-            found.centre[mine], found.area[mine] * self._depth(points), found.cell[mine] - first,
-            {name: flags[mine] for name, flags in tags.items()},
-        )  # fmt: skip
+        tags = {name: flags[free] for name, flags in _tags(mesh, found, points.shape[1]).items()}
+        count = sum(len(block.nodes) for block in blocks)
+        return count, Facets(found.centre[free], found.area[free] * self._depth(points), found.cell[free], tags)
 
     def _cells(self) -> tuple[MeshData, Float, list[Block]]:
         """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
@@ -231,15 +233,8 @@ class MeshNodes(Mesh):
         sets = _node_sets(mesh, points, nodes)
         return Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
 
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return the area of the parts of free facets of each node, projected along the normal, as ``Particles``."""
-        facets_here = self.surface(part, parts)
-        _, area, particle, _ = facets_here.arrays
-        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
-        return np.bincount(particle, along, len(self.chunk(part, parts).x)).astype(float)
-
-    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return the parts of the free facets of the cells that belong to the nodes of a part.
+    def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
+        """Return the number of nodes, and the parts of the free facets of the cells that belong to them.
 
         Raises
         ------
@@ -253,26 +248,17 @@ class MeshNodes(Mesh):
         free = np.flatnonzero(found.free)
         node, x, area, facet = parts_of_facets(points, found.corners[free], found.area[free])
         nodes, _ = shares_of_nodes(points, blocks)
-        first, last = part * len(nodes) // parts, (part + 1) * len(nodes) // parts
-        particle = np.searchsorted(nodes, node)
-        mine = np.flatnonzero((particle >= first) & (particle < last))
-        tags = _tags(mesh, found, points.shape[1])
-        return Facets(
-            x[mine], area[mine] * self._depth(points), particle[mine] - first,
-            {name: flags[free[facet[mine]]] for name, flags in tags.items()},
-        )  # fmt: skip
+        tags = {name: flags[free[facet]] for name, flags in _tags(mesh, found, points.shape[1]).items()}
+        return len(nodes), Facets(x, area * self._depth(points), np.searchsorted(nodes, node), tags)
 
 
 @lru_cache(maxsize=4)
-def _surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, GlobalIndex, Float]:
-    """Return the number of cells, the cell of every free facet and its outward vector area.
+def _whole_surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, Facets]:
+    """Return the number of particles, and the facets of all of them without cracks.
 
     The result is cached, since every traction asks for it, as long as the file has the same ``version``.
     """
-    _, points, blocks = mesh._cells()
-    surface = facets(points, blocks)
-    free = surface.free
-    return sum(len(block.nodes) for block in blocks), surface.cell[free], surface.area[free] * mesh._depth(points)
+    return mesh._facets(())
 
 
 def _version(path: Path) -> tuple[int, int]:

@@ -188,12 +188,7 @@ class Lattice(Particles):
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the free face of each particle of a part, seen along a normal: cells without a neighbour there."""
         x = self.chunk(part, parts).x
-        side = _cell_sides(np.full(self.dim, self.spacing), self.thickness)
-        area = np.zeros(len(x))
-        for axis in np.flatnonzero(np.abs(normal) > ALONG):
-            beyond = x + np.sign(normal[axis]) * self.spacing * np.eye(self.dim)[axis]
-            area += np.where(self._has(beyond), 0.0, abs(normal[axis]) * side[axis])
-        return area
+        return _lattice_faces(x, np.full(self.dim, self.spacing), self.thickness, self._has, normal)
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the faces of the cells of a part without a neighbour, or with a crack before it.
@@ -304,18 +299,32 @@ class Arrays(Particles):
                     "Lattice or a Mesh."
                 )
             return self.facets.of_particles(first, last)
-        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
         try:
-            cell, sizes = _cells(x, volume, self.thickness)
+            sizes, has = self._lattice()
         except CaseError:
             return super().surface(part, parts, cracks)
-        low, taken = x.min(axis=0), {tuple(row) for row in cell.tolist()}
+        return _lattice_facets(x[first:last], sizes, self.thickness, has, cracks)
+
+    def _lattice(self) -> tuple[Float, Callable[[Float], Mask]]:
+        """Return the sizes of the cells (dim,) [length], and what tells which places (n, dim) are centres of them.
+
+        Raises
+        ------
+        CaseError
+            The positions or the volumes are not those of equal cells.
+        """
+        x = np.asarray(self.x, dtype=float)
+        cell, sizes = _cells(x, np.broadcast_to(np.asarray(self.volume, dtype=float), len(x)), self.thickness)
+        # One number for each cell, with room for a neighbour on every side.
+        width = cell.max(axis=0) + 3
+        weights = np.concatenate([[1], np.cumprod(width[:-1])])
+        taken, low = np.sort((cell + 1) @ weights), x.min(axis=0)
 
         def has(places: Float) -> Mask:
-            rows = np.round((places - low) / sizes).astype(np.int64).tolist()
-            return np.array([tuple(row) in taken for row in rows], dtype=bool)
+            sought = (np.round((places - low) / sizes).astype(np.int64) + 1) @ weights
+            return np.asarray(taken[np.minimum(np.searchsorted(taken, sought), len(taken) - 1)] == sought)
 
-        return _lattice_facets(x[first:last], sizes, self.thickness, has, cracks)
+        return sizes, has
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return rows ``part`` of ``parts`` of the arrays."""
@@ -339,22 +348,9 @@ class Arrays(Particles):
             The positions or the volumes are not those of equal cells.
         """
         x = np.asarray(self.x, dtype=float)
-        volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
-        cell, sizes = _cells(x, volume, self.thickness)
-        # One number for each cell, with room for a neighbour on every side.
-        width = cell.max(axis=0) + 3
-        weights = np.concatenate([[1], np.cumprod(width[:-1])])
-        taken = np.sort((cell + 1) @ weights)
-        side = _cell_sides(sizes, self.thickness)
         rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
-        area = np.zeros(len(cell[rows]))
-        for axis in np.flatnonzero(np.abs(normal) > ALONG):
-            step = (np.sign(normal[axis]) * np.eye(x.shape[1])[axis]).astype(np.int64)
-            sought = (cell[rows] + step + 1) @ weights
-            place = np.minimum(np.searchsorted(taken, sought), len(taken) - 1)
-            free = taken[place] != sought
-            area += np.where(free, abs(normal[axis]) * side[axis], 0.0)
-        return area
+        sizes, has = self._lattice()
+        return _lattice_faces(x[rows], sizes, self.thickness, has, normal)
 
 
 def _numbers(what: str, values: ArrayLike) -> Float:
@@ -375,6 +371,16 @@ def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
         raise CaseError(f"Set {name!r} of Arrays is ({n},) bool or a list of indices, not {shown(members)}.")
     if found.size and not (found.min() >= 0 and found.max() < n):
         raise CaseError(f"Set {name!r} of Arrays has indices from {found.min()} to {found.max()} of {n} particles.")
+
+
+def _lattice_faces(x: Float, sizes: Float, thickness: float, has: Callable[[Float], Mask], normal: Float) -> Float:
+    """Return the free faces of box cells of equal sizes (dim,) with centres ``x``, seen along a normal (n,) [area]."""
+    side = _cell_sides(sizes, thickness)
+    area = np.zeros(len(x))
+    for axis in np.flatnonzero(np.abs(normal) > ALONG):
+        beyond = x + np.sign(normal[axis]) * sizes * np.eye(len(sizes))[axis]
+        area += np.where(has(beyond), 0.0, abs(normal[axis]) * side[axis])
+    return area
 
 
 def _lattice_facets(

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.base import GradientOperator, SameGradient
 from pdpetsc.kernels.assembly import add_diagonal_kernel
 from pdpetsc.kernels.sparsity import transpose
 
@@ -168,8 +168,8 @@ class Control(ABC):
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
 
-    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness (n_bonds,) and shape tensors where it uses the gradient of ``operator``, else None.
+    def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces take in the loop over ``operator`` where its gradient is that one, else None.
 
         One pass over the families can then compute the forces of the material and of the control (not collective).
         """
@@ -216,7 +216,16 @@ class Control(ABC):
 
 @dataclass(frozen=True)
 class ZeroEnergyControl(Declared, ABC):
-    """A zero-energy control as a case declares it."""
+    """A zero-energy control as a case declares it.
+
+    Attributes
+    ----------
+    of_kappa : bool
+        Whether it is a ``NonUniform`` control in proportion to ``kappa`` of each particle, so that particles whose
+        families repeat share its bond stiffness.
+    """
+
+    of_kappa: ClassVar[bool] = False
 
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:

@@ -9,7 +9,7 @@ from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, f
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
-from pdpetsc.gradient.base import FLAT, GradientOperator, whole_families
+from pdpetsc.gradient.base import FLAT, BondGradient, GradientOperator, whole_families
 from pdpetsc.kernels.control import (
     directed_force_kernel,
     directed_matrix_kernel,
@@ -48,6 +48,16 @@ class NonUniform(Control):
         self._forces = stiffness if integrity is None else stiffness * integrity
 
     @property
+    def stiffness(self) -> Float:
+        """Return ``s_ij`` (n_bonds,) [force / length]."""
+        return self._stiffness
+
+    @property
+    def K_inverse(self) -> Float:
+        """Return the inverse shape tensors (n_owned, dim, dim) [1 / (force length)]."""
+        return self._K_inverse
+
+    @property
     def stencils(self) -> Stencil:
         """Return the families with their centre first."""
         with_centre = whole_families(self._cloud, self._families, self._stiffness)
@@ -68,7 +78,7 @@ class NonUniform(Control):
         stencils = with_centre.point_ptr, with_centre.members
         return isotropic(sparsity, kernel, stencils, *data)
 
-    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+    def of_gradient(self, operator: GradientOperator) -> BondGradient | None:
         """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
         if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self._stiffness) + len(
             self._K_inverse
@@ -78,7 +88,7 @@ class NonUniform(Control):
         data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
         if deviation(*data) > SAME:
             return None
-        return self._stiffness, np.linalg.inv(self._K_inverse)
+        return BondGradient(self._stiffness, np.linalg.inv(self._K_inverse))
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control with ``s_ij`` times the integrity; H is zero in directions without bonds left."""

@@ -23,7 +23,7 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
     -----
     Collective; at most as many exchanges as a piece crosses ranks.
     """
-    bonds = (families.centres, families.neighbours)
+    bonds = families.connecting()
     graph = coo_matrix((np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local))
     count, local = connected_components(graph, directed=False)
     label = cloud.gid.copy()
@@ -63,9 +63,10 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
     held = np.where(fixed[:, :, None], modes, 0.0)
     gram = np.zeros((len(labels), n_modes, n_modes))
     np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
-    across = np.flatnonzero(cloud.places.behind(cloud.place[families.neighbours]))
-    torn = _torn_by_mirrors(cloud, families.neighbours[across])
-    np.add.at(gram, index[families.centres[across]], np.einsum("nia,nib->nab", torn, torn))
+    centres, members = families.connecting()
+    across = np.flatnonzero(cloud.places.behind(cloud.place[members]))
+    torn = _torn_by_mirrors(cloud, members[across])
+    np.add.at(gram, index[centres[across]], np.einsum("nia,nib->nab", torn, torn))
     sums: dict[int, Float] = {}
     for part in cloud.comm.allgather(dict(zip(labels.tolist(), gram, strict=True))):
         for piece, matrix in part.items():

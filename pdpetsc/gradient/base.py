@@ -15,6 +15,7 @@ from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
+from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
 FLAT = 1e-6
@@ -98,6 +99,10 @@ class GradientOperator:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses."""
         divergence_kernel(f.shape[1])(self.point_ptr, self.members, self.g, self.volume, P, f)
 
+    def product(self, A: Float, h: Float | None = None) -> Product:
+        """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces where they are not g."""
+        return ListedProduct(self, A, h)
+
     def sum_over_points(self, values: Float) -> Float:
         """Return the sum over the points of each particle, (n_owned, ...)."""
         if self.n_points == len(self.points_of) - 1:
@@ -110,6 +115,72 @@ class GradientOperator:
         flat = values.reshape(len(values), -1)
         sums = np.array([np.bincount(self.owner, column, n_owned) for column in flat.T]).T
         return np.asarray((sums / np.maximum(count, 1)[:, None]).reshape(n_owned, *values.shape[1:]))
+
+
+class SameGradient:
+    """What a control needs to add its forces while the gradient that it shares with the material is at hand."""
+
+
+@dataclass(frozen=True)
+class BondGradient(SameGradient):
+    """The energy ``1/2 sum_ij s_ij |eta_ij - H_i xi_ij|^2`` with ``g_ij = s_ij K_i^-1 xi_ij``.
+
+    Attributes
+    ----------
+    stiffness : (n_bonds,) float64
+        ``s_ij`` [force / length].
+    K : (n_owned, dim, dim) float64
+        ``sum_j s_ij xi (x) xi`` [force length].
+    """
+
+    stiffness: Float
+    K: Float
+
+
+class Product(ABC):
+    """``H^T (W A) G``, applied particle by particle."""
+
+    @abstractmethod
+    def absorb(self, same: SameGradient | None) -> bool:
+        """Add the forces of a control that uses the same gradient from now on; return whether it can."""
+
+    @abstractmethod
+    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+        """Add the forces of the points of some own particles for displacements (n_local, dim) (not collective)."""
+
+
+class ListedProduct(Product):
+    """The product of an operator whose weights are listed, in one pass over its points.
+
+    Parameters
+    ----------
+    operator : GradientOperator
+        The gradient.
+    A : (n_points, dim, dim, dim, dim) float64
+        Moduli [stress].
+    h : (n_entries, dim) float64, optional
+        Weights with which points put forces on particles [1 / length]; those of the gradient where absent.
+    """
+
+    def __init__(self, operator: GradientOperator, A: Float, h: Float | None) -> None:
+        self._operator, self._A, self._h = operator, A, h
+        self._same: BondGradient | None = None
+
+    def absorb(self, same: SameGradient | None) -> bool:
+        """Take a control whose bonds are listed, if it is the first and forces have the weights of the gradient."""
+        if self._same is not None or self._h is not None or not isinstance(same, BondGradient):
+            return False
+        self._same = same
+        return True
+
+    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+        """Add the forces of the points of some own particles."""
+        operator, h = self._operator, self._operator.g if self._h is None else self._h
+        loop = NO_CONTROL if self._same is None else (self._same.stiffness, self._same.K)
+        gradient_times_kernel(u.shape[1], int(self._same is not None))(
+            particles, operator.points_of, operator.point_ptr, operator.members, operator.g, h, operator.volume,
+            self._A, *loop, u, f,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,16 @@ def nearest_distances(body: Body) -> Float:
     -----
     Not collective.
     """
-    cloud, family = body.cloud, body.families
+    cloud, family, repeats = body.cloud, body.families, body.families.repeats
     nearest = np.full(cloud.n_owned, cloud.horizon)
-    nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
+    if repeats is None:
+        nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
+        return nearest
+    edge = repeats.edge
+    near = np.full(edge.n + 1, cloud.horizon)
+    nearest_neighbours(edge.indptr, edge.neighbours, edge.cloud.x, near)
+    nearest[:] = near[-1]
+    nearest[edge.local[: edge.n]] = near[:-1]
     return nearest
 
 

@@ -110,14 +110,20 @@ class Supports:
         There the gradient weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the
         stress of the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
         """
-        cloud, families = self.body.cloud, self.body.families
+        cloud, families, repeats = self.body.cloud, self.body.families, self.body.families.repeats
         n, dim = cloud.n_owned, cloud.dim
         free = np.ones((cloud.n_local, dim))
         free[:n] = ~self.fixed[:n]
         cloud.halo.forward(free)
+        fixed = self.fixed[:n]
+        if repeats is None:
+            of = families.indptr, families.neighbours, cloud.x, cloud.volume, free > 0.0
+        else:
+            # Families that repeat are whole.
+            edge, local = repeats.edge, repeats.edge.local
+            fixed, n = fixed[local[: edge.n + 1]], edge.n + 1
+            of = edge.indptr, edge.neighbours, edge.cloud.x, edge.cloud.volume, free[local] > 0.0
         moment, size, beside = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim), dtype=bool)
-        first_moments(
-            families.indptr, families.neighbours, cloud.x, cloud.volume, free > 0.0, moment, size, beside
-        )  # fmt: skip
-        found = self.fixed[:n] & (np.abs(moment) > ONE_SIDED * size) & beside
+        first_moments(*of, moment, size, beside)
+        found = fixed & (np.abs(moment) > ONE_SIDED * size) & beside
         return int(total(cloud.comm, np.count_nonzero(found.any(axis=1))))

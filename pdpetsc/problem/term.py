@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.sparsity import Rows, Sparsity
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.base import GradientOperator, SameGradient
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 
@@ -111,8 +111,8 @@ class LinearisedTerm:
         """Compute the product of another term in the same loop, if that is quicker; return whether it does."""
         return False
 
-    def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness and shape tensors where it is a control on the gradient of ``operator``, else None."""
+    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces take in the loop over ``operator``, where it is a control on that gradient."""
         return None
 
 

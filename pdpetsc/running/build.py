@@ -12,6 +12,9 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.case import Case, ungraded
+from pdpetsc.control.base import Control
+from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
 from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
@@ -19,11 +22,13 @@ from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
 from pdpetsc.discrete.families import Families, find_families
+from pdpetsc.discrete.lattice import Repeats
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.repeated import RepeatedOperator
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
 from pdpetsc.petsc.options import Options
@@ -45,6 +50,8 @@ from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.material_points import MaterialPoints
 
+# Bonds are not listed where at least this share of the particles share one family.
+LEAST_REPEATED = 0.3
 # Positions and horizons beyond these overflow where they are raised to powers.
 FAR = 1e60
 
@@ -73,7 +80,7 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
     """Return the problem of a case on a distributed cloud, set up with PETSc options of its run (collective)."""
-    if int(total(cloud.comm, len(families.neighbours))) == 0:
+    if int(total(cloud.comm, families.n_bonds)) == 0:
         raise CaseError(
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
             f"the cracks cut less."
@@ -130,15 +137,16 @@ def _problem(
     case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None,
     options: Options | None = None,
 ) -> Problem:  # fmt: skip
-    cloud, families = body.cloud, body.families
-    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    with agreed(cloud.comm):
-        omega = evaluate(case.influence, length / cloud.horizon)
-    bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
-    if case.of_bonds:
-        matter, others, damage = _bonds(case, body, bonds, materials, material_of, factor)
+    damage: Damage | None = None
+    matter: Matter
+    others: list[Term]
+    repeats = body.families.repeats
+    if repeats is not None:
+        matter, others = _repeated_points(case, body, repeats, materials, material_of, factor)
     else:
-        matter, others, damage = _points(case, body, bonds, materials, material_of, factor, options)
+        bonds = _neighbourhood(case, body.cloud, body.families)
+        made = _bonds if case.of_bonds else partial(_points, options=options)
+        matter, others, damage = made(case, body, bonds, materials, material_of, factor)
     supports, loads = apply(body, matter, case.conditions, case.particles)
     extra = []
     for number, declared in enumerate(case.terms, 1):
@@ -148,6 +156,53 @@ def _problem(
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
         problem.terms.append(problem.springs)
     return problem
+
+
+def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhood:
+    """Return the bonds of a body with their influence (collective)."""
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    with agreed(cloud.comm):
+        omega = evaluate(case.influence, length / cloud.horizon)
+    return Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+
+
+def repeated_share(case: Case) -> float | None:
+    """Return the least share of particles whose families must repeat for bonds not to be listed; None for never.
+
+    Bonds that fail, and weights of the whole body, differ from particle to particle; and so do controls that do not
+    follow kappa. Materials of bonds have constants per bond.
+    """
+    together = case.control is None or case.control.of_kappa
+    alike = not case.of_bonds and case.damage is None and not case.weights.conform and together
+    return LEAST_REPEATED if alike else None
+
+
+def _repeated_points(
+    case: Case, body: Body, repeats: Repeats, materials: Sequence[Material | BondMaterial], material_of: LocalIndex,
+    factor: Float | None,
+) -> tuple[Matter, list[Term]]:  # fmt: skip
+    """Return the terms of a body with deformation gradients most of whose families repeat (collective).
+
+    Scheme and control see the other particles alone, and one of those whose family repeats.
+    """
+    continuum = cast(Sequence[Material], materials)
+    edge = repeats.edge
+    families = Families(edge.indptr, edge.neighbours)
+    omega = _neighbourhood(case, edge.cloud, families).omega
+    operator = RepeatedOperator(case.gradients.build(edge.cloud, families, omega), repeats)
+    matter = MaterialPoints(body, operator, continuum, material_of, factor)
+    control = case.control
+    if control is None:
+        return matter, []
+    stiffness = stiffness_of(body, continuum, material_of, factor)
+    built = cast(NonUniform, control.build(edge.cloud, families, omega, of_edge(stiffness, repeats)))
+
+    def listed() -> Control:
+        everything = _neighbourhood(case, body.cloud, body.families).omega
+        return control.build(body.cloud, body.families, everything, stiffness)
+
+    repeated = RepeatedControl(repeats, built, relative_scale(stiffness, repeats), listed)
+    return matter, [ControlForces(body, type(control).__name__, repeated)]
 
 
 def _bonds(
@@ -184,11 +239,13 @@ def _points(
         damage = _failing(case.damage, body, bonds, k, finite=True)
         matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
-        matter = MaterialPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, weigh)
+        operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
+        matter = MaterialPoints(body, operator, continuum, material_of, factor)
     if case.control is None:
         return matter, [], damage
     stiffness = stiffness_of(body, continuum, material_of, factor)
-    return matter, [ControlForces(body, case.control, bonds.omega, stiffness, damage)], damage
+    built = case.control.build(body.cloud, body.families, bonds.omega, stiffness)
+    return matter, [ControlForces(body, type(case.control).__name__, built, damage)], damage
 
 
 def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:

@@ -21,7 +21,7 @@ from pdpetsc.petsc.matrix import predicted_bytes
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
-from pdpetsc.running.build import make_cloud, make_problem, rehearse
+from pdpetsc.running.build import make_cloud, make_problem, rehearse, repeated_share
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.result import gathered
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start
@@ -191,7 +191,7 @@ def prepare(
     with phases.timed("kernels"):
         rehearse(ranks, case, cloud.dim)
     with phases.timed("families"):
-        families = find_families(cloud, case.cracks)
+        families = find_families(cloud, case.cracks, repeated_share(case))
     with phases.timed("model"):
         problem = make_problem(case, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)

@@ -450,7 +450,7 @@ class _Run:
     def _describe(self, problem: Problem) -> None:
         body, matter, comm = problem.body, problem.matter, self.comm
         cloud = body.cloud
-        bonds, points, ghosts = total(comm, [len(body.families.neighbours), matter.n_points, cloud.n_ghost])
+        bonds, points, ghosts = total(comm, [body.families.n_bonds, matter.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
         self.summary["allocated"] = list(problem.parts)

@@ -33,12 +33,21 @@ class DamagedPoints(MaterialPoints):
 
     Parameters
     ----------
-    body, omega, scheme, materials, material_of, factor
+    body, materials, material_of, factor
         As for ``MaterialPoints``.
+    omega : (n_bonds,) float64
+        Influence of every bond [-].
+    scheme : Scheme
+        Where gradients are evaluated.
     damage : Damage
         The bonds that fail.
     weigh : callable, optional
-        As for ``MaterialPoints``.
+        Gives the gradient of the scheme other weights (collective).
+
+    Raises
+    ------
+    CaseError
+        A family is too small or flat, on every rank; or a material has a history.
 
     References
     ----------
@@ -55,7 +64,8 @@ class DamagedPoints(MaterialPoints):
         self, body: Body, omega: Float, scheme: Scheme, materials: Sequence[Material], material_of: LocalIndex,
         factor: Float | None, damage: Damage, weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(body, omega, scheme, materials, material_of, factor, weigh)
+        operator = scheme.build(body.cloud, body.families, omega)
+        super().__init__(body, operator if weigh is None else weigh(operator), materials, material_of, factor)
         self._whole = None if weigh is None else self.operator
         if any(at_points.has_history for at_points in self.materials):
             raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")

@@ -12,27 +12,21 @@ from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.lattice import Repeats
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import GradientOperator, SameGradient
-from pdpetsc.gradient.repeated import RepeatedGradient, RepeatedOperator, paired
-from pdpetsc.kernels.repeated import (
-    clear_rows,
-    rows_force_kernel,
-    rows_gradient_kernel,
-    rows_spring_energy_kernel,
-    rows_stress_kernel,
-)
+from pdpetsc.gradient.repeated import RepeatedGradient, RepeatedOperator, Weights, add_row_forces, weights_of
+from pdpetsc.kernels.repeated import rows_energy_kernel
 
 
 class RepeatedControl(Control):
-    """``NonUniform`` whose bond stiffness is ``c_i w_ij`` with the ``w`` of one family for all that share it.
+    """``NonUniform`` whose bond stiffness is ``c_i w_ij`` with one ``w`` for all particles that share a family.
 
     Parameters
     ----------
     repeats : Repeats
         Which particles share one family.
     edge : NonUniform
-        The control of the particles whose families do not repeat, and of one of the others as the last.
+        The control of the particles whose families do not repeat, and of one of each pattern of the others.
     scale : (n_owned,) float64
-        ``c_i``, 1 at that one [-].
+        ``c_i``, 1 at the one that stands for a pattern [-].
     listed : callable
         Makes the control with all bonds listed, for whoever assembles its matrix (collective).
     """
@@ -41,16 +35,24 @@ class RepeatedControl(Control):
         self._repeats, self._edge, self._scale, self._make = repeats, edge, scale, listed
         self._all: Control | None = None
         own = repeats.edge
-        bonds = slice(int(own.indptr[own.n]), int(own.indptr[own.n + 1]))
-        stiffness, K_inverse = edge.stiffness[bonds], edge.K_inverse[own.n]
-        members = own.neighbours[bonds]
-        cell = repeats.grid.cell[own.local]
-        steps = cell[members] - cell[own.n]
-        xi = own.cloud.x[members] - own.cloud.x[own.n]
-        self._entries = paired(steps, stiffness[:, None] * (xi @ K_inverse))
+        K_inverse = edge.K_inverse[own.n :]
         self._K = np.linalg.inv(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
-        self._half, self._weight = steps[steps > 0], stiffness[steps > 0]
-        self._alone = RepeatedGradient(repeats, SameGradient(), self._half, self._weight, self._K, scale)
+        self._stiffness, points = [], []
+        for number, steps in enumerate(repeats.steps):
+            bonds = slice(int(own.indptr[own.n + number]), int(own.indptr[own.n + number + 1]))
+            xi = own.cloud.x[own.neighbours[bonds]] - own.cloud.x[own.n + number]
+            self._stiffness.append(edge.stiffness[bonds])
+            points.append([(steps, edge.stiffness[bonds, None] * (xi @ K_inverse[number]))])
+        self._weights = weights_of(points, repeats.cloud.dim)
+        found = self._of(self._weights, SameGradient())
+        if found is None:
+            raise ValueError("Opposite bonds of a family that repeats have different stiffnesses.")
+        self._same = found
+
+    def _of(self, weights: Weights, edge: SameGradient) -> RepeatedGradient | None:
+        """Return what loops over some weights take; None where opposite bonds of an entry are not alike."""
+        of_bonds = weights.of_members(self._repeats.steps, self._stiffness)
+        return None if of_bonds is None else RepeatedGradient(edge, of_bonds, self._K, self._scale)
 
     @property
     def _listed(self) -> Control:
@@ -72,41 +74,35 @@ class RepeatedControl(Control):
         if not isinstance(operator, RepeatedOperator):
             return None
         edge = self._edge.of_gradient(operator.edge)
-        if edge is None:
-            return None
-        return RepeatedGradient(self._repeats, edge, self._half, self._weight, self._K, self._scale)
+        return None if edge is None else self._of(operator.weights, edge)
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""
-        repeats, dim = self._repeats, u.shape[1]
-        grid, part, local = repeats.grid, repeats.part(particles), repeats.edge.local
+        repeats, dim, same = self._repeats, u.shape[1], self._same
+        part, local = repeats.part(particles), repeats.edge.local
         energy = 0.0
         if len(part.alone):
             forces = np.zeros((len(local), dim))
             energy = self._edge.force(u[local], forces, part.alone)
             f[local] += forces
-        rows, reached, one = part.rows, part.reached, self._entries
-        if not rows.count:
-            return energy
-        u_cells, H = grid.onto(u), repeats.on_cells
-        scale, K = self._alone.of_part(part)
-        rows_gradient_kernel(dim)(rows.starts, rows.lengths, one.plus, one.minus, one.g, u_cells, H)
-        data = self._half, self._weight, scale, K, u_cells, H
-        energy += float(rows_spring_energy_kernel(dim)(rows.starts, rows.lengths, *data))
-        none = np.zeros(1, dtype=np.int64), 0, np.empty((0, dim, dim, dim, dim)), 1.0
-        rows_stress_kernel(dim)(rows.starts, rows.lengths, grid.at, *none, scale, K, H)
-        rows_force_kernel(dim)(reached.starts, reached.lengths, grid.at, one.plus, one.minus, one.g, H, f)
-        clear_rows(rows.starts, rows.lengths, H)
-        self._alone.add_springs(part, u_cells, f)
+        if part.rows.count:
+            rows = part.rows.starts, part.rows.lengths, part.pattern
+            control = same.weight, same.scale, same.K
+            data = repeats.grid.at, *self._weights.arrays, *control, repeats.grid.onto(u)
+            energy += float(rows_energy_kernel(dim)(*rows, *data))
+            add_row_forces(repeats, part, self._weights, None, same, u, f)
         return energy
 
 
 def of_edge(stiffness: Stiffness, repeats: Repeats) -> Stiffness:
     """Return the stiffness of the particles whose families do not repeat, and of the one that stands for the others."""
-    own = repeats.edge.local[: repeats.edge.n + 1]
+    own = repeats.edge.local[: repeats.edge.cloud.n_owned]
     return Stiffness(stiffness.kappa[own], stiffness.moduli, stiffness.material_of[own], stiffness.factor[own])
 
 
 def relative_scale(stiffness: Stiffness, repeats: Repeats) -> Float:
-    """Return ``kappa_i`` over that of the particle that stands for all that share its family (n_owned,) [-]."""
-    return np.asarray(stiffness.kappa / stiffness.kappa[repeats.edge.local[repeats.edge.n]])
+    """Return ``kappa_i`` over that of the particle that stands for its pattern (n_owned,) [-]; 1 where none does."""
+    own, scale = repeats.edge, np.ones(repeats.cloud.n_owned)
+    of_patterns = stiffness.kappa[own.local[own.n : own.n + repeats.n_patterns]]
+    scale[repeats.shared] = stiffness.kappa[repeats.shared] / repeats.of_shared(of_patterns)
+    return scale

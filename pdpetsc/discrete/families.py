@@ -91,8 +91,7 @@ class RepeatedFamilies(Families):
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
         """Return the bonds of families that do not repeat, and of the others those along the axes of the lattice.
 
-        A member of a family that is whole is connected to its centre along the axes, through other members: their own
-        bonds are listed or lie along the axes.
+        A member that moves along the axes reach from the centre within the family is connected through other members.
         """
         return self._of.connecting()
 
@@ -154,7 +153,7 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | 
     """
     cutting = _Cutting(cloud, cracks)
     if repeated is not None:
-        repeats = find_repeats(cloud, cutting, repeated)
+        repeats = find_repeats(cloud, cutting if cracks else None, repeated)
         if repeats is not None:
             cutting.refuse_idle()
             return RepeatedFamilies(repeats)

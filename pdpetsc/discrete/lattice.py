@@ -6,13 +6,17 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.kernels.repeated import families_of_cells, mark_cells, onto_cells, whole_family
+from pdpetsc.kernels.repeated import cells_with_any, families_of_cells, family_keys, onto_cells
+
+Number = TypeVar("Number", bound=np.generic)
 
 # Positions are on a lattice, and volumes alike, up to this share of the spacing and of the volume.
 ON_LATTICE = 1e-10
@@ -20,8 +24,11 @@ ON_LATTICE = 1e-10
 SAME_LAYER = 1e-6
 # A lattice has at most this many cells per particle, so that it is not larger than the body.
 MOST_CELLS = 4.0
-# Rows of fewer particles with whole families do not repeat: a loop over them costs more than their families.
-SHORTEST_ROW = 8
+# Families repeat in rows of at least so many consecutive cells, and where so many particles share one: a loop over
+# fewer costs more than their families.
+SHORTEST_ROW, FEWEST = 8, 64
+# Longer rows are divided, so that what a loop reads of them stays in cache.
+LONGEST_ROW = 256
 
 
 @dataclass(frozen=True)
@@ -76,14 +83,16 @@ class Rows:
         return int(self.lengths.sum())
 
 
-def rows_of(cells: GlobalIndex, shortest: int = 1) -> Rows:
-    """Return the rows of consecutive cells, at least so long, that some cells make."""
+def rows_of(cells: GlobalIndex) -> Rows:
+    """Return the rows of consecutive cells that some cells make, none longer than ``LONGEST_ROW``."""
     cells = np.sort(cells).astype(np.int64)
     begins = np.concatenate([[True], np.diff(cells) > 1]) if len(cells) else np.empty(0, dtype=bool)
     starts = cells[begins]
-    lengths = np.diff(np.append(np.flatnonzero(begins), len(cells)))
-    long = lengths >= shortest
-    return Rows(starts[long].astype(np.int64), lengths[long].astype(np.int64))
+    lengths = np.diff(np.append(np.flatnonzero(begins), len(cells))).astype(np.int64)
+    pieces = -(-lengths // LONGEST_ROW)
+    number = np.arange(int(pieces.sum())) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    lengths, starts = np.repeat(lengths, pieces), np.repeat(starts, pieces) + LONGEST_ROW * number
+    return Rows(starts, np.minimum(lengths - LONGEST_ROW * number, LONGEST_ROW))
 
 
 def cells_of(rows: Rows) -> GlobalIndex:
@@ -130,30 +139,52 @@ def find_grid(cloud: Cloud) -> Grid | None:
 
 @dataclass(frozen=True)
 class Edge:
-    """The own particles whose families do not repeat, and one of the others, as a body of its own.
+    """The own particles whose families do not repeat, and one of each pattern of the others, as a body of its own.
 
     Attributes
     ----------
     cloud : Cloud
-        Those particles as own ones, the one that stands for all others last, then all members of their families. Its
+        Those particles as own ones, the ones that stand for a pattern last, then all members of their families. Its
         ``halo`` is not theirs.
     local : (n,) int32
         The local particle that each is.
+    indptr, neighbours
+        Families as in ``Families``.
+    n : int
+        The number of particles whose families do not repeat.
     """
 
     cloud: Cloud
     local: LocalIndex
     indptr: GlobalIndex
     neighbours: LocalIndex
+    n: int
 
-    @property
-    def n(self) -> int:
-        """Return the number of particles whose families do not repeat."""
-        return self.cloud.n_owned - 1
+
+@dataclass(frozen=True)
+class Part:
+    """Some own particles.
+
+    Attributes
+    ----------
+    alone : (n,) int32
+        Those whose families do not repeat, by their number in ``Edge``.
+    rows : Rows
+        The cells of the others.
+    pattern : (n_rows,) int64
+        The pattern of each row.
+    """
+
+    alone: LocalIndex
+    rows: Rows
+    pattern: GlobalIndex
 
 
 class Repeats:
-    """Which own particles share one family, and what is needed to treat the others by themselves.
+    """Which own particles of a lattice share a family, and what is needed to treat the others by themselves.
+
+    Particles have the same pattern where their families have the same steps: whole ones inside, and on a flat face or
+    beside a crack those that it cuts alike.
 
     Parameters
     ----------
@@ -161,57 +192,68 @@ class Repeats:
         Particles of this rank.
     grid : Grid
         The lattice they are on.
-    rows : Rows
-        Own particles whose families are whole, by cells.
+    pattern_of : (n_owned,) int64
+        The pattern of each own particle, -1 where its family does not repeat.
     cut : callable
         Tells which pairs of local particles (n, 2) are no bond.
     """
 
-    def __init__(self, cloud: Cloud, grid: Grid, rows: Rows, cut: Callable[[LocalIndex], Mask]) -> None:
-        self.cloud, self.grid, self.rows, self._cut = cloud, grid, rows, cut
-        self.shared = np.zeros(cloud.n_owned, dtype=bool)
-        self.shared[grid.at[cells_of(rows)]] = True
+    def __init__(
+        self, cloud: Cloud, grid: Grid, pattern_of: GlobalIndex, cut: Callable[[LocalIndex], Mask] | None
+    ) -> None:
+        self.cloud, self.grid, self.pattern_of, self._cut = cloud, grid, pattern_of, cut
+        self.shared: Mask = pattern_of >= 0
+        self.n_patterns = int(pattern_of.max(initial=-1)) + 1
         self._parts: dict[int, tuple[LocalIndex, Part]] = {}
 
     def families(self, particles: LocalIndex) -> tuple[GlobalIndex, LocalIndex]:
         """Return the families of own particles as ``indptr`` and local ``neighbours``, in the order of any other."""
-        indptr, neighbours = families_of_cells(
-            particles, self.grid.cell, self.grid.at, self.grid.steps, self.cloud.order
-        )
-        number = np.repeat(np.arange(len(particles)), np.diff(indptr))
-        kept = ~self._cut(np.stack([particles[number], neighbours], axis=1))
-        if not kept.all():
+        grid = self.grid
+        indptr, neighbours = families_of_cells(particles, grid.cell, grid.at, grid.steps, self.cloud.order)
+        if self._cut is not None:
+            number = np.repeat(np.arange(len(particles)), np.diff(indptr))
+            kept = ~self._cut(np.stack([particles[number], neighbours], axis=1))
             number, neighbours = number[kept], neighbours[kept]
             indptr = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=len(particles)))]).astype(np.int64)
         return indptr, neighbours
 
+    def of_shared(self, values: NDArray[Number]) -> NDArray[Number]:
+        """Return what a pattern has for each particle that shares it (n_shared, ...), of (n_patterns, ...)."""
+        return np.asarray(values[self.pattern_of[self.shared]])
+
     def with_any(self, marked: Mask) -> Mask:
         """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
-        clean = self.shared.copy()
-        whole_family(self.grid.cell, self.grid.at, self.grid.steps, ~marked, clean)
-        found = self.shared & ~clean
+        found = np.zeros(self.cloud.n_owned, dtype=bool)
         edge = self.edge
         hits = np.concatenate([[0], np.cumsum(marked[edge.local[edge.neighbours]], dtype=np.int64)])
         found[edge.local[: edge.n]] = np.diff(hits[edge.indptr])[: edge.n] > 0
-        return np.asarray(found)
+        for number, steps in enumerate(self.steps):
+            own = np.flatnonzero(self.pattern_of == number)
+            hit = np.empty(len(own), dtype=bool)
+            cells_with_any(self.grid.cell[own], self.grid.at, steps, marked, hit)
+            found[own] = hit
+        return found
 
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
         """Return both particles of bonds (n,) that connect what all bonds together do."""
         edge, grid = self.edge, self.grid
-        steps = grid.axis_steps[np.isin(grid.axis_steps, grid.steps)]
-        around = np.concatenate([steps, -steps])
-        centres = np.flatnonzero(self.shared).astype(np.int32)
-        members = grid.at[grid.cell[centres][:, None] + around]
-        number = np.repeat(np.arange(edge.n + 1), np.diff(edge.indptr))
-        return (
-            np.concatenate([edge.local[number], np.repeat(centres, len(around))]),
-            np.concatenate([edge.local[edge.neighbours], members.ravel()]),
-        )
+        number = np.repeat(np.arange(len(edge.indptr) - 1), np.diff(edge.indptr))
+        one, other = [edge.local[number]], [edge.local[edge.neighbours]]
+        along = np.concatenate([grid.axis_steps, -grid.axis_steps])
+        for pattern, steps in enumerate(self.steps):
+            centres = np.flatnonzero(self.pattern_of == pattern).astype(np.int32)
+            needed = steps if self._cut is not None else _not_along_axes(steps, along)
+            one.append(np.repeat(centres, len(needed)))
+            other.append(grid.at[grid.cell[centres][:, None] + needed].ravel())
+        return np.concatenate(one), np.concatenate(other)
 
     @property
     def n_bonds(self) -> int:
         """Return the bonds of the own particles."""
-        return len(self.edge.neighbours) + (self.rows.count - 1) * len(self.grid.steps)
+        counts = np.bincount(self.pattern_of[self.shared], minlength=self.n_patterns)
+        return int(self.edge.indptr[self.edge.n]) + sum(
+            int(count) * len(steps) for count, steps in zip(counts, self.steps, strict=True)
+        )
 
     @cached_property
     def everyone(self) -> LocalIndex:
@@ -219,15 +261,27 @@ class Repeats:
         return np.arange(self.cloud.n_owned, dtype=np.int32)
 
     @cached_property
-    def on_cells(self) -> Float:
-        """Return an array on the lattice (dim dim, n_cells) of zeros, which whoever writes to it clears."""
-        return np.zeros((self.cloud.dim**2, len(self.grid.at)))
+    def forces_on_cells(self) -> Float:
+        """Return an array on the lattice (dim, n_cells) of zeros, which whoever writes to it clears."""
+        return np.zeros((self.cloud.dim, len(self.grid.at)))
+
+    @cached_property
+    def steps(self) -> list[GlobalIndex]:
+        """Return the steps of the members of each pattern, in the order of the one that stands for it."""
+        edge = self.edge
+        cell = self.grid.cell[edge.local]
+        return [
+            cell[edge.neighbours[edge.indptr[own] : edge.indptr[own + 1]]] - cell[own]
+            for own in range(edge.n, edge.n + self.n_patterns)
+        ]
 
     @cached_property
     def edge(self) -> Edge:
-        """Return the particles whose families do not repeat, with one that stands for the others."""
+        """Return the particles whose families do not repeat, with one that stands for each pattern of the others."""
         cloud = self.cloud
-        own = np.append(np.flatnonzero(~self.shared), self.grid.at[self.rows.starts[0]]).astype(np.int32)
+        alone = np.flatnonzero(~self.shared)
+        patterns, first = np.unique(self.pattern_of, return_index=True)
+        own = np.concatenate([alone, first[patterns >= 0]]).astype(np.int32)
         indptr, neighbours = self.families(own)
         beyond = np.zeros(cloud.n_local, dtype=bool)
         beyond[neighbours] = True
@@ -245,7 +299,12 @@ class Repeats:
             cloud, x=cloud.x[local], volume=cloud.volume[local], gid=cloud.gid[local], row=cloud.row[local], sets={},
             n_owned=n, offset=offset, sign=sign, place=cloud.place[local],
         )  # fmt: skip
-        return Edge(part, local, indptr, number[neighbours])
+        return Edge(part, local, indptr, number[neighbours], len(alone))
+
+    @cached_property
+    def whole(self) -> Part:
+        """Return all own particles."""
+        return self.part(self.everyone)
 
     def part(self, particles: LocalIndex) -> Part:
         """Return some own particles divided into rows that share a family and others; remembered by the array."""
@@ -259,35 +318,19 @@ class Repeats:
         chosen = np.zeros(self.cloud.n_owned, dtype=bool)
         chosen[particles] = True
         alone = np.flatnonzero(chosen[self.edge.local[: self.edge.n]]).astype(np.int32)
-        rows = rows_of(self.grid.cell[: self.cloud.n_owned][chosen & self.shared])
-        reached = np.zeros(len(self.grid.at), dtype=bool)
-        mark_cells(rows.starts, rows.lengths, self.grid.steps, reached)
-        return Part(alone, rows, rows_of(np.flatnonzero(reached)))
+        found = []
+        for pattern in range(self.n_patterns):
+            found.append(rows_of(self.grid.cell[: self.cloud.n_owned][chosen & (self.pattern_of == pattern)]))
+        rows = Rows(np.concatenate([one.starts for one in found]), np.concatenate([one.lengths for one in found]))
+        return Part(alone, rows, np.repeat(np.arange(self.n_patterns), [len(one.starts) for one in found]))
 
 
-@dataclass(frozen=True)
-class Part:
-    """Some own particles.
-
-    Attributes
-    ----------
-    alone : (n,) int32
-        Those whose families do not repeat, by their number in ``Edge``.
-    rows, reached : Rows
-        The cells of the others, and those with the members of their families.
-    """
-
-    alone: LocalIndex
-    rows: Rows
-    reached: Rows
-
-
-def find_repeats(cloud: Cloud, cut: Callable[[LocalIndex], Mask], least: float) -> Repeats | None:
-    """Return which families repeat; None on all ranks where fewer than a share ``least`` of all do.
+def find_repeats(cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: float) -> Repeats | None:
+    """Return which families repeat; None on all ranks where fewer than a share ``least`` of the particles share one.
 
     Parameters
     ----------
-    cut : callable
+    cut : callable, optional
         Tells which pairs of local particles (n, 2) are no bond.
 
     Notes
@@ -296,25 +339,55 @@ def find_repeats(cloud: Cloud, cut: Callable[[LocalIndex], Mask], least: float) 
     """
     grid = find_grid(cloud)
     with agreed(cloud.comm):
-        rows = _whole_rows(cloud, grid, cut)
-    counts = total(cloud.comm, [rows.count, int(rows.count == 0)])
+        found = np.empty(0, dtype=np.int64) if grid is None else _patterns(cloud, grid, cut)
+    shared = int(np.count_nonzero(found >= 0))
+    counts = total(cloud.comm, [shared, int(shared == 0)])
     if int(counts[1]) or counts[0] < least * cloud.n_global:
         return None
     assert grid is not None
-    return Repeats(cloud, grid, rows, cut)
+    return Repeats(cloud, grid, found, cut)
 
 
-def _whole_rows(cloud: Cloud, grid: Grid | None, cut: Callable[[LocalIndex], Mask]) -> Rows:
-    """Return the rows of own particles whose families are whole and of particles of the usual volume."""
-    if grid is None or not cloud.n_owned:
-        return rows_of(np.empty(0, dtype=np.int64))
-    typical = float(np.median(cloud.volume[: cloud.n_owned]))
+def _patterns(cloud: Cloud, grid: Grid, cut: Callable[[LocalIndex], Mask] | None) -> GlobalIndex:
+    """Return the pattern of each own particle (n_owned,), -1 where too few share it or they lie too far apart."""
+    n = cloud.n_owned
+    typical = float(np.median(cloud.volume[:n])) if n else 0.0
     good = np.abs(cloud.volume - typical) <= ON_LATTICE * typical
-    whole = good[: cloud.n_owned].copy()
-    for step in grid.steps[grid.steps > 0]:
-        other = grid.at[np.minimum(grid.cell + step, len(grid.at) - 1)]
-        pairs = np.stack([np.arange(cloud.n_local, dtype=np.int32), other], axis=1)[other >= 0]
-        ends = pairs[cut(pairs)].ravel()
-        whole[ends[ends < cloud.n_owned]] = False
-    whole_family(grid.cell, grid.at, grid.steps, good, whole)
-    return rows_of(grid.cell[: cloud.n_owned][whole], SHORTEST_ROW)
+    of_steps = np.random.default_rng(1).integers(1, 2**63, len(grid.steps), dtype=np.uint64)
+    key, usual = np.empty(n, dtype=np.uint64), np.empty(n, dtype=bool)
+    family_keys(grid.cell, grid.at, grid.steps, of_steps, good, key, usual)
+    for number, step in enumerate(grid.steps if cut is not None else ()):
+        assert cut is not None
+        other = grid.at[grid.cell[:n] + step]
+        pairs = np.stack([np.arange(n, dtype=np.int32), other], axis=1)[other >= 0]
+        gone = pairs[cut(pairs), 0]
+        key[gone] ^= of_steps[number]
+    order = np.argsort(grid.cell[:n])
+    cell, ordered = grid.cell[:n][order], key[order]
+    begins = np.ones(n, dtype=bool)
+    begins[1:] = (np.diff(cell) > 1) | (ordered[1:] != ordered[:-1]) | ~usual[order][1:] | ~usual[order][:-1]
+    row = np.cumsum(begins) - 1
+    long = np.empty(n, dtype=bool)
+    long[order] = (np.bincount(row, minlength=1)[row] >= SHORTEST_ROW) & usual[order]
+    kinds, kind, count = np.unique(key[long], return_inverse=True, return_counts=True)
+    number_of = np.full(len(kinds), -1, dtype=np.int64)
+    many = np.flatnonzero(count >= FEWEST)
+    number_of[many] = np.arange(len(many))
+    found = np.full(n, -1, dtype=np.int64)
+    found[long] = number_of[kind]
+    return found
+
+
+def _not_along_axes(steps: GlobalIndex, along: GlobalIndex) -> GlobalIndex:
+    """Return the steps of a family along the axes, and those that moves along them do not reach within it."""
+    there = {int(step) for step in steps}
+    reached, front = {0}, [0]
+    while front:
+        at = front.pop()
+        for move in along:
+            beyond = at + int(move)
+            if beyond in there and beyond not in reached:
+                reached.add(beyond)
+                front.append(beyond)
+    near = {int(move) for move in along}
+    return np.array([step for step in steps if int(step) in near or int(step) not in reached], dtype=np.int64)

@@ -1,170 +1,205 @@
-"""The gradient operator of a body on a lattice whose families repeat: one list of weights for most particles."""
+"""The gradient operator of a body on a lattice whose families repeat: one list of weights for all that share one.
+
+The particles whose families do not repeat are a body of their own (``discrete.lattice.Edge``), with one particle of
+each pattern of the others, from which the weights of that pattern are taken.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.lattice import Part, Repeats, cells_of
+from pdpetsc.discrete.lattice import Part, Repeats
 from pdpetsc.gradient.base import GradientOperator, Product, SameGradient
-from pdpetsc.kernels.repeated import (
-    clear_rows,
-    points_to_rows,
-    rows_force_kernel,
-    rows_gradient_kernel,
-    rows_springs_kernel,
-    rows_stress_kernel,
-    rows_to_points,
-)
+from pdpetsc.kernels.repeated import add_from_cells, rows_force_kernel, rows_gradient_kernel
 
-# Weights of opposite members are opposite up to this share of the largest.
+# Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
 OPPOSITE = 1e-12
+NO_STRESS, NO_CONTROL = np.empty((0, 0)), (np.empty(0), np.empty(0), np.empty((0, 0, 0)))
 
 
 @dataclass(frozen=True)
-class Entries:
-    """The weights of one point of the family that repeats, opposite members with opposite weights taken together.
+class Weights:
+    """The weights of the points of each pattern, opposite members with opposite weights taken together.
 
     Attributes
     ----------
-    plus, minus : (n,) int64
-        Steps in cells: the entry takes the difference of the displacements there; ``minus`` is 0 for a single member.
-    g : (n, dim) float64
+    list_ptr : (n_patterns + 1,) int64
+        Where the points of each pattern start.
+    entry_ptr : (n_lists + 1,) int64
+        Where the entries of each point start.
+    plus, minus : (n_entries,) int64
+        Steps in cells: an entry takes the difference of the displacements there; ``minus`` is 0, the centre, for a
+        single member.
+    g : (n_entries, dim) float64
         Weights [1 / length].
+    centre : (n_lists, dim) float64
+        Weights of the centre less what entries with two members give it [1 / length].
     """
 
+    list_ptr: GlobalIndex
+    entry_ptr: GlobalIndex
     plus: GlobalIndex
     minus: GlobalIndex
     g: Float
+    centre: Float
+
+    @cached_property
+    def arrays(self) -> tuple[tuple[GlobalIndex, ...], Float, Float, Float]:
+        """Return the steps and the components of the weights as loops over rows take them."""
+        dim = self.g.shape[1]
+        columns = [np.ascontiguousarray(self.g[:, min(axis, dim - 1)]) for axis in range(3)]
+        return (self.list_ptr, self.entry_ptr, self.plus, self.minus), columns[0], columns[1], columns[2]
+
+    def of_members(self, steps: Sequence[GlobalIndex], values: Sequence[Float]) -> Float | None:
+        """Return values (n_entries,) of the members of each point; None where two of an entry have different ones."""
+        found = np.empty(len(self.plus))
+        for number, (one, of_one) in enumerate(zip(steps, values, strict=True)):
+            entries = slice(int(self.entry_ptr[number]), int(self.entry_ptr[number + 1]))
+            order = np.argsort(one)
+            up = of_one[order[np.searchsorted(one[order], self.plus[entries])]]
+            two = self.minus[entries] != 0
+            down = of_one[order[np.searchsorted(one[order], self.minus[entries][two])]]
+            if len(down) and np.abs(up[two] - down).max() > OPPOSITE * np.abs(of_one).max():
+                return None
+            found[entries] = up
+        return found
 
 
-def paired(steps: GlobalIndex, g: Float) -> Entries:
-    """Return the entries of a point for its members (n,) and their weights (n, dim)."""
+def weights_of(points: Sequence[Sequence[tuple[GlobalIndex, Float]]], dim: int) -> Weights:
+    """Return the weights of the points of each pattern, given as steps (n,) and weights (n, dim) of their members."""
+    list_ptr = np.concatenate([[0], np.cumsum([len(lists) for lists in points])]).astype(np.int64)
+    flat = [one for lists in points for one in lists]
+    found = [_paired(steps, g) for steps, g in flat]
+    sizes = [len(plus) for plus, _, _ in found]
+    centre = np.array([-g[minus == 0].sum(axis=0) for _, minus, g in found]).reshape(len(flat), dim)
+    return Weights(
+        list_ptr,
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        np.concatenate([plus for plus, _, _ in found]),
+        np.concatenate([minus for _, minus, _ in found]),
+        np.concatenate([g for _, _, g in found]),
+        centre,
+    )
+
+
+def _paired(steps: GlobalIndex, g: Float) -> tuple[GlobalIndex, GlobalIndex, Float]:
+    """Return plus, minus and weights of the entries of a point."""
     where = {int(step): number for number, step in enumerate(steps)}
+    other = np.array([where.get(-int(step), number) for number, step in enumerate(steps)], dtype=np.int64)
     size = float(np.abs(g).max(initial=0.0))
-    plus, minus, weights = [], [], []
-    taken = np.zeros(len(steps), dtype=bool)
-    for number, step in enumerate(steps):
-        if taken[number]:
-            continue
-        other = where.get(-int(step), number)
-        opposite = other != number and bool(np.abs(g[number] + g[other]).max() <= OPPOSITE * size)
-        if opposite:
-            taken[other] = True
-        plus.append(step)
-        minus.append(-step if opposite else 0)
-        weights.append(0.5 * (g[number] - g[other]) if opposite else g[number])
-    return Entries(np.array(plus, dtype=np.int64), np.array(minus, dtype=np.int64), np.array(weights))
+    opposite = (other != np.arange(len(steps))) & (np.abs(g + g[other]).max(axis=1) <= OPPOSITE * size)
+    # One of two opposite members stands for both.
+    kept = ~opposite | (steps > 0)
+    minus = np.where(opposite, -steps, 0)
+    mean = np.where(opposite[:, None], 0.5 * (g - g[other]), g)
+    return steps[kept].astype(np.int64), minus[kept].astype(np.int64), np.ascontiguousarray(mean[kept])
 
 
 class RepeatedOperator(GradientOperator):
-    """``GradientOperator`` that keeps the weights of one family for all particles that share it.
+    """``GradientOperator`` that keeps one list of weights for all particles that share a family.
 
     ``g``, ``members`` and ``point_ptr`` list all weights for whoever asks for them.
 
     Parameters
     ----------
     edge : GradientOperator
-        The operator of the particles whose families do not repeat, and of one of the others as the last.
+        The operator of ``repeats.edge``.
     repeats : Repeats
-        Which do.
+        Which families repeat.
     """
+
+    edge: GradientOperator
+    repeats: Repeats
 
     def __init__(self, edge: GradientOperator, repeats: Repeats) -> None:
         own, shared = repeats.edge, repeats.shared
-        first = int(edge.points_of[own.n])
-        each = edge.n_points - first
-        count = np.full(len(shared), each)
-        count[own.local[: own.n]] = np.diff(edge.points_of)[: own.n]
+        each = np.diff(edge.points_of)
+        count = np.empty(len(shared), dtype=np.int64)
+        count[own.local[: own.n]] = each[: own.n]
+        count[shared] = repeats.of_shared(each[own.n :])
         owner = np.repeat(np.arange(len(shared), dtype=np.int32), count)
-        alone = ~shared[owner]
-        volume = np.empty(len(owner))
-        volume[alone] = edge.volume[:first]
-        volume[~alone] = np.tile(edge.volume[first:], int(np.count_nonzero(shared)))
-        cell = repeats.grid.cell[own.local]
-        lists, centres = [], []
-        for p in range(first, edge.n_points):
-            entries = slice(int(edge.point_ptr[p]) + 1, int(edge.point_ptr[p + 1]))
-            lists.append((cell[edge.members[entries]] - cell[own.n], edge.g[entries]))
-            centres.append(edge.g[int(edge.point_ptr[p])])
-        self.__dict__.update(
-            owner=owner, volume=volume, note=edge.note, _edge=edge, _repeats=repeats, _alone=np.flatnonzero(alone),
-            _first=first, _lists=lists, _centres=centres, _entries=[paired(*one) for one in lists], _on_cells=None,
-        )  # fmt: skip
+        self.__dict__.update(owner=owner, note=edge.note, edge=edge, repeats=repeats)
+        self.__dict__["volume"] = self._from_edge(edge.volume)
 
-    owner: LocalIndex
-    volume: Float
-    _edge: GradientOperator
-    _repeats: Repeats
-    _alone: GlobalIndex
-    _first: int
-    _lists: list[tuple[GlobalIndex, Float]]
-    _centres: list[Float]
-    _entries: list[Entries]
+    @cached_property
+    def points_of(self) -> GlobalIndex:
+        """Return where the points of every own particle start (n_owned + 1,)."""
+        return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.repeats.shared)))])
 
-    @property
-    def edge(self) -> GradientOperator:
-        """Return the operator of the particles whose families do not repeat."""
-        return self._edge
-
-    @property
-    def repeats(self) -> Repeats:
-        """Return which families repeat."""
-        return self._repeats
-
-    @property
-    def entries(self) -> list[Entries]:
-        """Return the weights of each point of the family that repeats."""
-        return self._entries
-
-    @property
-    def point_volumes(self) -> Float:
-        """Return the volumes of the points of the family that repeats."""
-        return self._edge.volume[self._first :]
-
-    @property
-    def alone(self) -> GlobalIndex:
+    @cached_property
+    def _alone(self) -> GlobalIndex:
         """Return the points of particles whose families do not repeat."""
-        return self._alone
+        return np.flatnonzero(~self.repeats.shared[self.owner])
 
-    def alone_values(self, values: Float) -> Float:
-        """Return values of points (n_points, ...) as ``edge`` takes them: zero for the particle of the others."""
-        found = np.zeros((self._edge.n_points, *values.shape[1:]))
-        found[: self._first] = values[self._alone]
+    @cached_property
+    def _members(self) -> list[list[tuple[GlobalIndex, Float]]]:
+        """Return steps and weights of the members of each point of each pattern, without the centre."""
+        edge, own = self.edge, self.repeats.edge
+        cell = self.repeats.grid.cell[own.local]
+        found = []
+        for number in range(own.n, own.n + self.repeats.n_patterns):
+            lists = []
+            for p in range(int(edge.points_of[number]), int(edge.points_of[number + 1])):
+                entries = slice(int(edge.point_ptr[p]) + 1, int(edge.point_ptr[p + 1]))
+                lists.append((cell[edge.members[entries]] - cell[number], edge.g[entries]))
+            found.append(lists)
+        return found
+
+    @cached_property
+    def weights(self) -> Weights:
+        """Return the weights of each pattern."""
+        return weights_of(self._members, self.repeats.cloud.dim)
+
+    @cached_property
+    def point_volumes(self) -> Float:
+        """Return the volumes of the points of each pattern (n_lists,) [volume]."""
+        return self.edge.volume[self.edge.points_of[self.repeats.edge.n] :]
+
+    def row_points(self, stress: Float) -> RowPoints:
+        """Return what gives the stress for P (n_points, dim, dim) or moduli (n_points, dim, dim, dim, dim)."""
+        size = stress.shape[1] * stress.shape[2]
+        return RowPoints(self.points_of, self.point_volumes, stress.reshape(len(stress), *[size] * (stress.ndim // 2)))
+
+    def of_edge(self, values: Float) -> Float:
+        """Return values of points (n_points, ...) as ``edge`` takes them: zero for those that stand for a pattern."""
+        found = np.zeros((self.edge.n_points, *values.shape[1:]))
+        found[: len(self._alone)] = values[self._alone]
+        return found
+
+    def _from_edge(self, values: Float) -> Float:
+        """Return values at all points (n_points, ...) from those at the points of ``edge``."""
+        own, repeats, points = self.repeats.edge, self.repeats, self.edge.points_of
+        found = np.empty((self.n_points, *values.shape[1:]))
+        found[self._alone] = values[: points[own.n]]
+        first = repeats.of_shared(points[own.n : -1])
+        size = repeats.of_shared(np.diff(points)[own.n :])
+        together = np.flatnonzero(repeats.shared[self.owner])
+        found[together] = values[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(together))]
         return found
 
     def gradient(self, u: Float) -> Float:
         """Return ``H_p = sum_k u_k (x) g_pk`` (n_points, dim, dim) for ``u`` (n_local, dim)."""
-        repeats, dim = self._repeats, u.shape[1]
-        rows, grid, on_cells = repeats.rows, repeats.grid, repeats.on_cells
+        repeats, dim = self.repeats, u.shape[1]
+        part = repeats.whole
         H = np.empty((self.n_points, dim, dim))
-        H[self._alone] = self._edge.gradient(u[repeats.edge.local])[: self._first]
-        u_cells = grid.onto(u)
-        for number, one in enumerate(self._entries):
-            rows_gradient_kernel(dim)(rows.starts, rows.lengths, one.plus, one.minus, one.g, u_cells, on_cells)
-            rows_to_points(rows.starts, rows.lengths, grid.at, self.points_of, number, on_cells, H)
-        clear_rows(rows.starts, rows.lengths, on_cells)
+        H[self._alone] = self.edge.gradient(u[repeats.edge.local])[: len(self._alone)]
+        rows = part.rows.starts, part.rows.lengths, part.pattern
+        data = repeats.grid.at, self.points_of, *self.weights.arrays, repeats.grid.onto(u)
+        rows_gradient_kernel(dim)(*rows, *data, H)
         return H
 
     def divergence(self, P: Float, f: Float) -> None:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim)."""
-        repeats, dim = self._repeats, f.shape[1]
-        grid, on_cells = repeats.grid, repeats.on_cells
-        whole = repeats.part(repeats.everyone)
-        rows, reached = whole.rows, whole.reached
-        local = repeats.edge.local
-        forces = np.zeros((len(local), dim))
-        self._edge.divergence(self.alone_values(P), forces)
+        local = self.repeats.edge.local
+        forces = np.zeros((len(local), f.shape[1]))
+        self.edge.divergence(self.of_edge(P), forces)
         f[local] += forces
-        for number, one in enumerate(self._entries):
-            W = float(self.point_volumes[number])
-            points_to_rows(rows.starts, rows.lengths, grid.at, self.points_of, number, W, P, on_cells)
-            data = one.plus, one.minus, one.g, on_cells
-            rows_force_kernel(dim)(reached.starts, reached.lengths, grid.at, *data, f)
-        clear_rows(rows.starts, rows.lengths, on_cells)
+        add_row_forces(self.repeats, self.repeats.whole, self.weights, self.row_points(P), None, np.zeros_like(f), f)
 
     def product(self, A: Float, h: Float | None = None) -> Product:
         """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
@@ -173,29 +208,25 @@ class RepeatedOperator(GradientOperator):
     @cached_property
     def listed(self) -> GradientOperator:
         """Return the operator with all weights listed (not collective)."""
-        repeats, edge = self._repeats, self._edge
-        at, cell, local = repeats.grid.at, repeats.grid.cell, repeats.edge.local
-        sizes = np.empty(self.n_points, dtype=np.int64)
-        sizes[self._alone] = np.diff(edge.point_ptr)[: self._first]
-        together = np.ones(self.n_points, dtype=bool)
-        together[self._alone] = False
-        each = np.array([len(steps) + 1 for steps, _ in self._lists])
-        sizes[together] = np.tile(each, np.count_nonzero(together) // len(each))
+        repeats, edge, own = self.repeats, self.edge, self.repeats.edge
+        at, cell = repeats.grid.at, repeats.grid.cell
+        sizes = self._from_edge(np.diff(edge.point_ptr).astype(float)).astype(np.int64)
         ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         members = np.empty(int(ptr[-1]), dtype=np.int32)
         g = np.empty((int(ptr[-1]), repeats.cloud.dim))
-        entries = np.zeros(int(ptr[-1]), dtype=bool)
         of_alone = np.zeros(self.n_points, dtype=bool)
         of_alone[self._alone] = True
-        entries[np.repeat(of_alone, sizes)] = True
-        last = int(edge.point_ptr[self._first])
-        members[entries], g[entries] = local[edge.members[:last]], edge.g[:last]
-        centres = np.flatnonzero(repeats.shared)
-        for number, (steps, weights) in enumerate(self._lists):
-            start = ptr[self.points_of[centres] + number]
-            members[start], g[start] = centres, self._centres[number]
-            for k, step in enumerate(steps):
-                members[start + 1 + k], g[start + 1 + k] = at[cell[centres] + step], weights[k]
+        entries = np.repeat(of_alone, sizes)
+        last = int(edge.point_ptr[len(self._alone)])
+        members[entries], g[entries] = own.local[edge.members[:last]], edge.g[:last]
+        for pattern, lists in enumerate(self._members):
+            centres = np.flatnonzero(repeats.pattern_of == pattern)
+            first = int(edge.points_of[own.n + pattern])
+            for number, (steps, weights) in enumerate(lists):
+                start = ptr[self.points_of[centres] + number]
+                members[start], g[start] = centres, edge.g[int(edge.point_ptr[first + number])]
+                for k, step in enumerate(steps):
+                    members[start + 1 + k], g[start + 1 + k] = at[cell[centres] + step], weights[k]
         return GradientOperator(self.owner, ptr, members, g, self.volume, self.note)
 
     @property
@@ -214,6 +245,44 @@ class RepeatedOperator(GradientOperator):
         return self.listed.g
 
 
+@dataclass(frozen=True)
+class RowPoints:
+    """What gives the stress at points whose weights repeat.
+
+    Attributes
+    ----------
+    first : (n_owned,) int64
+        The first point of each own particle.
+    volume : (n_lists,) float64
+        Volumes of the points of each pattern [volume].
+    stress : (n_points, dim dim) or (n_points, dim dim, dim dim) float64
+        Stress, or moduli that give it from the gradient of the displacement [stress].
+    """
+
+    first: GlobalIndex
+    volume: Float
+    stress: Float
+
+
+class RepeatedGradient(SameGradient):
+    """A control on the gradient of a whole family, ``1/2 sum_i c_i sum_j w_ij |eta_ij - H_i xi_ij|^2``.
+
+    Parameters
+    ----------
+    edge : SameGradient
+        The control of the particles whose families do not repeat.
+    weight : (n_entries,) float64
+        ``w_ij`` of the entries of the weights of the gradient [force / length].
+    K : (n_patterns, dim, dim) float64
+        ``sum_j w_ij xi (x) xi`` [force length].
+    scale : (n_owned,) float64
+        ``c_i`` [-].
+    """
+
+    def __init__(self, edge: SameGradient, weight: Float, K: Float, scale: Float) -> None:
+        self.edge, self.weight, self.K, self.scale = edge, weight, K, scale
+
+
 class RepeatedProduct(Product):
     """``G^T (W A) G`` of an operator whose weights repeat, with the forces of a control on the same gradient.
 
@@ -227,7 +296,7 @@ class RepeatedProduct(Product):
 
     def __init__(self, operator: RepeatedOperator, A: Float) -> None:
         self._operator, self._A = operator, A
-        self._alone = operator.edge.product(operator.alone_values(A))
+        self._alone = operator.edge.product(operator.of_edge(A))
         self._same: RepeatedGradient | None = None
 
     def absorb(self, same: SameGradient | None) -> bool:
@@ -239,66 +308,38 @@ class RepeatedProduct(Product):
 
     def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
         """Add the forces of the points of some own particles for displacements (n_local, dim)."""
-        operator, dim = self._operator, u.shape[1]
-        repeats, grid, on_cells = operator.repeats, operator.repeats.grid, operator.repeats.on_cells
+        operator, repeats = self._operator, self._operator.repeats
         part, local = repeats.part(particles), repeats.edge.local
         if len(part.alone):
-            forces = np.zeros((len(local), dim))
+            forces = np.zeros((len(local), u.shape[1]))
             self._alone.add(part.alone, u[local], forces)
             f[local] += forces
-        rows, reached = part.rows, part.reached
-        if not rows.count:
-            return
-        u_cells = grid.onto(u)
-        scale, K = (np.empty(0), np.empty((0, 0))) if self._same is None else self._same.of_part(part)
-        for number, one in enumerate(operator.entries):
-            rows_gradient_kernel(dim)(rows.starts, rows.lengths, one.plus, one.minus, one.g, u_cells, on_cells)
-            W = float(operator.point_volumes[number])
-            moduli = operator.points_of, number, self._A, W, scale, K
-            rows_stress_kernel(dim)(rows.starts, rows.lengths, grid.at, *moduli, on_cells)
-            data = one.plus, one.minus, one.g, on_cells
-            rows_force_kernel(dim)(reached.starts, reached.lengths, grid.at, *data, f)
-        clear_rows(rows.starts, rows.lengths, on_cells)
-        if self._same is not None:
-            self._same.add_springs(part, u_cells, f)
+        add_row_forces(repeats, part, operator.weights, operator.row_points(self._A), self._same, u, f)
 
 
-class RepeatedGradient(SameGradient):
-    """A control on the gradient of a whole family, ``1/2 sum_i c_i sum_j w_ij |eta_ij - H_i xi_ij|^2``.
+def add_row_forces(
+    repeats: Repeats, part: Part, weights: Weights, points: RowPoints | None, same: RepeatedGradient | None, u: Float,
+    f: Float,
+) -> None:  # fmt: skip
+    """Add the forces of points whose weights repeat, and of a control on their gradient, to ``f`` (n_local, dim).
 
     Parameters
     ----------
-    repeats : Repeats
-        Which particles share one family.
-    edge : SameGradient
-        The control of the particles whose families do not repeat.
-    half, weight
-        Steps to one of every two opposite members, and their ``w_ij`` [force / length].
-    K : (dim, dim) float64
-        ``sum_j w_ij xi (x) xi`` [force length].
-    scale : (n_owned,) float64
-        ``c_i`` [-].
+    points : RowPoints, optional
+        What gives their stress; none where absent.
+    same : RepeatedGradient, optional
+        The control.
+    u : (n_local, dim) float64
+        Displacements [length].
     """
-
-    def __init__(
-        self, repeats: Repeats, edge: SameGradient, half: GlobalIndex, weight: Float, K: Float, scale: Float
-    ) -> None:
-        self._repeats, self.edge = repeats, edge
-        self.half, self.weight, self.K, self._scale = half, weight, K, scale
-        self._of_parts: dict[int, tuple[Part, Float]] = {}
-
-    def of_part(self, part: Part) -> tuple[Float, Float]:
-        """Return ``c`` on the lattice (n_cells,), zero but at the rows of a part, and K."""
-        known = self._of_parts.get(id(part))
-        if known is None:
-            grid = self._repeats.grid
-            cells, on_cells = cells_of(part.rows), np.zeros(len(grid.at))
-            on_cells[cells] = self._scale[grid.at[cells]]
-            known = self._of_parts[id(part)] = part, on_cells
-        return known[1], self.K
-
-    def add_springs(self, part: Part, u_cells: Float, f: Float) -> None:
-        """Add ``c_i w_ij eta_ij`` to the members of the rows of a part, and its opposite to their centres."""
-        reached, scale = part.reached, self.of_part(part)[0]
-        data = self._repeats.grid.at, self.half, self.weight, scale, u_cells
-        rows_springs_kernel(len(u_cells))(reached.starts, reached.lengths, *data, f)
+    if not part.rows.count:
+        return
+    dim, grid, forces = u.shape[1], repeats.grid, repeats.forces_on_cells
+    if points is None:
+        points = RowPoints(np.zeros(repeats.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS)
+    control = NO_CONTROL if same is None else (same.weight, same.scale, same.K)
+    rows_force_kernel(dim, int(points.stress.ndim == 3), int(same is not None))(
+        part.rows.starts, part.rows.lengths, part.pattern, grid.at, points.first, *weights.arrays, weights.centre,
+        points.volume, points.stress, *control, grid.onto(u), forces,
+    )  # fmt: skip
+    add_from_cells(grid.cell, forces, f)

@@ -1,4 +1,4 @@
-"""Loops over particles whose families repeat: rows of consecutive cells of a lattice share one stencil.
+"""Loops over particles whose families repeat: rows of consecutive cells of a lattice share one list of weights.
 
 Arrays on the lattice have one row per component and one column per cell, so that a row of cells is read and written in
 order; cells are numbered along the lattice, and a member of a family is a constant number of cells away.
@@ -16,15 +16,18 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def whole_family(cell, at, steps, good, whole):  # type: ignore[no-untyped-def]
-    """Write which of the own particles that are whole have a good particle at every step of the family."""
-    for i in range(whole.size):
+def family_keys(cell, at, steps, keys_of_steps, good, key, usual):  # type: ignore[no-untyped-def]
+    """Write for every own particle a number that tells which members its family has, and whether all are good."""
+    for i in range(key.size):
         c = cell[i]
+        usual[i] = good[i]
+        found = np.uint64(0)
         for t in range(steps.size):
-            if not whole[i]:
-                break
             j = at[c + steps[t]]
-            whole[i] = j >= 0 and good[j]
+            if j >= 0:
+                found ^= keys_of_steps[t]
+                usual[i] &= good[j]
+        key[i] = found
 
 
 @compiled
@@ -54,13 +57,15 @@ def families_of_cells(particles, cell, at, steps, order):  # type: ignore[no-unt
 
 
 @compiled
-def mark_cells(starts, lengths, steps, marked):  # type: ignore[no-untyped-def]
-    """Mark the cells of rows and those at every step from them."""
-    for q in range(starts.size):
-        s, n = starts[q], lengths[q]
-        marked[s : s + n] = True
+def cells_with_any(cells, at, steps, marked, found):  # type: ignore[no-untyped-def]
+    """Write which cells have a marked particle at one of the steps."""
+    for q in range(cells.size):
+        found[q] = False
         for t in range(steps.size):
-            marked[s + steps[t] : s + steps[t] + n] = True
+            j = at[cells[q] + steps[t]]
+            if j >= 0 and marked[j]:
+                found[q] = True
+                break
 
 
 @compiled
@@ -71,253 +76,225 @@ def onto_cells(cell, values, on_cells):  # type: ignore[no-untyped-def]
             on_cells[m, cell[i]] = values[i, m]
 
 
-@lru_cache
-def rows_gradient_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``gradient(starts, lengths, plus, minus, g, u, H)``: ``H = sum_e (u_+ - u_-) (x) g_e`` on rows of cells.
+@compiled
+def add_from_cells(cell, on_cells, values):  # type: ignore[no-untyped-def]
+    """Add vectors on cells (components, n_cells) to those of their particles (n, components), and clear them."""
+    for i in range(values.shape[0]):
+        for m in range(values.shape[1]):
+            values[i, m] += on_cells[m, cell[i]]
+            on_cells[m, cell[i]] = 0.0
 
-    Entry e reads the cells ``plus[e]`` and ``minus[e]`` away; u and H are arrays on the lattice, H with ``dim dim``
-    rows, of which the cells of the rows are written.
+
+@lru_cache
+def row_gradient_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``gradient(s, n, first, last, plus, minus, gx, gy, gz, v, buffer)``: one component on one row of cells.
+
+    Writes ``sum_e (v_+ - v_-) g_e`` over the entries from ``first`` to ``last`` to the first ``dim`` rows of
+    ``buffer``, for the n cells from s on; entry e reads the cells ``plus[e]`` and ``minus[e]`` away. With fewer
+    dimensions the last weights are not read.
     """
 
     @compiled
-    def gradient(starts, lengths, plus, minus, g, u, H):  # type: ignore[no-untyped-def]
-        n_entries = plus.size
-        longest = 0
-        for q in range(lengths.size):
-            longest = max(longest, lengths[q])
-        buffer = np.empty((3, longest))
-        # With fewer dimensions the last columns are not read.
-        gx = g[:, 0].copy()
-        gy = g[:, min(1, dim - 1)].copy()
-        gz = g[:, dim - 1].copy()
-        for q in range(starts.size):
-            s, n = starts[q], lengths[q]
-            a, b, c = buffer[0], buffer[1], buffer[2]
-            for m in range(dim):
-                v = u[m]
-                buffer[:, :n] = 0.0
-                e = 0
-                while e + 4 <= n_entries:
-                    p0 = v[s + plus[e] : s + plus[e] + n]
-                    m0 = v[s + minus[e] : s + minus[e] + n]
-                    p1 = v[s + plus[e + 1] : s + plus[e + 1] + n]
-                    m1 = v[s + minus[e + 1] : s + minus[e + 1] + n]
-                    p2 = v[s + plus[e + 2] : s + plus[e + 2] + n]
-                    m2 = v[s + minus[e + 2] : s + minus[e + 2] + n]
-                    p3 = v[s + plus[e + 3] : s + plus[e + 3] + n]
-                    m3 = v[s + minus[e + 3] : s + minus[e + 3] + n]
-                    a0, a1, a2, a3 = gx[e], gx[e + 1], gx[e + 2], gx[e + 3]
-                    b0, b1, b2, b3 = gy[e], gy[e + 1], gy[e + 2], gy[e + 3]
-                    c0, c1, c2, c3 = gz[e], gz[e + 1], gz[e + 2], gz[e + 3]
-                    for i in range(n):
-                        d0 = p0[i] - m0[i]
-                        d1 = p1[i] - m1[i]
-                        d2 = p2[i] - m2[i]
-                        d3 = p3[i] - m3[i]
-                        a[i] += d0 * a0 + d1 * a1 + d2 * a2 + d3 * a3
-                        if dim > 1:
-                            b[i] += d0 * b0 + d1 * b1 + d2 * b2 + d3 * b3
-                        if dim > 2:
-                            c[i] += d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
-                    e += 4
-                while e < n_entries:
-                    p0 = v[s + plus[e] : s + plus[e] + n]
-                    m0 = v[s + minus[e] : s + minus[e] + n]
-                    for i in range(n):
-                        d0 = p0[i] - m0[i]
-                        a[i] += d0 * gx[e]
-                        if dim > 1:
-                            b[i] += d0 * gy[e]
-                        if dim > 2:
-                            c[i] += d0 * gz[e]
-                    e += 1
-                for k in range(dim):
-                    H[dim * m + k, s : s + n] = buffer[k, :n]
+    def gradient(s, n, first, last, plus, minus, gx, gy, gz, v, buffer):  # type: ignore[no-untyped-def]
+        a, b, c = buffer[0], buffer[1], buffer[2]
+        for i in range(n):
+            a[i] = 0.0
+            b[i] = 0.0
+            c[i] = 0.0
+        e = first
+        while e + 4 <= last:
+            p0 = v[s + plus[e] : s + plus[e] + n]
+            m0 = v[s + minus[e] : s + minus[e] + n]
+            p1 = v[s + plus[e + 1] : s + plus[e + 1] + n]
+            m1 = v[s + minus[e + 1] : s + minus[e + 1] + n]
+            p2 = v[s + plus[e + 2] : s + plus[e + 2] + n]
+            m2 = v[s + minus[e + 2] : s + minus[e + 2] + n]
+            p3 = v[s + plus[e + 3] : s + plus[e + 3] + n]
+            m3 = v[s + minus[e + 3] : s + minus[e + 3] + n]
+            a0, a1, a2, a3 = gx[e], gx[e + 1], gx[e + 2], gx[e + 3]
+            b0, b1, b2, b3 = gy[e], gy[e + 1], gy[e + 2], gy[e + 3]
+            c0, c1, c2, c3 = gz[e], gz[e + 1], gz[e + 2], gz[e + 3]
+            for i in range(n):
+                d0 = p0[i] - m0[i]
+                d1 = p1[i] - m1[i]
+                d2 = p2[i] - m2[i]
+                d3 = p3[i] - m3[i]
+                a[i] += d0 * a0 + d1 * a1 + d2 * a2 + d3 * a3
+                if dim > 1:
+                    b[i] += d0 * b0 + d1 * b1 + d2 * b2 + d3 * b3
+                if dim > 2:
+                    c[i] += d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
+            e += 4
+        while e < last:
+            p0 = v[s + plus[e] : s + plus[e] + n]
+            m0 = v[s + minus[e] : s + minus[e] + n]
+            a0, b0, c0 = gx[e], gy[e], gz[e]
+            for i in range(n):
+                d0 = p0[i] - m0[i]
+                a[i] += d0 * a0
+                if dim > 1:
+                    b[i] += d0 * b0
+                if dim > 2:
+                    c[i] += d0 * c0
+            e += 1
 
     return gradient
 
 
 @lru_cache
-def rows_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(starts, lengths, at, plus, minus, g, P, f)``: the transpose of ``rows_gradient_kernel``.
+def rows_gradient_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``gradient(starts, lengths, pattern, at, first_point, lists, gx, gy, gz, u, H)`` on rows of cells.
 
-    Adds ``sum_e (P_{c - plus} - P_{c - minus}) g_e`` to the particle of every cell c of the rows; P (dim dim, n_cells)
-    is zero but where points put forces on others.
+    ``H_p = sum_e (u_+ - u_-) (x) g_e`` (n_points, dim, dim) of the points of the particles in the rows, for ``u``
+    (dim, n_cells); ``lists`` are the points of each pattern, the entries of each point, and the two steps of each.
     """
+    of_row = row_gradient_kernel(dim)
 
     @compiled
-    def force(starts, lengths, at, plus, minus, g, P, f):  # type: ignore[no-untyped-def]
-        n_entries = plus.size
-        longest = 0
-        for q in range(lengths.size):
-            longest = max(longest, lengths[q])
-        buffer = np.empty(longest)
-        gx = g[:, 0].copy()
-        gy = g[:, min(1, dim - 1)].copy()
-        gz = g[:, dim - 1].copy()
-        second, third = min(1, dim - 1), dim - 1
+    def gradient(starts, lengths, pattern, at, first_point, lists, gx, gy, gz, u, H):  # type: ignore[no-untyped-def]
+        list_ptr, entry_ptr, plus, minus = lists
+        buffer = np.empty((3, lengths.max() if lengths.size else 0))
         for q in range(starts.size):
             s, n = starts[q], lengths[q]
-            for m in range(dim):
-                x, y, z = P[dim * m], P[dim * m + second], P[dim * m + third]
-                buffer[:n] = 0.0
-                e = 0
-                while e + 2 <= n_entries:
-                    o, r = s - plus[e], s - minus[e]
-                    v, w = s - plus[e + 1], s - minus[e + 1]
-                    xp, xm, yp, ym, zp, zm = x[o : o + n], x[r : r + n], y[o : o + n], y[r : r + n], z[o : o + n], z[r : r + n]  # fmt: skip  # noqa: E501
-                    xq, xn, yq, yn, zq, zn = x[v : v + n], x[w : w + n], y[v : v + n], y[w : w + n], z[v : v + n], z[w : w + n]  # fmt: skip  # noqa: E501
-                    a0, b0, c0, a1, b1, c1 = gx[e], gy[e], gz[e], gx[e + 1], gy[e + 1], gz[e + 1]
+            first = list_ptr[pattern[q]]
+            for k in range(first, list_ptr[pattern[q] + 1]):
+                for m in range(dim):
+                    of_row(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, u[m], buffer)
                     for i in range(n):
-                        value = (xp[i] - xm[i]) * a0 + (xq[i] - xn[i]) * a1
-                        if dim > 1:
-                            value += (yp[i] - ym[i]) * b0 + (yq[i] - yn[i]) * b1
-                        if dim > 2:
-                            value += (zp[i] - zm[i]) * c0 + (zq[i] - zn[i]) * c1
-                        buffer[i] += value
-                    e += 2
-                while e < n_entries:
-                    o, r = s - plus[e], s - minus[e]
-                    for i in range(n):
-                        value = (x[o + i] - x[r + i]) * gx[e]
-                        if dim > 1:
-                            value += (y[o + i] - y[r + i]) * gy[e]
-                        if dim > 2:
-                            value += (z[o + i] - z[r + i]) * gz[e]
-                        buffer[i] += value
-                    e += 1
+                        p = first_point[at[s + i]] + k - first
+                        for o in range(dim):
+                            H[p, m, o] = buffer[o, i]
+
+    return gradient
+
+
+@lru_cache
+def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., Any]:
+    """Return the kernel that adds ``sum_p (W_p P_p - c H_p K) g_pk + c w_pk eta_pk`` to the cells of members k.
+
+    The stress P is given at points (n_points, dim dim), zero where there are none, or is ``A_p H_p`` with moduli
+    (n_points, dim dim, dim dim) where ``moduli``; terms with c, K and w only where ``controlled``. Both are
+    compile-time constants. For every row of cells, one point after the other: gradient, stress, and its forces on the
+    members, while they are in cache. u and f are (dim, n_cells).
+    """
+    of_row = row_gradient_kernel(dim)
+
+    @compiled
+    def force(  # type: ignore[no-untyped-def]
+        starts, lengths, pattern, at, first_point, lists, gx, gy, gz, centre, volume, stress, weight, scale, K, u, f
+    ):
+        list_ptr, entry_ptr, plus, minus = lists
+        longest = lengths.max() if lengths.size else 0
+        H = np.empty((dim * dim, longest))
+        T = np.empty((dim * dim, longest))
+        buffer = np.empty((3, longest))
+        c = np.zeros(longest)
+        own = np.empty(longest)
+        force = np.empty(longest)
+        stressed = stress.size > 0
+        for q in range(starts.size):
+            s, n = starts[q], lengths[q]
+            if controlled:
                 for i in range(n):
-                    f[at[s + i], m] += buffer[i]
+                    c[i] = scale[at[s + i]]
+            first_list = list_ptr[pattern[q]]
+            for k in range(first_list, list_ptr[pattern[q] + 1]):
+                first, last = entry_ptr[k], entry_ptr[k + 1]
+                if moduli or controlled:
+                    for m in range(dim):
+                        of_row(s, n, first, last, plus, minus, gx, gy, gz, u[m], buffer)
+                        for o in range(dim):
+                            H[dim * m + o, :n] = buffer[o, :n]
+                for i in range(n):
+                    p = first_point[at[s + i]] + k - first_list
+                    for a in range(dim * dim):
+                        value = 0.0
+                        if moduli:
+                            for b in range(dim * dim):
+                                value += stress[p, a, b] * H[b, i]
+                        elif stressed:
+                            value = stress[p, a]
+                        T[a, i] = volume[k] * value
+                if controlled:
+                    for a in range(dim):
+                        for b in range(dim):
+                            for o in range(dim):
+                                for i in range(n):
+                                    T[dim * a + b, i] -= c[i] * H[dim * a + o, i] * K[k, o, b]
+                for m in range(dim):
+                    x, y, z = T[dim * m], T[dim * m + min(1, dim - 1)], T[dim * m + dim - 1]
+                    v, r = u[m], f[m]
+                    here = v[s : s + n]
+                    for i in range(n):
+                        value = x[i] * centre[k, 0]
+                        if dim > 1:
+                            value += y[i] * centre[k, min(1, dim - 1)]
+                        if dim > 2:
+                            value += z[i] * centre[k, dim - 1]
+                        own[i] = value
+                    for e in range(first, last):
+                        a0, b0, c0, w = gx[e], gy[e], gz[e], weight[e] if controlled else 0.0
+                        up = r[s + plus[e] : s + plus[e] + n]
+                        beyond = v[s + plus[e] : s + plus[e] + n]
+                        for i in range(n):
+                            value = x[i] * a0
+                            if dim > 1:
+                                value += y[i] * b0
+                            if dim > 2:
+                                value += z[i] * c0
+                            force[i] = value
+                        if controlled:
+                            for i in range(n):
+                                spring = w * c[i] * (beyond[i] - here[i])
+                                up[i] += force[i] + spring
+                                own[i] -= spring
+                        else:
+                            for i in range(n):
+                                up[i] += force[i]
+                        if minus[e] != 0:
+                            down = r[s + minus[e] : s + minus[e] + n]
+                            before = v[s + minus[e] : s + minus[e] + n]
+                            if controlled:
+                                for i in range(n):
+                                    spring = w * c[i] * (before[i] - here[i])
+                                    down[i] += spring - force[i]
+                                    own[i] -= spring
+                            else:
+                                for i in range(n):
+                                    down[i] -= force[i]
+                    centres = r[s : s + n]
+                    for i in range(n):
+                        centres[i] += own[i]
 
     return force
 
 
 @lru_cache
-def rows_stress_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``stress(starts, lengths, at, first_point, A, volume, scale, K, H)``: ``W A H - c H K`` in place of H.
-
-    Of the points of each own particle, which ``first_point`` counts from, the moduli of number ``point`` are read; no
-    moduli count as zero. ``scale`` (n_cells,) is ``c`` and empty where there is no control in the loop.
-    """
+def rows_energy_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``energy(...)``: ``1/2 sum_i c_i (sum_j w_ij |eta_ij|^2 - H_i K : H_i)`` over the particles in rows."""
+    of_row = row_gradient_kernel(dim)
 
     @compiled
-    def stress(starts, lengths, at, first_point, point, A, volume, scale, K, H):  # type: ignore[no-untyped-def]
-        size = dim * dim
-        gradient = np.empty(size)
-        controlled = scale.size > 0
-        elastic = A.size > 0
-        for q in range(starts.size):
-            for cell in range(starts[q], starts[q] + lengths[q]):
-                p = first_point[at[cell]] + point if elastic else 0
-                for r in range(size):
-                    gradient[r] = H[r, cell]
-                for a in range(dim):
-                    for b in range(dim):
-                        value = 0.0
-                        if elastic:
-                            for m in range(dim):
-                                for n in range(dim):
-                                    value += A[p, a, b, m, n] * gradient[dim * m + n]
-                            value *= volume
-                        if controlled:
-                            for n in range(dim):
-                                value -= scale[cell] * gradient[dim * a + n] * K[n, b]
-                        H[dim * a + b, cell] = value
-
-    return stress
-
-
-@lru_cache
-def rows_springs_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``springs(starts, lengths, at, half, weight, scale, u, f)``: forces ``c_i w_ij eta_ij`` on j, less on i.
-
-    ``half`` and ``weight`` are the steps to one of every two opposite members and their weights; ``scale`` (n_cells,)
-    is zero but where the centre is one of the rows of points.
-    """
-
-    @compiled
-    def springs(starts, lengths, at, half, weight, scale, u, f):  # type: ignore[no-untyped-def]
-        longest = 0
-        for q in range(lengths.size):
-            longest = max(longest, lengths[q])
-        buffer = np.empty(longest)
-        for q in range(starts.size):
-            s, n = starts[q], lengths[q]
-            here = scale[s : s + n]
-            for m in range(dim):
-                v = u[m]
-                own = v[s : s + n]
-                buffer[:n] = 0.0
-                for e in range(half.size):
-                    o, w = half[e], weight[e]
-                    up, down = v[s + o : s + o + n], v[s - o : s - o + n]
-                    c_up, c_down = scale[s + o : s + o + n], scale[s - o : s - o + n]
-                    for i in range(n):
-                        buffer[i] += w * (
-                            (here[i] + c_down[i]) * (own[i] - down[i]) + (here[i] + c_up[i]) * (own[i] - up[i])
-                        )
-                for i in range(n):
-                    f[at[s + i], m] += buffer[i]
-
-    return springs
-
-
-@lru_cache
-def rows_spring_energy_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``energy(starts, lengths, half, weight, scale, K, u, H)``: ``1/2 sum c (sum_j w |eta|^2 - H K : H)``."""
-
-    @compiled
-    def energy(starts, lengths, half, weight, scale, K, u, H):  # type: ignore[no-untyped-def]
+    def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u):  # type: ignore[no-untyped-def]
+        list_ptr, entry_ptr, plus, minus = lists
+        buffer = np.empty((3, lengths.max() if lengths.size else 0))
         total = 0.0
         for q in range(starts.size):
             s, n = starts[q], lengths[q]
-            here = scale[s : s + n]
+            k = list_ptr[pattern[q]]
             for m in range(dim):
                 v = u[m]
-                own = v[s : s + n]
-                for e in range(half.size):
-                    o = half[e]
-                    up, down = v[s + o : s + o + n], v[s - o : s - o + n]
-                    square = 0.0
-                    for i in range(n):
-                        one, other = up[i] - own[i], down[i] - own[i]
-                        square += here[i] * (one * one + other * other)
-                    total += 0.5 * weight[e] * square
+                of_row(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, v, buffer)
                 for i in range(n):
+                    value = 0.0
+                    for e in range(entry_ptr[k], entry_ptr[k + 1]):
+                        value += weight[e] * (v[s + i + plus[e]] - v[s + i]) ** 2
+                        if minus[e] != 0:
+                            value += weight[e] * (v[s + i + minus[e]] - v[s + i]) ** 2
                     for a in range(dim):
                         for b in range(dim):
-                            total -= 0.5 * here[i] * H[dim * m + a, s + i] * K[a, b] * H[dim * m + b, s + i]
+                            value -= buffer[a, i] * K[k, a, b] * buffer[b, i]
+                    total += 0.5 * scale[at[s + i]] * value
         return total
 
     return energy
-
-
-@compiled
-def rows_to_points(starts, lengths, at, first_point, point, H, result):  # type: ignore[no-untyped-def]
-    """Write values on cells (dim dim, n_cells) to the points of the particles (n_points, dim, dim)."""
-    dim = result.shape[1]
-    for q in range(starts.size):
-        for cell in range(starts[q], starts[q] + lengths[q]):
-            p = first_point[at[cell]] + point
-            for a in range(dim):
-                for b in range(dim):
-                    result[p, a, b] = H[dim * a + b, cell]
-
-
-@compiled
-def points_to_rows(starts, lengths, at, first_point, point, volume, P, on_cells):  # type: ignore[no-untyped-def]
-    """Write ``W P`` of the points of the particles (n_points, dim, dim) to their cells (dim dim, n_cells)."""
-    dim = P.shape[1]
-    for q in range(starts.size):
-        for cell in range(starts[q], starts[q] + lengths[q]):
-            p = first_point[at[cell]] + point
-            for a in range(dim):
-                for b in range(dim):
-                    on_cells[dim * a + b, cell] = volume * P[p, a, b]
-
-
-@compiled
-def clear_rows(starts, lengths, on_cells):  # type: ignore[no-untyped-def]
-    """Set the columns of rows of cells to zero."""
-    for q in range(starts.size):
-        on_cells[:, starts[q] : starts[q] + lengths[q]] = 0.0

@@ -66,10 +66,10 @@ def nearest_distances(body: Body) -> Float:
         nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
         return nearest
     edge = repeats.edge
-    near = np.full(edge.n + 1, cloud.horizon)
+    near = np.full(edge.cloud.n_owned, cloud.horizon)
     nearest_neighbours(edge.indptr, edge.neighbours, edge.cloud.x, near)
-    nearest[:] = near[-1]
-    nearest[edge.local[: edge.n]] = near[:-1]
+    nearest[repeats.shared] = repeats.of_shared(near[edge.n :])
+    nearest[edge.local[: edge.n]] = near[: edge.n]
     return nearest
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError
@@ -115,15 +115,22 @@ class Supports:
         free = np.ones((cloud.n_local, dim))
         free[:n] = ~self.fixed[:n]
         cloud.halo.forward(free)
-        fixed = self.fixed[:n]
         if repeats is None:
-            of = families.indptr, families.neighbours, cloud.x, cloud.volume, free > 0.0
+            one_sided = _one_sided(families.indptr, families.neighbours, cloud.x, cloud.volume)
         else:
-            # Families that repeat are whole.
-            edge, local = repeats.edge, repeats.edge.local
-            fixed, n = fixed[local[: edge.n + 1]], edge.n + 1
-            of = edge.indptr, edge.neighbours, edge.cloud.x, edge.cloud.volume, free[local] > 0.0
-        moment, size, beside = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim), dtype=bool)
-        first_moments(*of, moment, size, beside)
-        found = fixed & (np.abs(moment) > ONE_SIDED * size) & beside
-        return int(total(cloud.comm, np.count_nonzero(found.any(axis=1))))
+            edge, one_sided = repeats.edge, np.empty((n, dim), dtype=bool)
+            found = _one_sided(edge.indptr, edge.neighbours, edge.cloud.x, edge.cloud.volume)
+            one_sided[edge.local[: edge.n]] = found[: edge.n]
+            one_sided[repeats.shared] = repeats.of_shared(found[edge.n :])
+        cut = self.fixed[:n] & one_sided
+        for axis in np.flatnonzero(cut.any(axis=0)):
+            cut[:, axis] &= families.with_any(free[:, axis] > 0.0)
+        return int(total(cloud.comm, np.count_nonzero(cut.any(axis=1))))
+
+
+def _one_sided(indptr: GlobalIndex, neighbours: LocalIndex, x: Float, volume: Float) -> Mask:
+    """Return along which axes families lie on one side of their centre (n, dim)."""
+    moment = np.empty((len(indptr) - 1, x.shape[1]))
+    size = np.empty_like(moment)
+    first_moments(indptr, neighbours, x, volume, moment, size)
+    return np.asarray(np.abs(moment) > ONE_SIDED * size)

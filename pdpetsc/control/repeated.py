@@ -11,7 +11,7 @@ from pdpetsc.control.base import Control, ControlMatrix, Stencil, Stiffness
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.lattice import Repeats
 from pdpetsc.discrete.sparsity import Sparsity
-from pdpetsc.gradient.base import GradientOperator, SameGradient
+from pdpetsc.gradient.base import BondGradient, GradientOperator, SameGradient
 from pdpetsc.gradient.repeated import RepeatedGradient, RepeatedOperator, Weights, add_row_forces, weights_of
 from pdpetsc.kernels.repeated import rows_energy_kernel
 
@@ -73,8 +73,13 @@ class RepeatedControl(Control):
         """Return what a loop over the gradient of the scheme needs where it is that of the control."""
         if not isinstance(operator, RepeatedOperator):
             return None
-        edge = self._edge.of_gradient(operator.edge)
-        return None if edge is None else self._of(operator.weights, edge)
+        edge, own = self._edge.of_gradient(operator.edge), self._repeats.edge
+        if edge is None:
+            return None
+        alone = np.arange(len(edge.K)) < own.n
+        of_bonds = np.arange(len(edge.stiffness)) < own.indptr[own.n]
+        edge = BondGradient(np.where(of_bonds, edge.stiffness, 0.0), np.where(alone[:, None, None], edge.K, 0.0))
+        return self._of(operator.weights, edge)
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""

@@ -26,7 +26,7 @@ SAME_LAYER = 1e-6
 MOST_CELLS = 4.0
 # Families repeat in rows of at least so many consecutive cells, and where so many particles share one: a loop over
 # fewer costs more than their families.
-SHORTEST_ROW, FEWEST = 8, 64
+SHORTEST_ROW, FEWEST = 8, 24
 # Longer rows are divided, so that what a loop reads of them stays in cache.
 LONGEST_ROW = 256
 

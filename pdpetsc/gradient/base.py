@@ -95,9 +95,17 @@ class GradientOperator:
         gradient_kernel(dim)(self.point_ptr, self.members, self.g, u, H)
         return H
 
-    def divergence(self, P: Float, f: Float) -> None:
-        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses."""
-        divergence_kernel(f.shape[1])(self.point_ptr, self.members, self.g, self.volume, P, f)
+    def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses.
+
+        The forces of a control that uses the same gradient are added where it is given; it is of a kind that
+        ``adds_together`` takes.
+        """
+        add_divergence(self, self.g, P, f, same)
+
+    def adds_together(self, same: SameGradient | None) -> bool:
+        """Return whether ``divergence`` can add the forces of a control with those of stresses."""
+        return isinstance(same, BondGradient)
 
     def product(self, A: Float, h: Float | None = None) -> Product:
         """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces where they are not g."""
@@ -135,6 +143,37 @@ class BondGradient(SameGradient):
 
     stiffness: Float
     K: Float
+
+
+@dataclass(frozen=True)
+class ControlledGradient:
+    """A control on the gradient of an operator, at a displacement.
+
+    Attributes
+    ----------
+    control : SameGradient
+        What its forces take.
+    H : (n_points, dim, dim) float64
+        Gradient of the displacement [-].
+    u : (n_local, dim) float64
+        The displacement [length].
+    """
+
+    control: SameGradient
+    H: Float
+    u: Float
+
+
+def add_divergence(
+    operator: GradientOperator, h: Float, P: Float, f: Float, same: ControlledGradient | None = None
+) -> None:
+    """Add ``sum_p W_p P_p h_pk`` to ``f`` (n_local, dim), and the forces of a control on the gradient."""
+    dim, listed = f.shape[1], None if same is None else same.control
+    data = operator.point_ptr, operator.members, h, operator.volume, P, f
+    if same is None or not isinstance(listed, BondGradient):
+        divergence_kernel(dim)(*data, *NO_CONTROL, P, f)
+    else:
+        divergence_kernel(dim, 1)(*data, listed.stiffness, listed.K, same.H, same.u)
 
 
 class Product(ABC):

@@ -14,7 +14,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.lattice import Part, Repeats
-from pdpetsc.gradient.base import GradientOperator, Product, SameGradient
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Product, SameGradient
 from pdpetsc.kernels.repeated import add_from_cells, rows_force_kernel, rows_gradient_kernel
 
 # Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
@@ -193,13 +193,21 @@ class RepeatedOperator(GradientOperator):
         rows_gradient_kernel(dim)(*rows, *data, H)
         return H
 
-    def divergence(self, P: Float, f: Float) -> None:
-        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim)."""
-        local = self.repeats.edge.local
+    def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
+        local, points = self.repeats.edge.local, self.row_points(P)
         forces = np.zeros((len(local), f.shape[1]))
-        self.edge.divergence(self.of_edge(P), forces)
+        control, u, of_edge = None, f, None
+        if same is not None and isinstance(same.control, RepeatedGradient):
+            control, u = same.control, same.u
+            of_edge = ControlledGradient(control.edge, self.of_edge(same.H), u[local])
+        self.edge.divergence(self.of_edge(P), forces, of_edge)
         f[local] += forces
-        add_row_forces(self.repeats, self.repeats.whole, self.weights, self.row_points(P), None, np.zeros_like(f), f)
+        add_row_forces(self.repeats, self.repeats.whole, self.weights, points, control, u, f)
+
+    def adds_together(self, same: SameGradient | None) -> bool:
+        """Return whether a control repeats as the weights do."""
+        return isinstance(same, RepeatedGradient)
 
     def product(self, A: Float, h: Float | None = None) -> Product:
         """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
@@ -270,7 +278,7 @@ class RepeatedGradient(SameGradient):
     Parameters
     ----------
     edge : SameGradient
-        The control of the particles whose families do not repeat.
+        The control of the particles whose families do not repeat, without stiffness at those that stand for a pattern.
     weight : (n_entries,) float64
         ``w_ij`` of the entries of the weights of the gradient [force / length].
     K : (n_patterns, dim, dim) float64

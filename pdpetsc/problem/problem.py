@@ -156,8 +156,13 @@ class Problem:
         coupling = [term for term in terms if term.horizons]
         if coupling:
             f = np.zeros((self.body.cloud.n_local, self.dim))
-            for term in coupling:
-                term.add_force(state, f)
+            while coupling:
+                term = coupling.pop(0)
+                other = next((one for one in coupling if term.add_force_together(one, state, f)), None)
+                if other is None:
+                    term.add_force(state, f)
+                else:
+                    coupling.remove(other)
             r += self.body.gather(f)
         return r
 

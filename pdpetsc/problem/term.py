@@ -221,6 +221,20 @@ class Term(ABC):
     def add_force(self, state: State, f: Float) -> None:  # noqa: B027
         """Add forces on local particles, ghosts among them (n_local, dim) [force] (not collective but for ghosts)."""
 
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Add its forces and those of another term in one loop, if that is quicker; return whether it did.
+
+        Arguments as for ``add_force``.
+        """
+        return False
+
+    def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
+        """Return what its forces take in the loop over ``operator`` at a state, where it is a control on its gradient.
+
+        None where it is not (not collective).
+        """
+        return None
+
     def add_row_force(self, state: State, r: Float) -> None:  # noqa: B027
         """Add forces on the unknowns of this rank (n_rows, dim) [force]: what needs no ghosts (not collective)."""
 

@@ -96,6 +96,11 @@ class ControlForces(Term):
         """Add the forces of the control."""
         self.at(state).force(state.u_local, f, self.body.families.everyone)
 
+    def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
+        """Return what its forces take where no integrity scales them."""
+        control = self.at(state)
+        return self.shared_gradient(control, operator) if control is self.control else None
+
     def energy(self, state: State) -> float:
         """Return the energy of the control."""
         u_local = state.u_local

@@ -10,14 +10,14 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, FlatFamilies
-from pdpetsc.gradient.base import GradientOperator, Scheme
-from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
+from pdpetsc.gradient.base import GradientOperator, Scheme, add_divergence
+from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, LinearisedTerm
+from pdpetsc.problem.term import Entries, LinearisedTerm, Term
 from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
@@ -106,7 +106,11 @@ class DamagedPoints(MaterialPoints):
         T = self.damage.integrity(state)
         operator, h = self.operator, self.scaled_weights(T)
         P = self.stress(self.deformation(state))
-        divergence_kernel(self.body.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
+        add_divergence(operator, h, P, f)
+
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Return False: the integrity of the bonds is in its forces alone."""
+        return False
 
     def linearised(self, state: State) -> LinearisedTerm:
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""

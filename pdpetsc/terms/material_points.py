@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.sparsity import sharing_stencil
-from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.sparsity import transpose
@@ -18,7 +18,7 @@ from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm
+from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
 
 
 class MaterialPoints(Matter):
@@ -123,6 +123,16 @@ class MaterialPoints(Matter):
     def add_force(self, state: State, f: Float) -> None:
         """Add ``G^T (W P)``."""
         self.operator.divergence(self.stress(self.deformation(state)), f)
+
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Add the forces of a control on the same gradient in the same loop."""
+        control = other.control_of(self.operator, state)
+        if control is None or not self.operator.adds_together(control):
+            return False
+        F = self.deformation(state)
+        same = ControlledGradient(control, F - np.eye(self.body.dim), state.u_local)
+        self.operator.divergence(self.stress(F), f, same)
+        return True
 
     def linearised(self, state: State) -> LinearisedTerm:
         """Return ``G^T W A G`` with the moduli A at a state."""

@@ -295,9 +295,12 @@ class Repeats:
             offset = np.concatenate([np.zeros((cloud.n_owned, cloud.dim)), offset])[local[n:]]
         if len(sign):
             sign = np.concatenate([np.ones((cloud.n_owned, cloud.dim)), sign])[local[n:]]
+        stands_for = np.ones(n)
+        stands_for[len(alone) :] = np.bincount(self.pattern_of[self.shared], minlength=self.n_patterns)
         part = replace(
             cloud, x=cloud.x[local], volume=cloud.volume[local], gid=cloud.gid[local], row=cloud.row[local], sets={},
             n_owned=n, offset=offset, sign=sign, place=cloud.place[local],
+            stands_for=stands_for,
         )  # fmt: skip
         return Edge(part, local, indptr, number[neighbours], len(alone))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -224,7 +225,15 @@ class ListedProduct(Product):
 
 @dataclass(frozen=True)
 class Scheme(Declared, ABC):
-    """A correspondence scheme: where deformation gradients are evaluated, and with which weights."""
+    """A correspondence scheme: where deformation gradients are evaluated, and with which weights.
+
+    Attributes
+    ----------
+    of_family : bool
+        Whether the weights follow from the bonds of the family alone, so that particles with the same bonds share them.
+    """
+
+    of_family: ClassVar[bool] = False
 
     def memory(self, dim: int, family: float) -> float:
         """Return the least memory per bond while the operator is built, in families of ``family`` bonds [bytes]."""

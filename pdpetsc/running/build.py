@@ -169,12 +169,12 @@ def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhoo
 def repeated_share(case: Case) -> float | None:
     """Return the least share of particles whose families must repeat for bonds not to be listed; None for never.
 
-    Bonds that fail, and weights of the whole body, differ from particle to particle; and so do controls that do not
-    follow kappa. Materials of bonds have constants per bond.
+    Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
+    than the family, and controls that do not follow kappa. Materials of bonds have constants per bond.
     """
-    together = case.control is None or case.control.of_kappa
-    alike = not case.of_bonds and case.damage is None and not case.weights.conform and together
-    return LEAST_REPEATED if alike else None
+    if case.of_bonds or case.damage is not None or case.weights.conform or not case.gradients.of_family:
+        return None
+    return LEAST_REPEATED if case.control is None or case.control.of_kappa else None
 
 
 def _repeated_points(

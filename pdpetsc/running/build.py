@@ -52,6 +52,8 @@ from pdpetsc.terms.material_points import MaterialPoints
 
 # Bonds are not listed where at least this share of the particles share one family.
 LEAST_REPEATED = 0.3
+# Sides of a lattice of unit spacing with families that repeat at a horizon of two spacings.
+ENOUGH_TO_REPEAT = [30.0, 7.0, 7.0]
 # Positions and horizons beyond these overflow where they are raised to powers.
 FAR = 1e60
 
@@ -106,7 +108,10 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
     """
     with agreed(comm):
         if is_root(comm):
-            x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+            share = repeated_share(case)
+            sides = [4.0] * dim if share is None else ENOUGH_TO_REPEAT[:dim]
+            axes = [np.arange(side) for side in sides]
+            x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
             materials = [ungraded(material) for _, material in case.materials]
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
@@ -116,7 +121,7 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 if case.damage is not None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
                 bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=())
-                families = find_families(cloud)
+                families = find_families(cloud, repeated=None if share is None else 0.0)
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if case.weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
                 assembler = NearAssembler(problem) if near else Assembler(problem)

@@ -86,18 +86,24 @@ def furthest(case):
     assert shared.matter.note == listed.matter.note
     assert shared.body.families.n_bonds == len(listed.body.families.neighbours)
     found = []
+    assert shared.matter.linear == listed.matter.linear
+    assert shared.parts == listed.parts
     for problem in (shared, listed):
         u = rough(problem.body.cloud)
         state = problem.state(u)
         energies = problem.energies(state)
         force = problem.internal_force(state)
         one_by_one = sum(problem.force_of([term], state) for term in problem.terms if not term.load)
-        field = problem.matter.cauchy_stress(state)
+        field = np.concatenate(
+            [problem.matter.cauchy_stress(state).ravel(), problem.matter.deformation_gradient(state).ravel()]
+        )
         tangent = problem.linearised(problem.state(u))
         product = tangent(u * u + u).copy()
         every = [energies["strain"], energies["control"]]
         found.append((np.array(every), force, one_by_one, field, product, tangent.stiffness()))
-    return max(np.abs(a - b).max() / np.abs(b).max() for a, b in zip(*found, strict=True)), repeats
+    furthest = [np.abs(a - b).max() / np.abs(b).max() for a, b in zip(*found, strict=True)]
+    assert problem.admissible(problem.state(u))
+    return max(furthest), repeats
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
@@ -109,6 +115,16 @@ def test_what_is_computed_is_the_same_as_with_all_bonds_listed(dim, scheme, cont
     assert found < ALIKE
     assert repeats.shared.mean() > 0.4
     assert repeats.n_patterns > dim - 1
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+@pytest.mark.usefixtures("few")
+def test_bonds_repeat_too(dim, kinematics):
+    for calibration in ("continuum", "lattice", "family"):
+        material = pd.BondBased(10.0, kinematics=kinematics, calibration=calibration)
+        found, _ = furthest(block(dim, scheme=None, control=None, material=material))
+        assert found < ALIKE, calibration
 
 
 @pytest.mark.usefixtures("few")
@@ -194,7 +210,7 @@ def test_irregular_bodies_and_those_with_bonds_of_their_own_list_all_bonds(rng):
         replace(base, scheme=pd.StressPoints()),
         replace(base, damage=pd.Brittle(pd.damage.ConstantCritical(1.0))),
         replace(base, weights=pd.Conforming()),
-        replace(base, scheme=None, control=None, material=pd.BondBased(1.0)),
+        replace(base, scheme=None, control=None, material=pd.LinearSolid(1.0, 0.3)),
     ]
     for case in others:
         assert pd.prepare(case).problem.body.families.repeats is None

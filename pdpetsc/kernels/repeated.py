@@ -298,3 +298,209 @@ def rows_energy_kernel(dim: int) -> Callable[..., Any]:
         return total
 
     return energy
+
+
+@lru_cache
+def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]:
+    """Return the kernel that adds the forces of bonds, or where ``tangent`` their change with ``du``, to cells.
+
+    ``t n`` with ``t = k e`` on the member of a bond and its opposite on the centre; their change is
+    ``k (n . d_eta) n + t / |xi + eta| (I - n n) d_eta``, without the second part where not ``finite``. Bonds of a
+    pattern are entries with their reference ``xi``, length and stiffness; u, du and f are (dim, n_cells).
+    """
+
+    @compiled
+    def bonds(starts, lengths, pattern, entry_ptr, steps, xi, reference, k, u, du, f):  # type: ignore[no-untyped-def]
+        longest = lengths.max() if lengths.size else 0
+        n_0, n_1, n_2 = np.empty(longest), np.empty(longest), np.empty(longest)
+        own_0, own_1, own_2 = np.empty(longest), np.empty(longest), np.empty(longest)
+        second, third = min(1, dim - 1), dim - 1
+        u0, u1, u2 = u[0], u[second], u[third]
+        v0, v1, v2 = du[0], du[second], du[third]
+        f0, f1, f2 = f[0], f[second], f[third]
+        for q in range(starts.size):
+            s, n = starts[q], lengths[q]
+            a0, a1, a2 = u0[s : s + n], u1[s : s + n], u2[s : s + n]
+            w0, w1, w2 = v0[s : s + n], v1[s : s + n], v2[s : s + n]
+            own_0[:n] = 0.0
+            own_1[:n] = 0.0
+            own_2[:n] = 0.0
+            for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
+                o = s + steps[e]
+                b0, b1, b2 = u0[o : o + n], u1[o : o + n], u2[o : o + n]
+                d0, d1, d2 = v0[o : o + n], v1[o : o + n], v2[o : o + n]
+                x0, x1, x2 = xi[e, 0], xi[e, second], xi[e, third]
+                stiffness, length = k[e], reference[e]
+                for i in range(n):
+                    if finite:
+                        y0 = x0 + b0[i] - a0[i]
+                        square = y0 * y0
+                        if dim > 1:
+                            y1 = x1 + b1[i] - a1[i]
+                            square += y1 * y1
+                        if dim > 2:
+                            y2 = x2 + b2[i] - a2[i]
+                            square += y2 * y2
+                        current = np.sqrt(square)
+                        if tangent:
+                            z0 = d0[i] - w0[i]
+                            along = y0 * z0
+                            if dim > 1:
+                                z1 = d1[i] - w1[i]
+                                along += y1 * z1
+                            if dim > 2:
+                                z2 = d2[i] - w2[i]
+                                along += y2 * z2
+                            turning = stiffness * (current - length) / current
+                            along *= (stiffness - turning) / square
+                            n_0[i] = along * y0 + turning * z0
+                            if dim > 1:
+                                n_1[i] = along * y1 + turning * z1
+                            if dim > 2:
+                                n_2[i] = along * y2 + turning * z2
+                        else:
+                            factor = stiffness * (current - length) / current
+                            n_0[i] = factor * y0
+                            if dim > 1:
+                                n_1[i] = factor * y1
+                            if dim > 2:
+                                n_2[i] = factor * y2
+                    else:
+                        along = x0 * (d0[i] - w0[i])
+                        if dim > 1:
+                            along += x1 * (d1[i] - w1[i])
+                        if dim > 2:
+                            along += x2 * (d2[i] - w2[i])
+                        along *= stiffness / (length * length)
+                        n_0[i] = along * x0
+                        if dim > 1:
+                            n_1[i] = along * x1
+                        if dim > 2:
+                            n_2[i] = along * x2
+                up = f0[o : o + n]
+                for i in range(n):
+                    up[i] += n_0[i]
+                    own_0[i] -= n_0[i]
+                if dim > 1:
+                    up = f1[o : o + n]
+                    for i in range(n):
+                        up[i] += n_1[i]
+                        own_1[i] -= n_1[i]
+                if dim > 2:
+                    up = f2[o : o + n]
+                    for i in range(n):
+                        up[i] += n_2[i]
+                        own_2[i] -= n_2[i]
+            for i in range(n):
+                f0[s + i] += own_0[i]
+                if dim > 1:
+                    f1[s + i] += own_1[i]
+                if dim > 2:
+                    f2[s + i] += own_2[i]
+
+    return bonds
+
+
+@lru_cache
+def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``sums(..., energy, moment)`` -> least current length of the bonds of particles in rows.
+
+    Writes ``1/2 sum_j k e^2`` (n_owned,) and ``sum_j t n (x) xi`` (n_owned, dim, dim) of those particles.
+    """
+
+    @compiled
+    def sums(  # type: ignore[no-untyped-def]
+        starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energy, moment
+    ):
+        y = np.empty(dim)
+        least = np.inf
+        for q in range(starts.size):
+            for cell in range(starts[q], starts[q] + lengths[q]):
+                i = at[cell]
+                energy[i] = 0.0
+                moment[i] = 0.0
+                for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
+                    square = 0.0
+                    elongation = 0.0
+                    for m in range(dim):
+                        eta = u[m, cell + steps[e]] - u[m, cell]
+                        y[m] = xi[e, m] + finite * eta
+                        square += y[m] * y[m]
+                        elongation += eta * xi[e, m] / reference[e]
+                    current = np.sqrt(square)
+                    least = min(least, current)
+                    if finite:
+                        elongation = current - reference[e]
+                    energy[i] += 0.5 * k[e] * elongation * elongation
+                    factor = k[e] * elongation / current
+                    for m in range(dim):
+                        for o in range(dim):
+                            moment[i, m, o] += factor * y[m] * xi[e, o]
+        return least
+
+    return sums
+
+
+@lru_cache
+def rows_least_length_kernel(dim: int) -> Callable[..., Any]:
+    """Return ``least(starts, lengths, pattern, entry_ptr, steps, xi, u)``: the least current length of their bonds."""
+
+    @compiled
+    def least(starts, lengths, pattern, entry_ptr, steps, xi, u):  # type: ignore[no-untyped-def]
+        second, third = min(1, dim - 1), dim - 1
+        u0, u1, u2 = u[0], u[second], u[third]
+        found = np.full(lengths.max() if lengths.size else 0, np.inf)
+        for q in range(starts.size):
+            s, n = starts[q], lengths[q]
+            for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
+                if steps[e] < 0:
+                    continue
+                o = s + steps[e]
+                x0, x1, x2 = xi[e, 0], xi[e, second], xi[e, third]
+                for i in range(n):
+                    y0 = x0 + u0[o + i] - u0[s + i]
+                    square = y0 * y0
+                    if dim > 1:
+                        y1 = x1 + u1[o + i] - u1[s + i]
+                        square += y1 * y1
+                    if dim > 2:
+                        y2 = x2 + u2[o + i] - u2[s + i]
+                        square += y2 * y2
+                    # Not a number counts as the least.
+                    found[i] = found[i] if found[i] <= square else square
+        shortest = np.inf
+        for i in range(found.size):
+            if not shortest <= found[i]:
+                shortest = found[i]
+        return np.sqrt(shortest)
+
+    return least
+
+
+@lru_cache
+def rows_bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``moduli(...)``: ``D_i = sum_j (k n n + t / |xi + eta| (I - n n)) xi xi`` of the particles in rows."""
+
+    @compiled
+    def moduli(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, D):  # type: ignore[no-untyped-def]
+        y = np.empty(dim)
+        for q in range(starts.size):
+            for cell in range(starts[q], starts[q] + lengths[q]):
+                i = at[cell]
+                D[i] = 0.0
+                for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
+                    square = 0.0
+                    for m in range(dim):
+                        y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
+                        square += y[m] * y[m]
+                    turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
+                    for m in range(dim):
+                        for a in range(dim):
+                            value = (k[e] - turning) * y[m] * y[a] / square
+                            if m == a:
+                                value += turning
+                            for o in range(dim):
+                                for p in range(dim):
+                                    D[i, m, o, a, p] += value * xi[e, o] * xi[e, p]
+
+    return moduli

@@ -49,6 +49,7 @@ from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
 # Bonds are not listed where at least this share of the particles share one family.
 LEAST_REPEATED = 0.3
@@ -147,11 +148,12 @@ def _problem(
     others: list[Term]
     repeats = body.families.repeats
     if repeats is not None:
-        matter, others = _repeated_points(case, body, repeats, materials, material_of, factor)
+        made = _repeated_bonds if case.of_bonds else _repeated_points
+        matter, others = made(case, body, repeats, materials, material_of, factor)
     else:
         bonds = _neighbourhood(case, body.cloud, body.families)
-        made = _bonds if case.of_bonds else partial(_points, options=options)
-        matter, others, damage = made(case, body, bonds, materials, material_of, factor)
+        listed = _bonds if case.of_bonds else partial(_points, options=options)
+        matter, others, damage = listed(case, body, bonds, materials, material_of, factor)
     supports, loads = apply(body, matter, case.conditions, case.particles)
     extra = []
     for number, declared in enumerate(case.terms, 1):
@@ -175,9 +177,15 @@ def repeated_share(case: Case) -> float | None:
     """Return the least share of particles whose families must repeat for bonds not to be listed; None for never.
 
     Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
-    than the family, and controls that do not follow kappa. Materials of bonds have constants per bond.
+    than the family, controls that do not follow kappa, and bonds of several materials.
     """
-    if case.of_bonds or case.damage is not None or case.weights.conform or not case.gradients.of_family:
+    if case.damage is not None:
+        return None
+    if case.of_bonds:
+        one = case.materials[0][1]
+        alike = len(case.materials) == 1 and isinstance(one, BondMaterial) and one.of_family
+        return LEAST_REPEATED if alike else None
+    if case.weights.conform or not case.gradients.of_family:
         return None
     return LEAST_REPEATED if case.control is None or case.control.of_kappa else None
 
@@ -208,6 +216,18 @@ def _repeated_points(
 
     repeated = RepeatedControl(repeats, built, relative_scale(stiffness, repeats), listed)
     return matter, [ControlForces(body, type(control).__name__, repeated)]
+
+
+def _repeated_bonds(
+    case: Case, body: Body, repeats: Repeats, materials: Sequence[Material | BondMaterial], material_of: LocalIndex,
+    factor: Float | None,
+) -> tuple[Matter, list[Term]]:  # fmt: skip
+    """Return the terms of a body whose forces act along bonds most of which repeat (collective)."""
+    edge = repeats.edge
+    families = Families(edge.indptr, edge.neighbours)
+    bonds, alike = _neighbourhood(case, edge.cloud, families), cast(Sequence[BondMaterial], materials)
+    of_edge = BondForces(Body(edge.cloud, families), bonds, alike, np.zeros(edge.cloud.n_owned, dtype=np.int32))
+    return RepeatedBonds(body, repeats, of_edge), []
 
 
 def _bonds(

@@ -12,6 +12,7 @@ from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
+from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
 from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 from pdpetsc.material.at_points import MaterialAtPoints
@@ -296,6 +297,14 @@ class PointsTangent(LinearisedTerm):
                 *self.points.by_particle(), operator.point_ptr, operator.members, self._h, operator.g, operator.volume,
                 self.A, own, entries.off,
             )  # fmt: skip
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
+        operator = self.operator
+        gradient_blocks_kernel(self.points.body.dim)(
+            operator.point_ptr, operator.members, self._h, operator.g, operator.volume, self.A, blocks
+        )
+        return True
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle."""

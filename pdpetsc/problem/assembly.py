@@ -11,7 +11,19 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries
 
 
-class Assembler:
+class Filler:
+    """What fills the matrices that a solver of a problem asks for.
+
+    Attributes
+    ----------
+    problem : Problem
+        Whose tangent is solved with.
+    """
+
+    problem: Problem
+
+
+class Assembler(Filler):
     """Fills the value arrays of the tangent matrix of a problem, term by term.
 
     Parameters

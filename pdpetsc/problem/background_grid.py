@@ -25,6 +25,7 @@ from pdpetsc.kernels.background import (
     tied_kernel,
 )
 from pdpetsc.kernels.sparsity import scalar_rows
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
 
@@ -136,7 +137,7 @@ class Cells:
         return found.reshape(4**dim, dim**2)
 
 
-class BackgroundGrid:
+class BackgroundGrid(Filler):
     """Linear finite elements on cells one horizon wide, as a coarse space for the tangent of a body.
 
     ``u_i = sum_q N_q(x_i) U_q`` in reference positions. An element is what bonds hold together of the particles in one

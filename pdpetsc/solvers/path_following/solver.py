@@ -13,7 +13,7 @@ from pdpetsc.declare.solvers import PathFollowing
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, negative_pivots, set_domain_error
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
@@ -67,7 +67,7 @@ class PathSolver(StepSolver):
     advice = "take smaller steps of the measure, or a measure that grows all along the path"
 
     def __init__(
-        self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
+        self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]
     ) -> None:
         self.problem = problem
         self._comm = problem.body.cloud.comm
@@ -94,6 +94,7 @@ class PathSolver(StepSolver):
         self.snes.setConvergenceTest(self._test)
         self._bordered.solve_in(self.snes.getKSP())
         read_options(self.destroy, self.snes, self._bordered.ksp)
+        self._bordered.equip()
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property

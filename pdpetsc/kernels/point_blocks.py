@@ -13,32 +13,39 @@ from pdpetsc.kernels.compile import compiled
 
 
 @lru_cache
-def gradient_blocks_kernel(dim: int) -> Callable[..., Any]:
+def gradient_blocks_kernel(dim: int, same: int) -> Callable[..., Any]:
     """Return ``blocks(point_ptr, members, h, g, volume, A, out)``: adds ``W_p h_k . A_p . g_k`` to each member ``k``.
 
-    ``out`` is (n_local, dim, dim); ``(h . A . g)_ik = sum_mn h_m A_imkn g_n``.
+    ``out`` is (n_local, dim * dim); ``(h . A . g)_ik = sum_mn h_m A_imkn g_n``. Where ``same``, a compile-time constant,
+    ``h`` is ``g``, of whose products with itself half are computed.
     """
+    size = dim * dim
+    pairs = [(m, n) for m in range(dim) for n in range(m if same else 0, dim)]
+    n_pairs, first, second = len(pairs), tuple(m for m, _ in pairs), tuple(n for _, n in pairs)
 
     @compiled
     def blocks(point_ptr, members, h, g, volume, A, out):  # type: ignore[no-untyped-def]
-        WA = np.empty((dim, dim, dim, dim))
+        WA = np.empty((n_pairs, size))
+        block = np.empty(size)
         for p in range(point_ptr.size - 1):
-            for i in range(dim):
-                for k in range(dim):
-                    for m in range(dim):
-                        for n in range(dim):
-                            WA[i, k, m, n] = volume[p] * A[p, i, m, k, n]
-            for t in range(point_ptr[p], point_ptr[p + 1]):
-                a = members[t]
+            for q in range(n_pairs):
+                m = first[q]
+                n = second[q]
                 for i in range(dim):
                     for k in range(dim):
-                        value = 0.0
-                        for m in range(dim):
-                            inner = 0.0
-                            for n in range(dim):
-                                inner += WA[i, k, m, n] * g[t, n]
-                            value += h[t, m] * inner
-                        out[a, i, k] += value
+                        value = A[p, i, m, k, n]
+                        if same and m != n:
+                            value += A[p, i, n, k, m]
+                        WA[q, i * dim + k] = volume[p] * value
+            for t in range(point_ptr[p], point_ptr[p + 1]):
+                for v in range(size):
+                    block[v] = 0.0
+                for q in range(n_pairs):
+                    weight = h[t, first[q]] * g[t, second[q]]
+                    for v in range(size):
+                        block[v] += weight * WA[q, v]
+                for v in range(size):
+                    out[members[t], v] += block[v]
 
     return blocks
 

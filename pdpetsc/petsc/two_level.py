@@ -14,7 +14,7 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 
 # Largest number of coarse unknowns for which they are solved for directly, by dimension.
-DIRECT_COARSE = {1: 10**6, 2: 60_000, 3: 12_000}
+DIRECT_COARSE = {1: 10**6, 2: 20_000, 3: 12_000}
 # Least eigenvalue of a diagonal block over a typical one.
 LEAST = 1e-12
 # Whether a level smooths within bounds that were estimated.
@@ -108,11 +108,13 @@ class TwoLevel(Preconditioning):
         pc.setMGInterpolation(1, self._interpolation)
         nodes = pc.getMGCoarseSolve()
         nodes.setOperators(self.coarse, self.coarse)
-        nodes.setType("preonly")
+        nodes.setNormType(PETSc.KSP.NormType.NONE)
         if self.coarse.getSize()[0] <= DIRECT_COARSE[self._problem.dim]:
+            nodes.setType("preonly")
             nodes.getPC().setType("cholesky" if self._problem.symmetric else "lu")
             nodes.getPC().setFactorSolverType("mumps")
         else:
+            nodes.setType("chebyshev")
             nodes.getPC().setType("gamg")
         smoother = pc.getMGSmoother(1)
         smoother.setOperators(tangent, self.mat)

@@ -300,10 +300,11 @@ class PointsTangent(LinearisedTerm):
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
-        operator = self.operator
-        gradient_blocks_kernel(self.points.body.dim)(
-            operator.point_ptr, operator.members, self._h, operator.g, operator.volume, self.A, blocks
-        )
+        operator, dim = self.operator, self.points.body.dim
+        gradient_blocks_kernel(dim, int(self._h is operator.g))(
+            operator.point_ptr, operator.members, self._h, operator.g, operator.volume, self.A,
+            blocks.reshape(-1, dim * dim),
+        )  # fmt: skip
         return True
 
     def stiffness(self) -> Float:

@@ -72,9 +72,7 @@ class NonUniform(Control):
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
         family, kernel = self._families, non_uniform_blocks_kernel(self._cloud.dim)
-        kernel(
-            family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x, blocks
-        )
+        kernel(family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x, blocks)
         return True
 
     def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:

@@ -127,7 +127,7 @@ def restrict_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def tied_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``tied(particles, element, at, blocks, begin, K)``: adds ``N_p N_q blocks_i`` to the elements of particles.
+    """Return ``tied(particles, element, at, blocks, begin, K)``: adds ``N_p N_q blocks_i`` to elements of particles.
 
     ``K`` is (n_elements, n_corners, n_corners, dim, dim), of the elements from ``begin`` on.
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,8 +44,9 @@ class Choice:
         Whether a factorisation is the solver.
     matrix_free : bool
         Whether the tangent is applied without a matrix.
-    two_level : bool
-        Whether it is preconditioned by its diagonal blocks and a background grid.
+    levels : str
+        How its diagonal blocks and a background grid precondition it, PETSc's type of multigrid; empty where they do
+        not.
     estimate : int
         Estimated memory of the assembled tangent over all ranks [bytes]; 0 where the size was not asked for.
     """
@@ -53,7 +54,7 @@ class Choice:
     pc: str
     direct: bool
     matrix_free: bool
-    two_level: bool
+    levels: str
     estimate: int
 
 
@@ -85,20 +86,22 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver) 
     small = cloud.n_global * dim <= DIRECT_UNKNOWNS[dim]
     direct = pc in ("lu", "cholesky") or (not pc and small)
     if word == "assembled" or solver.needs.tangent != "any" or (word == "auto" and direct):
-        return Choice(pc, direct, False, False, 0)
+        return Choice(pc, direct, False, "", 0)
     blocks = _blocks(problem)
     narrow = blocks <= WIDE * NEAR_BLOCKS[dim] * cloud.n_global
     matrix_free = word == "matfree" or not narrow
     size = dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
-    two_level = matrix_free and pc in ("", "mg")
-    return Choice(pc, direct and not matrix_free, matrix_free, two_level, int(blocks * size))
+    levels = database.getString("pc_mg_type", str(chosen.get("pc_mg_type", "additive")))
+    if not matrix_free or pc not in ("", "mg"):
+        levels = ""
+    return Choice(pc, direct and not matrix_free, matrix_free, levels, int(blocks * size))
 
 
 def assembler(problem: Problem, choice: Choice) -> Filler:
     """Return what fills the matrices that the choice asks for (collective)."""
     if not choice.matrix_free:
         return Assembler(problem)
-    return BackgroundGrid(problem) if choice.two_level else NearAssembler(problem)
+    return BackgroundGrid(problem) if choice.levels else NearAssembler(problem)
 
 
 def make_tangent(filler: Filler, fixed: Mask, scale: float) -> PetscTangent:
@@ -114,12 +117,19 @@ def predicted(filler: Filler) -> int:
 def words(choice: Choice, predicted: int) -> str:
     """Return for the log how the tangent is represented; its matrices take ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
-        by = "diagonal blocks and a background grid" if choice.two_level else "nearest neighbours"
+        by = "its diagonal blocks and a grid one horizon wide" if choice.levels else "nearest neighbours"
         return (
             f"tangent: without a matrix, preconditioned by {by}, {predicted / 2**20:.1f} MiB predicted "
             f"(assembled about {choice.estimate / 2**20:.0f} MiB)"
         )
     return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted"
+
+
+def matrices(choice: Choice) -> str:
+    """Return what is allocated for the tangent, for the record (not collective)."""
+    if not choice.matrix_free:
+        return "tangent matrix"
+    return "matrix of the background grid" if choice.levels else "matrix of nearest neighbours"
 
 
 def _assembled(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
@@ -138,8 +148,16 @@ def _of_pattern(filler: Any) -> int:
     return predicted_bytes(filler.pattern, filler.problem.dim)
 
 
-_TANGENTS = {Assembler: _assembled, NearAssembler: _by_nearest_neighbours, BackgroundGrid: _on_two_levels}
-_MEMORY = {Assembler: _of_pattern, NearAssembler: _of_pattern, BackgroundGrid: predicted_bytes_of}
+_TANGENTS: dict[type[Filler], Callable[[Any, Mask, float], PetscTangent]] = {
+    Assembler: _assembled,
+    NearAssembler: _by_nearest_neighbours,
+    BackgroundGrid: _on_two_levels,
+}
+_MEMORY: dict[type[Filler], Callable[[Any], int]] = {
+    Assembler: _of_pattern,
+    NearAssembler: _of_pattern,
+    BackgroundGrid: predicted_bytes_of,
+}
 
 
 def _blocks(problem: Problem) -> float:

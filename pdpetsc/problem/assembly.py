@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
@@ -11,7 +13,7 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries
 
 
-class Filler:
+class Filler(ABC):
     """What fills the matrices that a solver of a problem asks for.
 
     Attributes
@@ -21,6 +23,10 @@ class Filler:
     """
 
     problem: Problem
+
+    @abstractmethod
+    def rehearse(self, state: State) -> None:
+        """Fill them once, for nothing but to compile what does."""
 
 
 class Assembler(Filler):
@@ -50,6 +56,11 @@ class Assembler(Filler):
         dim = problem.dim
         self._ghost = np.empty(dim**2 * int(sparsity.ghost.diag_ptr[-1]))
         self._own_blocks = positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)
+
+    def rehearse(self, state: State) -> None:
+        """Assemble once (collective)."""
+        size = self.problem.dim**2 * np.array([self.pattern.owned.diag_ptr[-1], self.pattern.owned.off_ptr[-1]])
+        self.assemble(state, np.empty(size[0]), np.empty(size[1]))
 
     def assemble(self, state: State, diag: Float, off: Float) -> None:
         """Write the values of K for the own rows: own columns into ``diag``, the others into ``off``.

@@ -10,7 +10,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, exchange, offset, total
 from pdpetsc.discrete.components import rigid_at
 from pdpetsc.kernels.background import (
@@ -24,10 +23,12 @@ from pdpetsc.kernels.background import (
     sum_in_elements,
     tied_kernel,
 )
+from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.kernels.sparsity import scalar_rows
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
+from pdpetsc.problem.state import State
 
 # Least width of a cell over the distance of neighbours, where a horizon holds few particles.
 LEAST_WIDTH = 2.0
@@ -198,6 +199,14 @@ class BackgroundGrid(Filler):
         self._free = ~problem.supports.fixed
         self._strains = self._strain_of_virtual()
         self._set_pattern()
+
+    def rehearse(self, state: State) -> None:
+        """Fill the matrix once, and go from nodes to particles and back (collective)."""
+        tangent = self.problem.linearised(state)
+        blocks = tangent.point_blocks()
+        definite(blocks, 0.0)
+        self.fill(tangent.stiffness(), blocks, np.einsum("pii->pi", blocks), 1.0)
+        self.interpolate(self.restrict(state.u))
 
     def interpolate(self, nodal: Float) -> Float:
         """Return unknowns (n_rows, dim) that move with the nodes (n_nodes, dim); prescribed ones do not."""

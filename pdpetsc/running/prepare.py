@@ -116,7 +116,7 @@ class Prepared:
         if declared.needs.tangent != "none":
             if self.choice.matrix_free:
                 with self.phases.timed("kernels"):
-                    rehearse(self.comm, self.case, problem.dim, near=True)
+                    rehearse(self.comm, self.case, problem.dim, lambda of: assembler(of, self.choice))
             with self.phases.timed("pattern"):
                 filled = assembler(problem, self.choice)
                 allocates(predicted(filled))

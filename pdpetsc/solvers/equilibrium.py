@@ -240,11 +240,17 @@ class Equilibrium:
         return resting
 
 
-def read_options(destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP) -> None:
-    """Give solvers their options (collective); where PETSc refuses one, ``destroy`` and raise CaseError."""
+def read_options(
+    destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP, equip: Callable[[], None] = lambda: None
+) -> None:
+    """Give solvers their options, then ``equip`` them (collective).
+
+    Where PETSc refuses an option, ``destroy`` and raise CaseError.
+    """
     try:
         for solver in solvers:
             solver.setFromOptions()
+        equip()
     except PETSc.Error as error:
         destroy()
         raise CaseError(

@@ -76,8 +76,7 @@ class StaticSolver(LoadStepSolver):
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
         self.snes.setConvergenceTest(self._test)
-        read_options(self.destroy, self.snes)
-        tangent.equip(self.snes.getKSP())
+        read_options(self.destroy, self.snes, equip=lambda: tangent.equip(self.snes.getKSP()))
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property

@@ -66,9 +66,7 @@ class PathSolver(StepSolver):
     unit = "Newton"
     advice = "take smaller steps of the measure, or a measure that grows all along the path"
 
-    def __init__(
-        self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]
-    ) -> None:
+    def __init__(self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]) -> None:
         self.problem = problem
         self._comm = problem.body.cloud.comm
         fixed = problem.supports.fixed
@@ -93,8 +91,7 @@ class PathSolver(StepSolver):
         self.snes.setJacobian(self._jacobian, self._bordered.mat)
         self.snes.setConvergenceTest(self._test)
         self._bordered.solve_in(self.snes.getKSP())
-        read_options(self.destroy, self.snes, self._bordered.ksp)
-        self._bordered.equip()
+        read_options(self.destroy, self.snes, self._bordered.ksp, equip=self._bordered.equip)
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property

@@ -16,8 +16,8 @@ from pdpetsc.kernels.compile import compiled
 def gradient_blocks_kernel(dim: int, same: int) -> Callable[..., Any]:
     """Return ``blocks(point_ptr, members, h, g, volume, A, out)``: adds ``W_p h_k . A_p . g_k`` to each member ``k``.
 
-    ``out`` is (n_local, dim * dim) with ``(h . A . g)_ik = sum_mn h_m A_imkn g_n``. Where ``same``, a constant when compiled,
-    ``h`` is ``g``, of whose products with itself half are computed.
+    ``out`` is (n_local, dim * dim) with ``(h . A . g)_ik = sum_mn h_m A_imkn g_n``. Where ``same``, a constant when
+    compiled, ``h`` is ``g``, of whose products with itself half are computed.
     """
     size = dim * dim
     pairs = [(m, n) for m in range(dim) for n in range(m if same else 0, dim)]

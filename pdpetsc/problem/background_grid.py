@@ -34,8 +34,9 @@ from pdpetsc.problem.state import State
 LEAST_WIDTH = 2.0
 # A body thinner than this share of a cell lies in the middle of one this wide.
 THINNEST = 0.5
-# What every element resists besides, as a share of its mean modulus: rotations, and modes that no bond resists.
-FLOOR = 1e-6
+# What every element resists besides, rotations and modes that no bond resists, as a share of its mean modulus, and the
+# least of it as a share of that of the body. Springs of loose pieces are stiffer.
+FLOOR, LEAST = 1e-9, 1e-11
 # Elements whose stiffness is held at once.
 CHUNK = 4096
 
@@ -255,10 +256,12 @@ class BackgroundGrid(Filler):
         sums = np.zeros((n_elements, dim**4))
         sum_in_elements(self._element, np.ascontiguousarray(D).reshape(len(D), -1), sums)
         sums = sums.reshape(n_elements, *(dim,) * 4)
-        mean = np.abs(np.einsum("eikik->e", sums)) / dim**2
+        modulus = np.abs(np.einsum("eikik->e", sums)) / dim**2
+        whole = total(self._cloud.comm, [modulus.sum(), float(n_elements)])
+        floor = np.maximum(FLOOR * modulus, LEAST * float(whole[0] / whole[1]))
         for i in range(dim):
             for k in range(dim):
-                sums[:, i, k, i, k] += FLOOR * mean
+                sums[:, i, k, i, k] += floor
         sums = sums.transpose(0, 2, 4, 1, 3).reshape(n_elements, dim**2, dim**2) / scale
         integrals = self.cells.stiffness()
         tied, ties = self._ties(blocks, diagonal, scale)

@@ -34,9 +34,12 @@ from pdpetsc.problem.state import State
 LEAST_WIDTH = 2.0
 # A body thinner than this share of a cell lies in the middle of one this wide.
 THINNEST = 0.5
-# What every element resists besides, rotations and modes that no bond resists, as a share of its mean modulus, and the
-# least of it as a share of that of the body. Springs of loose pieces are stiffer.
-FLOOR, LEAST = 1e-9, 1e-11
+# A particle without moduli, whose family is too flat for a gradient, is held by the gradients of others: moduli count as
+# this share at least of those of a particle with such a diagonal block.
+WEAK = 0.1
+# What every element resists besides, as a share of its modulus: rotations, and modes that no bond resists. Springs of
+# loose pieces are stiffer.
+FLOOR = 1e-9
 # Elements whose stiffness is held at once.
 CHUNK = 4096
 
@@ -256,12 +259,12 @@ class BackgroundGrid(Filler):
         sums = np.zeros((n_elements, dim**4))
         sum_in_elements(self._element, np.ascontiguousarray(D).reshape(len(D), -1), sums)
         sums = sums.reshape(n_elements, *(dim,) * 4)
-        modulus = np.abs(np.einsum("eikik->e", sums)) / dim**2
-        whole = total(self._cloud.comm, [modulus.sum(), float(n_elements)])
-        floor = np.maximum(FLOOR * modulus, LEAST * float(whole[0] / whole[1]))
+        weak = self._weak(D, diagonal)
+        floor = FLOOR * np.abs(np.einsum("eikik->e", sums)) / dim**2
         for i in range(dim):
             for k in range(dim):
-                sums[:, i, k, i, k] += floor
+                sums[:, i, k, i, k] += floor + 0.5 * weak
+                sums[:, i, k, k, i] += 0.5 * weak
         sums = sums.transpose(0, 2, 4, 1, 3).reshape(n_elements, dim**2, dim**2) / scale
         integrals = self.cells.stiffness()
         tied, ties = self._ties(blocks, diagonal, scale)
@@ -383,6 +386,19 @@ class BackgroundGrid(Filler):
             for v, ((a, b), size) in enumerate(zip(images.cell.components, images.sizes, strict=True)):
                 strains[v, a, b] = strains[v, b, a] = 1.0 / size
         return strains
+
+    def _weak(self, D: Float, diagonal: Float) -> Float:
+        """Return the modulus that elements lack of what their diagonal blocks say (n_elements,) [energy] (collective).
+
+        It is that of an isotropic solid that resists strain and no rotation.
+        """
+        dim = self._dim
+        modulus = np.abs(np.einsum("pikik->p", D)) / dim**2
+        size = diagonal[: len(D)].mean(axis=1)
+        sums = total(self._cloud.comm, [float(modulus.sum()), float(size.sum())])
+        usual = size * float(sums[0] / sums[1]) if sums[1] > 0.0 else size
+        lacking = np.maximum(WEAK * usual - modulus, 0.0)
+        return np.bincount(self._element, lacking, len(self._corners))
 
     def _ties(self, blocks: Float | None, diagonal: Float, scale: float) -> tuple[GlobalIndex, Float]:
         """Return the particles that something holds besides the elements, by element, and the block of each."""

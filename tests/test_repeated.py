@@ -100,7 +100,8 @@ def furthest(case):
         tangent = problem.linearised(problem.state(u))
         product = tangent(u * u + u).copy()
         every = [energies["strain"], energies["control"]]
-        found.append((np.array(every), force, one_by_one, field, product, tangent.stiffness()))
+        blocks = tangent.point_blocks()
+        found.append((np.array(every), force, one_by_one, field, product, tangent.stiffness(), blocks))
     furthest = [np.abs(a - b).max() / np.abs(b).max() for a, b in zip(*found, strict=True)]
     assert problem.admissible(problem.state(u))
     return max(furthest), repeats

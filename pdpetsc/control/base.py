@@ -179,6 +179,13 @@ class Control(ABC):
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the matrix for ``sparsity`` (collective)."""
 
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add the blocks on the diagonal of the matrix to those of local particles (n_local, dim, dim).
+
+        Return False where the control does not know them without its matrix (not collective).
+        """
+        return False
+
     def damaged(self, integrity: Float) -> Control:
         """Return the control with the stiffness of every bond times its integrity (n_bonds,).
 

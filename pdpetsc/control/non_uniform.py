@@ -16,6 +16,7 @@ from pdpetsc.kernels.control import (
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
+from pdpetsc.kernels.point_blocks import directed_blocks_kernel, non_uniform_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import same_gradient_kernel
 
@@ -77,6 +78,12 @@ class NonUniform(Control):
         data = forces, with_centre.weight, self._K_inverse, self._cloud.x
         stencils = with_centre.point_ptr, with_centre.members
         return isotropic(sparsity, kernel, stencils, *data)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
+        family, kernel = self._families, non_uniform_blocks_kernel(self._cloud.dim)
+        kernel(family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x, blocks)
+        return True
 
     def of_gradient(self, operator: GradientOperator) -> BondGradient | None:
         """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
@@ -150,3 +157,9 @@ class Directed(Control):
         np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
         data = self._S, self._g, T, cloud.x
         return BlockMatrix(*fill(sparsity, dim, directed_matrix_kernel(dim), self.stencils, *data))
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add to the blocks of local particles (n_local, dim, dim)."""
+        family, kernel = self._families, directed_blocks_kernel(self._cloud.dim)
+        kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, blocks)
+        return True

@@ -9,11 +9,12 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.control.base import Control, ControlMatrix, Stencil, Stiffness
 from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.lattice import Repeats
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import BondGradient, GradientOperator, SameGradient
 from pdpetsc.gradient.repeated import RepeatedGradient, RepeatedOperator, Weights, add_row_forces, weights_of
-from pdpetsc.kernels.repeated import rows_energy_kernel
+from pdpetsc.kernels.repeated import add_from_cells, rows_control_blocks_kernel, rows_energy_kernel
 
 
 class RepeatedControl(Control):
@@ -80,6 +81,24 @@ class RepeatedControl(Control):
         of_bonds = np.arange(len(edge.stiffness)) < own.indptr[own.n]
         edge = BondGradient(np.where(of_bonds, edge.stiffness, 0.0), np.where(alone[:, None, None], edge.K, 0.0))
         return self._of(operator.weights, edge)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
+        repeats, dim, same, weights = self._repeats, blocks.shape[-1], self._same, self._weights
+        part, grid, own = repeats.whole, repeats.grid, repeats.edge
+        alone = np.arange(len(self._edge.stiffness)) < own.indptr[own.n]
+        stiffness = np.where(alone, self._edge.stiffness, 0.0)
+        of_edge = np.zeros((len(own.local), dim, dim))
+        families = Families(own.indptr, own.neighbours)
+        NonUniform(own.cloud, families, stiffness, self._edge.K_inverse).add_point_blocks(of_edge)
+        blocks[own.local] += of_edge
+        diagonal, sums = np.zeros((1, len(grid.at))), np.zeros((len(blocks), 1))
+        rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
+        data = weights.arrays[0], weights.g, weights.centre, same.weight, same.scale, same.K
+        rows_control_blocks_kernel(dim)(*rows, *data, diagonal)
+        add_from_cells(grid.cell, diagonal, sums)
+        blocks += sums[:, :, None] * np.eye(dim)
+        return True
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""

@@ -94,18 +94,18 @@ def rigid_modes(cloud: Cloud) -> Float:
     -----
     Collective.
     """
-    return _rigid_at(cloud, cloud.x[: cloud.n_owned])
+    return rigid_at(cloud, cloud.x[: cloud.n_owned])
 
 
 def _torn_by_mirrors(cloud: Cloud, images: LocalIndex) -> Float:
     """Return by how much images of particles that move rigidly are off the same motion (n, dim, modes) (collective)."""
     place = cloud.place[images]
-    moved = _rigid_at(cloud, cloud.places.at_home(place, cloud.x[images]))
+    moved = rigid_at(cloud, cloud.places.at_home(place, cloud.x[images]))
     sign = cloud.places.sign[place + cloud.places.home]
-    return np.asarray(sign[:, :, None] * moved - _rigid_at(cloud, cloud.x[images]))
+    return np.asarray(sign[:, :, None] * moved - rigid_at(cloud, cloud.x[images]))
 
 
-def _rigid_at(cloud: Cloud, points: Float) -> Float:
+def rigid_at(cloud: Cloud, points: Float) -> Float:
     """Return the rigid motions at points (n, dim), of all ranks together (collective)."""
     x = cloud.x[: cloud.n_owned]
     n, dim = points.shape

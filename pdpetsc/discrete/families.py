@@ -48,6 +48,11 @@ class Families:
         return self.centres, self.neighbours
 
     @property
+    def connecting_families(self) -> Families:
+        """Return families with bonds that connect what all bonds together do: these, or fewer."""
+        return self
+
+    @property
     def repeats(self) -> Repeats | None:
         """Return which own particles share one family; None where each has its own."""
         return None
@@ -94,6 +99,14 @@ class RepeatedFamilies(Families):
         A member that moves along the axes reach from the centre within the family is connected through other members.
         """
         return self._of.connecting()
+
+    @cached_property
+    def connecting_families(self) -> Families:
+        """Return families with the bonds of ``connecting``."""
+        centres, members = self._of.connecting()
+        order = np.argsort(centres, kind="stable")
+        count = np.bincount(centres, minlength=self._of.cloud.n_owned)
+        return Families(np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members[order])
 
     @property
     def repeats(self) -> Repeats:

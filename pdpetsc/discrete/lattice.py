@@ -237,8 +237,8 @@ class Repeats:
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
         """Return both particles of bonds (n,) that connect what all bonds together do."""
         edge, grid = self.edge, self.grid
-        number = np.repeat(np.arange(len(edge.indptr) - 1), np.diff(edge.indptr))
-        one, other = [edge.local[number]], [edge.local[edge.neighbours]]
+        number = np.repeat(np.arange(edge.n), np.diff(edge.indptr)[: edge.n])
+        one, other = [edge.local[number]], [edge.local[edge.neighbours[: len(number)]]]
         along = np.concatenate([grid.axis_steps, -grid.axis_steps])
         for pattern, steps in enumerate(self.steps):
             centres = np.flatnonzero(self.pattern_of == pattern).astype(np.int32)

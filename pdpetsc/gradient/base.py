@@ -16,6 +16,7 @@ from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
+from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
@@ -188,6 +189,10 @@ class Product(ABC):
     def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
         """Add the forces of the points of some own particles for displacements (n_local, dim) (not collective)."""
 
+    @abstractmethod
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add what couples each local particle to itself (n_local, dim, dim), without that of the control."""
+
 
 class ListedProduct(Product):
     """The product of an operator whose weights are listed, in one pass over its points.
@@ -220,6 +225,14 @@ class ListedProduct(Product):
         gradient_times_kernel(u.shape[1], int(self._same is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, h, operator.volume,
             self._A, *loop, u, f,
+        )  # fmt: skip
+
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
+        operator, dim, h = self._operator, blocks.shape[-1], self._operator.g if self._h is None else self._h
+        gradient_blocks_kernel(dim, int(self._h is None))(
+            operator.point_ptr, operator.members, h, operator.g, operator.volume, self._A,
+            blocks.reshape(-1, dim * dim),
         )  # fmt: skip
 
 

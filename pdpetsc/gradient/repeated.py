@@ -15,7 +15,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.lattice import Part, Repeats
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Product, SameGradient
-from pdpetsc.kernels.repeated import add_from_cells, rows_force_kernel, rows_gradient_kernel
+from pdpetsc.kernels.repeated import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
 # Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
 OPPOSITE = 1e-12
@@ -323,6 +323,19 @@ class RepeatedProduct(Product):
             self._alone.add(part.alone, u[local], forces)
             f[local] += forces
         add_row_forces(repeats, part, operator.weights, operator.row_points(self._A), self._same, u, f)
+
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add ``sum_p W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
+        operator, repeats, dim = self._operator, self._operator.repeats, blocks.shape[-1]
+        part, grid, weights = repeats.whole, repeats.grid, operator.weights
+        of_edge = np.zeros((len(repeats.edge.local), dim, dim))
+        self._alone.add_point_blocks(of_edge)
+        blocks[repeats.edge.local] += of_edge
+        on_cells, points = np.zeros((dim * dim, len(grid.at))), operator.row_points(self._A)
+        rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
+        data = weights.arrays[0], weights.g, weights.centre, points.volume, points.stress
+        rows_blocks_kernel(dim)(*rows, points.first, *data, on_cells)
+        add_from_cells(grid.cell, on_cells, blocks.reshape(-1, dim * dim))
 
 
 def add_row_forces(

@@ -504,3 +504,123 @@ def rows_bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
                                     D[i, m, o, a, p] += value * xi[e, o] * xi[e, p]
 
     return moduli
+
+
+@lru_cache
+def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
+    """Return the kernel that adds ``W_p g_pk . A_p . g_pk`` to the cells of members k: blocks on the diagonal.
+
+    ``blocks`` is (dim dim, n_cells) with ``(g . A . g)_ik = sum_mn g_m A_imkn g_n``; of the products of g with itself
+    half are computed.
+    """
+    size = dim * dim
+    pairs = [(m, n) for m in range(dim) for n in range(m, dim)]
+    n_pairs, first, second = len(pairs), tuple(m for m, _ in pairs), tuple(n for _, n in pairs)
+
+    @compiled
+    def add(starts, lengths, pattern, at, first_point, lists, g, centre, volume, A, blocks):  # type: ignore[no-untyped-def]
+        list_ptr, entry_ptr, plus, minus = lists
+        longest = lengths.max() if lengths.size else 0
+        WA = np.empty((n_pairs, size, longest))
+        block = np.empty(longest)
+        weight = np.empty(n_pairs)
+        for q in range(starts.size):
+            s, n = starts[q], lengths[q]
+            for k in range(list_ptr[pattern[q]], list_ptr[pattern[q] + 1]):
+                for i in range(n):
+                    p = first_point[at[s + i]] + k - list_ptr[pattern[q]]
+                    for r in range(n_pairs):
+                        for a in range(dim):
+                            for b in range(dim):
+                                value = A[p, a * dim + first[r], b * dim + second[r]]
+                                if first[r] != second[r]:
+                                    value += A[p, a * dim + second[r], b * dim + first[r]]
+                                WA[r, a * dim + b, i] = volume[k] * value
+                # The centre comes last, as an entry of its own.
+                for e in range(entry_ptr[k], entry_ptr[k + 1] + 1):
+                    last = e == entry_ptr[k + 1]
+                    for r in range(n_pairs):
+                        if last:
+                            weight[r] = centre[k, first[r]] * centre[k, second[r]]
+                        else:
+                            weight[r] = g[e, first[r]] * g[e, second[r]]
+                    up = 0 if last else plus[e]
+                    down = 0 if last else minus[e]
+                    for v in range(size):
+                        block[:n] = 0.0
+                        for r in range(n_pairs):
+                            w = weight[r]
+                            of_pair = WA[r, v]
+                            for i in range(n):
+                                block[i] += w * of_pair[i]
+                        out = blocks[v, s + up : s + up + n]
+                        for i in range(n):
+                            out[i] += block[i]
+                        if down != 0:
+                            out = blocks[v, s + down : s + down + n]
+                            for i in range(n):
+                                out[i] += block[i]
+
+    return add
+
+
+@lru_cache
+def rows_control_blocks_kernel(dim: int) -> Callable[..., Any]:
+    """Return the kernel that adds ``c (w - g . K g)`` times the identity to members, and that of all bonds to centres.
+
+    ``diagonal`` is (1, n_cells); a centre gets ``c (sum_j w_j - g . K g)`` with its own weight g.
+    """
+
+    @compiled
+    def add(starts, lengths, pattern, at, lists, g, centre, weight, scale, K, diagonal):  # type: ignore[no-untyped-def]
+        list_ptr, entry_ptr, plus, minus = lists
+        out = diagonal[0]
+        for q in range(starts.size):
+            s, n = starts[q], lengths[q]
+            k = list_ptr[pattern[q]]
+            of_centre = 0.0
+            for e in range(entry_ptr[k], entry_ptr[k + 1]):
+                value = weight[e]
+                of_centre += weight[e] if minus[e] == 0 else 2.0 * weight[e]
+                for a in range(dim):
+                    for b in range(dim):
+                        value -= g[e, a] * K[k, a, b] * g[e, b]
+                for i in range(n):
+                    out[s + plus[e] + i] += scale[at[s + i]] * value
+                    if minus[e] != 0:
+                        out[s + minus[e] + i] += scale[at[s + i]] * value
+            for a in range(dim):
+                for b in range(dim):
+                    of_centre -= centre[k, a] * K[k, a, b] * centre[k, b]
+            for i in range(n):
+                out[s + i] += scale[at[s + i]] * of_centre
+
+    return add
+
+
+@lru_cache
+def rows_bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
+    """Return ``add(..., blocks)``: ``k n n + t / |xi + eta| (I - n n)`` of bonds in rows, on both of their ends."""
+
+    @compiled
+    def add(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, blocks):  # type: ignore[no-untyped-def]
+        y = np.empty(dim)
+        for q in range(starts.size):
+            for cell in range(starts[q], starts[q] + lengths[q]):
+                i = at[cell]
+                for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
+                    j = at[cell + steps[e]]
+                    square = 0.0
+                    for m in range(dim):
+                        y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
+                        square += y[m] * y[m]
+                    turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
+                    for m in range(dim):
+                        for o in range(dim):
+                            value = (k[e] - turning) * y[m] * y[o] / square
+                            if m == o:
+                                value += turning
+                            blocks[i, m, o] += value
+                            blocks[j, m, o] += value
+
+    return add

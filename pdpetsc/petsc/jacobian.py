@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +14,12 @@ from pdpetsc.arrays import Mask
 from pdpetsc.declare.solvers import DeclaredSolver
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
-from pdpetsc.petsc.matrix import TangentMatrix
-from pdpetsc.petsc.matrix_free import MatrixFreeTangent
+from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
+from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
 from pdpetsc.petsc.tangent import PetscTangent
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.petsc.two_level import TwoLevel, predicted_bytes_of
+from pdpetsc.problem.assembly import Assembler, Filler
+from pdpetsc.problem.background_grid import BackgroundGrid
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
 
@@ -42,6 +44,9 @@ class Choice:
         Whether a factorisation is the solver.
     matrix_free : bool
         Whether the tangent is applied without a matrix.
+    levels : str
+        How its diagonal blocks and a background grid precondition it, PETSc's type of multigrid; empty where they do
+        not.
     estimate : int
         Estimated memory of the assembled tangent over all ranks [bytes]; 0 where the size was not asked for.
     """
@@ -49,6 +54,7 @@ class Choice:
     pc: str
     direct: bool
     matrix_free: bool
+    levels: str
     estimate: int
 
 
@@ -80,34 +86,78 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver) 
     small = cloud.n_global * dim <= DIRECT_UNKNOWNS[dim]
     direct = pc in ("lu", "cholesky") or (not pc and small)
     if word == "assembled" or solver.needs.tangent != "any" or (word == "auto" and direct):
-        return Choice(pc, direct, False, 0)
+        return Choice(pc, direct, False, "", 0)
     blocks = _blocks(problem)
     narrow = blocks <= WIDE * NEAR_BLOCKS[dim] * cloud.n_global
     matrix_free = word == "matfree" or not narrow
     size = dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
-    return Choice(pc, direct and not matrix_free, matrix_free, int(blocks * size))
+    levels = database.getString("pc_mg_type", str(chosen.get("pc_mg_type", "additive")))
+    if not matrix_free or pc not in ("", "mg"):
+        levels = ""
+    return Choice(pc, direct and not matrix_free, matrix_free, levels, int(blocks * size))
 
 
-def assembler(problem: Problem, choice: Choice) -> Assembler:
-    """Return what fills the matrix that the choice asks for (collective)."""
-    return NearAssembler(problem) if choice.matrix_free else Assembler(problem)
+def assembler(problem: Problem, choice: Choice) -> Filler:
+    """Return what fills the matrices that the choice asks for (collective)."""
+    if not choice.matrix_free:
+        return Assembler(problem)
+    return BackgroundGrid(problem) if choice.levels else NearAssembler(problem)
 
 
-def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> PetscTangent:
-    """Return the tangent over ``scale`` [force / length] whose matrix an assembler fills (collective)."""
-    if isinstance(filled, NearAssembler):
-        return MatrixFreeTangent(filled, fixed, scale)
-    return TangentMatrix(filled, fixed, scale)
+def make_tangent(filler: Filler, fixed: Mask, scale: float) -> PetscTangent:
+    """Return the tangent over ``scale`` [force / length] whose matrices are filled so (collective)."""
+    return _TANGENTS[type(filler)](filler, fixed, scale)
+
+
+def predicted(filler: Filler) -> int:
+    """Return the memory of the entries of the matrices that are filled so, over all ranks [bytes] (collective)."""
+    return _MEMORY[type(filler)](filler)
 
 
 def words(choice: Choice, predicted: int) -> str:
-    """Return for the log how the tangent is represented; its matrix takes ``predicted`` bytes (not collective)."""
+    """Return for the log how the tangent is represented; its matrices take ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
+        by = "its diagonal blocks and a grid one horizon wide" if choice.levels else "nearest neighbours"
         return (
-            f"tangent: without a matrix, preconditioned by nearest neighbours, {predicted / 2**20:.1f} MiB predicted "
+            f"tangent: without a matrix, preconditioned by {by}, {predicted / 2**20:.1f} MiB predicted "
             f"(assembled about {choice.estimate / 2**20:.0f} MiB)"
         )
     return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted"
+
+
+def matrices(choice: Choice) -> str:
+    """Return what is allocated for the tangent, for the record (not collective)."""
+    if not choice.matrix_free:
+        return "tangent matrix"
+    return "matrix of the background grid" if choice.levels else "matrix of nearest neighbours"
+
+
+def _assembled(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
+    return TangentMatrix(filler, fixed, scale)
+
+
+def _by_nearest_neighbours(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
+    return MatrixFreeTangent(filler.problem, NearMatrix(filler, fixed, scale), fixed, scale)
+
+
+def _on_two_levels(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
+    return MatrixFreeTangent(filler.problem, TwoLevel(filler, fixed, scale), fixed, scale)
+
+
+def _of_pattern(filler: Any) -> int:
+    return predicted_bytes(filler.pattern, filler.problem.dim)
+
+
+_TANGENTS: dict[type[Filler], Callable[[Any, Mask, float], PetscTangent]] = {
+    Assembler: _assembled,
+    NearAssembler: _by_nearest_neighbours,
+    BackgroundGrid: _on_two_levels,
+}
+_MEMORY: dict[type[Filler], Callable[[Any], int]] = {
+    Assembler: _of_pattern,
+    NearAssembler: _of_pattern,
+    BackgroundGrid: predicted_bytes_of,
+}
 
 
 def _blocks(problem: Problem) -> float:

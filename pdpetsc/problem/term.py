@@ -95,6 +95,15 @@ class LinearisedTerm:
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the matrix (collective)."""
 
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add what couples each local particle to itself in the families (n_local, dim, dim) [force / length].
+
+        These are the blocks on the diagonal of the rows that ``add_rows`` adds, but for bonds that soften: those count
+        with their secant. What ``blocks`` gives is not among them. Return False, with nothing added, where they are not
+        known; they are then taken from the rows (not collective).
+        """
+        return False
+
     def stiffness(self) -> Float | None:
         """Return ``sum_p W_p dP/dF`` of the own particles (n_owned, dim, dim, dim, dim) [energy], or None.
 
@@ -132,6 +141,10 @@ class PointTangent(LinearisedTerm):
     def blocks(self) -> Float:
         """Return the blocks."""
         return self._blocks
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add nothing: no family is in it."""
+        return True
 
 
 class Term(ABC):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import cast
@@ -33,13 +33,12 @@ from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import solve_scalar
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Assembler, Filler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, make_damage
 from pdpetsc.problem.extra import build_extra
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
-from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
@@ -97,11 +96,11 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
     return _problem(case, Body(cloud, families, surface), materials, material_of, factor, options)
 
 
-def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
+def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Filler] = Assembler) -> None:
     """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
 
     The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
-    nor write its cache at once. With ``near`` these are the kernels of the matrix of nearest neighbours.
+    nor write its cache at once. ``filling`` makes what fills the matrices.
 
     Notes
     -----
@@ -125,10 +124,8 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 families = find_families(cloud, repeated=None if share is None else 0.0)
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if case.weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
-                assembler = NearAssembler(problem) if near else Assembler(problem)
                 state = problem.state(np.zeros_like(x))
-                size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
-                assembler.assemble(state, np.empty(size[0]), np.empty(size[1]))
+                filling(problem).rehearse(state)
                 problem.internal_force(state)
                 problem.linearised(state)(state.u)
                 problem.energies(state)

@@ -16,8 +16,7 @@ from pdpetsc.discrete.communicator import Comm, agreed, communicator
 from pdpetsc.discrete.components import refuse_rigid_motion
 from pdpetsc.discrete.families import find_families
 from pdpetsc.petsc.defaults import default_options
-from pdpetsc.petsc.jacobian import Choice, assembler, choose
-from pdpetsc.petsc.matrix import predicted_bytes
+from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
@@ -117,10 +116,10 @@ class Prepared:
         if declared.needs.tangent != "none":
             if self.choice.matrix_free:
                 with self.phases.timed("kernels"):
-                    rehearse(self.comm, self.case, problem.dim, near=True)
+                    rehearse(self.comm, self.case, problem.dim, lambda of: assembler(of, self.choice))
             with self.phases.timed("pattern"):
                 filled = assembler(problem, self.choice)
-                allocates(predicted_bytes(filled.pattern, problem.dim))
+                allocates(predicted(filled))
         with self.options.active():
             if filled is None:
                 return make(Setting(problem, declared, steps, None, stop))

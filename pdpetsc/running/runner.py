@@ -29,7 +29,7 @@ from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.output.records import plain, write_summary
-from pdpetsc.petsc.jacobian import words
+from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
 from pdpetsc.post.solution import Field, Solution, displacement
@@ -278,8 +278,7 @@ class _Run:
         solver = prepared.make_solver(self.signals.asked, allocates)
         if predicted:
             self.summary["matrix_bytes"] = {"predicted": predicted[0], "measured": solver.matrix_bytes}
-            near = prepared.choice.matrix_free
-            self.summary["allocated"].append("matrix of nearest neighbours" if near else "tangent matrix")
+            self.summary["allocated"].append(matrices(prepared.choice))
         return solver
 
     def _march(self, prepared: Prepared, solver: Solver) -> Result:

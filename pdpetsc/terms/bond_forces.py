@@ -13,6 +13,7 @@ from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
+from pdpetsc.kernels.point_blocks import bond_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
 from pdpetsc.problem.body import Body
@@ -352,6 +353,12 @@ class BondTangent(LinearisedTerm):
         kernel = bond_moduli_kernel(body.dim, int(self._term.finite))
         kernel(*self._data, self._secant, self._tension, *self._dilatation, D)
         return D
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of all bonds with their secant, which is not negative, and of the dilatation."""
+        kernel = bond_blocks_kernel(self._term.body.dim, int(self._term.finite))
+        kernel(*self._data, self._secant, self._tension, *self._dilatation, blocks)
+        return True
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of bonds, and those of ``sum_i B_i grad theta_i (x) grad theta_i``."""

@@ -152,6 +152,10 @@ class ControlTangent(LinearisedTerm):
         for falling in self._falling:
             falling.add_rows(entries)
 
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of its constant matrix."""
+        return self._control.add_point_blocks(blocks)
+
     def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
         """Return what its forces take where they can share the loop over a gradient, else None."""
         return None if self._falling else self._term.shared_gradient(self._control, operator)

@@ -288,6 +288,11 @@ class PointsTangent(LinearisedTerm):
                 self.A, own, entries.off,
             )  # fmt: skip
 
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
+        self._product.add_point_blocks(blocks)
+        return True
+
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle."""
         return self.operator.sum_over_points(self.operator.volume[:, None, None, None, None] * self.A)

@@ -14,6 +14,7 @@ from pdpetsc.gradient.base import GradientOperator, from_bond_weights, stencil_w
 from pdpetsc.gradient.repeated import RepeatedOperator
 from pdpetsc.kernels.repeated import (
     add_from_cells,
+    rows_bond_blocks_kernel,
     rows_bond_moduli_kernel,
     rows_bond_sums_kernel,
     rows_bonds_kernel,
@@ -105,6 +106,12 @@ class RepeatedBonds(BondForces):
         kernel = rows_bonds_kernel(self.body.dim, int(self.finite), int(du is not None))
         kernel(*rows, ptr, steps, xi, length, k, u_cells, du_cells, forces)
         add_from_cells(grid.cell, forces, f)
+
+    def add_row_blocks(self, u: Float, blocks: Float) -> None:
+        """Add what couples each local particle to itself in bonds that repeat, at ``u`` (n_local, dim)."""
+        part, grid = self._repeats.whole, self._repeats.grid
+        rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
+        rows_bond_blocks_kernel(self.body.dim, int(self.finite))(*rows, *self._patterns, grid.onto(u), blocks)
 
     def edge_state(self, state: State) -> State:
         """Return the state of the particles whose families do not repeat (collective the first time)."""
@@ -209,6 +216,15 @@ class RepeatedTangent(LinearisedTerm):
     def stiffness(self) -> Float:
         """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family."""
         return self._term.moduli(self._state)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of all bonds to the blocks of local particles (n_local, dim, dim)."""
+        repeats = self._repeats
+        of_edge = np.zeros((len(repeats.edge.local), *blocks.shape[1:]))
+        self._edge.add_point_blocks(of_edge)
+        blocks[repeats.edge.local] += of_edge
+        self._term.add_row_blocks(self._u, blocks)
+        return True
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the bonds, all listed."""

@@ -84,6 +84,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
         ksp = PETSc.KSP().create(comm=comm)
         ksp.setOperators(tangent.mat, tangent.preconditioner)
         ksp.setFromOptions()
+        tangent.equip(ksp)
         ksp.setTolerances(rtol=RTOL)
         b, x = tangent.preconditioner.createVecRight(), tangent.preconditioner.createVecLeft()
         b.array = np.where(supports.fixed, 0.0, -problem.linearised(state)(supports.prescribed(1.0))).ravel()

@@ -13,7 +13,7 @@ from pdpetsc.declare.solvers import PathFollowing
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, negative_pivots, set_domain_error
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
@@ -66,9 +66,7 @@ class PathSolver(StepSolver):
     unit = "Newton"
     advice = "take smaller steps of the measure, or a measure that grows all along the path"
 
-    def __init__(
-        self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
-    ) -> None:
+    def __init__(self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]) -> None:
         self.problem = problem
         self._comm = problem.body.cloud.comm
         fixed = problem.supports.fixed
@@ -93,7 +91,7 @@ class PathSolver(StepSolver):
         self.snes.setJacobian(self._jacobian, self._bordered.mat)
         self.snes.setConvergenceTest(self._test)
         self._bordered.solve_in(self.snes.getKSP())
-        read_options(self.destroy, self.snes, self._bordered.ksp)
+        read_options(self.destroy, self.snes, self._bordered.ksp, equip=self._bordered.equip)
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property

@@ -37,6 +37,7 @@ from pdpetsc.declare.conditions import (
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
+from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
@@ -122,6 +123,7 @@ __all__ = [
     "Force",
     "FractureEnergy",
     "Hold",
+    "Horizon",
     "Interrupted",
     "KeptArray",
     "Largest",

@@ -168,6 +168,11 @@ class FractureEnergy(CriticalStretch):
         energy ``w_ij`` of a bond from one end, averaged over the axes; of the whole families of the body the median.
         """
         cloud, families = bonds.cloud, bonds.families
+        if cloud.varies:
+            raise CaseError(
+                "A fracture energy gives one critical stretch, for one horizon; where the horizon differs from place "
+                "to place give critical stretches by CriticalFunction, proportional to 1 / sqrt(horizon)."
+            )
         share = 0.5 * toughness(2.0)
         energy = share * bonds.k * bonds.length**2 * np.abs(families.bonds(cloud.x)).mean(axis=1)
         G = np.bincount(families.centres, energy, cloud.n_owned) / cloud.volume[: cloud.n_owned]

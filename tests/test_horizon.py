@@ -146,8 +146,9 @@ def test_bonds_of_graded_bodies_are_predicted(rng):
         )
 
 
-def graded_body(dim, rng, scheme, control, law=None):
+def graded_body(dim, rng, scheme, control, law=None, wide=1.0):
     x, spacing, reach = graded(dim, rng)
+    reach = wide * reach
     cloud = distribute(world(), x, spacing, {}, reach)
     families = find_families(cloud)
     s = np.linalg.norm(families.bonds(cloud.x), axis=1) / cloud.reach[families.centres]
@@ -180,7 +181,7 @@ BODIES = [*CONTROLLED, *((scheme, "none") for scheme in SCHEMES), ("smoothed", "
 def test_tangent_balance_and_energy_of_directed_families(scheme, control, rng):
     dim = 2
     used = pd.SmoothedDisplacement() if scheme == "smoothed" else SCHEMES[scheme]
-    model = graded_body(dim, rng, used, ALL_CONTROLS[control])
+    model = graded_body(dim, rng, used, ALL_CONTROLS[control], wide=1.6 if scheme == "smoothed" else 1.0)
     check(model, rng)
 
 
@@ -193,7 +194,7 @@ def check(model, rng, symmetric=True):
     """Compare the tangent with differences; forces with the energy; force and moment with none."""
     u = displacement(model, rng)
     K = dense_tangent(model, u)
-    columns = rng.choice(u.size, 8, replace=False)
+    columns = rng.choice(u.size, min(8, u.size), replace=False)
     expected = differences(model, u, columns)
     assert np.abs(K.reshape(u.size, -1)[:, columns] - expected).max() < 1e-7 * np.abs(K).max()
     v = rng.standard_normal(u.shape)
@@ -206,7 +207,7 @@ def check(model, rng, symmetric=True):
         power = (sum(model.energy(u + half)) - sum(model.energy(u - half))) / 2e-6
         assert (f * v).sum() == pytest.approx(power, rel=1e-6, abs=1e-8 * scale)
     if model.dim > 1 and model.control is None:
-        y = model.cloud.x + u
+        y = model.cloud.x + getattr(model.matter, "finite", True) * u
         assert abs((y[:, 0] * f[:, 1] - y[:, 1] * f[:, 0]).sum()) < 1e-10 * scale * np.abs(y).max()
 
 
@@ -298,7 +299,6 @@ def block(kind):
     """Return a small graded body of each kind of case, asymmetric enough for every end and rank to matter."""
     ticks = np.concatenate([[0.0], np.cumsum(np.linspace(0.5, 1.5, 14))])
     middle, width = 0.5 * (ticks[1:] + ticks[:-1]), np.diff(ticks)
-    wide = 1.5 if kind in ("cell", "symmetry") else 0.0
     axis = np.arange(6.0) + 0.5
     x = np.stack(np.meshgrid(middle, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     volume = np.repeat(width, len(axis))
@@ -316,7 +316,7 @@ def block(kind):
     if kind in ("bonds", "events"):
         more = {"material": pd.BondBased(E=10.0)}
     if kind == "events":
-        more |= {"damage": pd.Brittle(pd.ConstantCritical(0.03)), "solver": pd.EventDriven(most_events=12)}
+        more |= {"damage": pd.Brittle(pd.ConstantCritical(0.03)), "solver": pd.EventDriven()}
         conditions = [pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.3)]
     if kind == "cell":
         more |= {"cell": pd.Cell((0.0, 0.0), (end, 6.0), axes="y")}
@@ -327,7 +327,6 @@ def block(kind):
     if kind == "conforming":
         more |= {"weights": pd.Conforming()}
     particles = pd.Arrays(x, volume, facets=outline(ticks, 6) if kind == "conforming" else None)
-    assert wide >= 0.0
     return pd.Case(particles=particles, horizon=horizon, conditions=conditions, fields=[pd.displacement], **more)
 
 
@@ -414,7 +413,7 @@ def test_a_run_goes_on_with_its_own_horizons_only(tmp_path):
     case = dataclasses.replace(block("damage"), steps=pd.Steps(2))
     pd.run(case, tmp_path / "one")
     again = pd.run(case, tmp_path / "two", restart=tmp_path / "one")
-    assert again.summary["status"] == "finished"
+    assert again.summary["status"] == "converged"
     with pytest.raises(pd.CaseError, match="horizon"):
         pd.run(dataclasses.replace(case, horizon=pd.Horizon(2.7)), tmp_path / "two", restart=tmp_path / "one")
     lengths = 2.6 * np.sqrt(np.asarray(case.particles.volume))

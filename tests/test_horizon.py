@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import sys
 import textwrap
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood
 from pdpetsc.discrete.cloud import distribute
-from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.communicator import is_root, world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.memory import predicted_bonds
 from pdpetsc.problem.body import Body
@@ -35,6 +37,9 @@ from tests.scenes import (  # fmt: skip
 )
 from tests.test_conforming import square_mesh, uniform
 from tests.units import in_units
+
+sys.path.insert(0, str(ROOT / "runs" / "convergence"))
+import graded as kirsch
 
 TENSION = "runs/patch/tension.py"
 
@@ -292,7 +297,9 @@ def test_a_case_in_other_units_has_the_same_answer(tmp_path):
     assert np.abs(one).max() > 1e-3 * np.abs(x).max()
 
 
-KINDS = ("gradient", "sub_horizons", "damage", "bonds", "events", "cell", "symmetry", "matfree", "conforming")
+KINDS = (
+    "gradient", "sub_horizons", "damage", "bonds", "events", "cell", "symmetry", "matfree", "relaxation", "conforming",
+)  # fmt: skip
 
 
 def block(kind):
@@ -324,6 +331,8 @@ def block(kind):
         more |= {"symmetry": [pd.Symmetry("y")]}
     if kind == "matfree":
         more |= {"options": {"pd_jacobian": "matfree"}}
+    if kind == "relaxation":
+        more |= {"solver": pd.DynamicRelaxation()}
     if kind == "conforming":
         more |= {"weights": pd.Conforming()}
     particles = pd.Arrays(x, volume, facets=outline(ticks, 6) if kind == "conforming" else None)
@@ -351,40 +360,102 @@ import json, sys
 import petsc4py
 petsc4py.init(sys.argv[:1])
 sys.path.insert(0, {root!r})
-import numpy as np
-import pdpetsc as pd
-from pdpetsc.discrete.communicator import is_root, world
-from tests.test_horizon import KINDS, block
-for kind in KINDS:
-    case = block(kind)
-    result = pd.run(case, {path!r} + "_" + kind)
-    u, bonds = result.gathered(pd.displacement), result.summary["bonds"]
-    lost = result.gathered(pd.local_damage) if kind in ("damage", "events") else None
-    if is_root(world()):
-        found = [u.tolist(), bonds, None if lost is None else lost.tolist()]
-        open({path!r} + "_" + kind + ".json", "w").write(json.dumps(found))
+from tests.test_horizon import answers
+answers({path!r}, {kinds!r})
 """
 
 
-def test_any_number_of_ranks_gives_the_same(tmp_path):
-    found = {}
-    for ranks in (1, 2, 3):
-        script, path = tmp_path / f"{ranks}.py", tmp_path / f"on{ranks}"
-        script.write_text(textwrap.dedent(RANKS).format(root=str(ROOT), path=str(path)))
-        done = python_on(ranks, script)
-        assert done.returncode == 0, done.stderr[-3000:]
-        for kind in KINDS:
-            found[ranks, kind] = json.loads((tmp_path / f"on{ranks}_{kind}.json").read_text())
-    for kind in KINDS:
-        u, bonds, lost = found[1, kind]
+def answers(path, kinds):
+    """Run the bodies of some kinds and write what they gave."""
+    for kind in kinds:
+        result = pd.run(block(kind), f"{path}_{kind}")
+        lost = result.gathered(pd.local_damage) if kind in ("damage", "events") else None
+        u = result.gathered(pd.displacement)
+        if is_root(world()):
+            found = [u.tolist(), result.summary["bonds"], None if lost is None else lost.tolist()]
+            Path(f"{path}_{kind}.json").write_text(json.dumps(found))
+
+
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
+def test_any_number_of_ranks_gives_the_same(ranks, tmp_path):
+    kinds = [kind for kind in KINDS if ranks > 2 or kind != "relaxation"]
+    script = tmp_path / "run.py"
+    script.write_text(RANKS.format(root=str(ROOT), path=str(tmp_path / "several"), kinds=kinds))
+    done = python_on(ranks, script)
+    assert done.returncode == 0, done.stderr[-3000:]
+    answers(tmp_path / "one", kinds)
+
+    def read(name):
+        return {kind: json.loads((tmp_path / f"{name}_{kind}.json").read_text()) for kind in kinds}
+
+    one, several = read("one"), read("several")
+    for kind in {"matfree", "relaxation"} & set(kinds):
+        np.testing.assert_allclose(one[kind][0], one["gradient"][0], atol=1e-5)
+    for kind in kinds:
+        (u, bonds, lost), (v, count, gone) = one[kind], several[kind]
         assert np.abs(u).max() > 0.05
-        for ranks in (2, 3):
-            v, count, gone = found[ranks, kind]
-            assert count == bonds, kind
-            np.testing.assert_allclose(v, u, atol=1e-6 * np.abs(u).max(), err_msg=kind)
-            if lost is not None:
-                assert max(lost) > 0.05
-                np.testing.assert_allclose(gone, lost, atol=1e-6, err_msg=kind)
+        assert count == bonds, kind
+        np.testing.assert_allclose(v, u, atol=1e-6 * np.abs(u).max(), err_msg=kind)
+        if lost is not None:
+            assert max(lost) > 0.05
+            np.testing.assert_allclose(gone, lost, atol=1e-6, err_msg=kind)
+
+
+ONE_WAY = """
+import sys
+sys.path.insert(0, {root!r})
+import numpy as np
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.components import find_pieces
+from pdpetsc.discrete.families import find_families
+comm = world()
+for far, mutual in (((1.1, 1.1, 2.1, 1.1), False), ((1.1, 2.1, 1.1, 1.1), False), ((1.1, 2.1, 1.1, 1.1), True)):
+    x = np.array([[0.0], [1.0], [3.0], [4.0]])
+    mine = slice(2 * comm.rank, 2 * comm.rank + 2)
+    cloud = distribute(comm, x[mine], np.ones(2), {{}}, np.array(far)[mine], mutual=mutual)
+    families = find_families(cloud)
+    assert find_pieces(cloud, families).tolist() == [0, 0], (far, comm.rank)
+    # The rank whose particle reaches over knows the other one, and the other rank nothing of it.
+    reaches = mutual or far.index(2.1) in cloud.gid[:2]
+    assert cloud.n_ghost == int(reaches), (far, comm.rank)
+    assert len(families.neighbours) == 2 + int(reaches)
+"""
+
+
+def test_a_bond_of_one_end_across_ranks_joins_pieces_and_asks_for_one_ghost(tmp_path):
+    script = tmp_path / "one_way.py"
+    script.write_text(ONE_WAY.format(root=str(ROOT)))
+    done = python_on(2, script)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+
+def test_a_graded_plate_with_a_hole_takes_a_tenth_of_the_particles(tmp_path):
+    """The stress that the study compares with belongs to the displacement it compares with, and is in equilibrium."""
+    lam, mu = pd.LinearElastic(kirsch.E, kirsch.NU).lame(2)
+    x, h = np.array([[1.1, 0.4], [-0.3, 1.7], [2.0, -3.0]]), 1e-5
+    one = np.eye(2)
+    grad = np.stack(
+        [(kirsch.displacement(x + h * e, 1.0) - kirsch.displacement(x - h * e, 1.0)) / (2.0 * h) for e in one], axis=2
+    )
+    strain = 0.5 * (grad + grad.transpose(0, 2, 1))
+    expected = lam * np.einsum("nii->n", strain)[:, None, None] * one + 2.0 * mu * strain
+    np.testing.assert_allclose(kirsch.stress(x, 1.0), expected, atol=1e-8 * kirsch.PULL)
+    slopes = [(kirsch.stress(x + h * e, 1.0) - kirsch.stress(x - h * e, 1.0)) / (2.0 * h) for e in one]
+    np.testing.assert_allclose(slopes[0][:, :, 0] + slopes[1][:, :, 1], 0.0, atol=1e-7 * kirsch.PULL)
+    found = {
+        (mesh, n): results("runs/convergence/graded.py", f"mesh={mesh}", f"n={n}", output=tmp_path)
+        for mesh, n in (("uniform", 8), ("graded", 8), ("graded", 16))
+    }
+    counts = {key: value["particles"] for key, value in found.items()}
+    of = {key: value["results"] for key, value in found.items()}
+    assert counts["graded", 8] < 0.12 * counts["uniform", 8]
+    assert of["graded", 8]["error_surface"] < 1.15 * of["uniform", 8]["error_surface"]
+    assert counts["graded", 16] < 0.5 * counts["uniform", 8]
+    for error in kirsch.ERRORS:
+        assert of["graded", 16][error] < 0.7 * of["uniform", 8][error], error
+    standard = results("runs/convergence/graded.py", "n=16", "weights=standard", output=tmp_path)["results"]
+    assert standard["error_stress"] > 10.0 * of["graded", 16]["error_stress"]
 
 
 def test_a_half_is_the_whole():

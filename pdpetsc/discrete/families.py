@@ -112,7 +112,8 @@ def _pairs(cloud: Cloud) -> LocalIndex:
     pairs = np.concatenate(found)
     if cloud.mutual:
         pairs = pairs[(pairs < cloud.n_owned).any(axis=1)]
-        pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+        once = np.unique(pairs.min(axis=1) * np.int64(n) + pairs.max(axis=1))
+        pairs = np.stack(np.divmod(once, n), axis=1)
     return np.asarray(pairs)
 
 

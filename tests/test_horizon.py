@@ -527,6 +527,17 @@ def test_what_is_no_horizon_is_refused(horizon, message):
         pd.Case(particles=PLATE, horizon=horizon, material=MATERIALS["hencky"], conditions=[])
 
 
+@pytest.mark.parametrize("body", ["bonds", "solid", "points"])
+def test_what_a_jump_leaves_of_a_uniform_strain(body, tmp_path):
+    """The numbers of the pages: bonds keep a tenth, conforming weights nothing, at two spacings."""
+    found = [results("runs/patch/jump.py", f"body={body}", f"n={n}", output=tmp_path)["results"] for n in (16, 32)]
+    low, high = {"bonds": (0.1, 0.16), "solid": (0.1, 0.16), "points": (0.25, 0.35)}[body]
+    assert all(low < one["error"] < high for one in found)
+    if body == "points":
+        words = ("body=points", "weights=conforming", "n=16")
+        assert results("runs/patch/jump.py", *words, output=tmp_path)["results"]["error"] < 1e-9
+
+
 @pytest.mark.parametrize("ratio", [0.0, -1.0, np.inf, np.nan, "2"])
 def test_a_ratio_is_positive(ratio):
     with pytest.raises(pd.CaseError, match="Horizon takes"):

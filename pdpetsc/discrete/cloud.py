@@ -312,14 +312,20 @@ def _candidates(
 
 
 def _within(x: Float, reach: Float, candidates: Float, their_reach: Float, mutual: bool) -> Mask:
-    """Return which candidates may have a bond with a particle at ``x``: all that do, and few that do not."""
+    """Return which candidates a particle at ``x`` reaches, or where bonds are mutual is reached by."""
     near = np.zeros(len(candidates), dtype=bool)
     if len(x) == 0 or len(candidates) == 0:
         return near
     wide = 1.0 + 2.0 * HORIZON_TOLERANCE
+    there = cKDTree(candidates)
     for members in by_reach(reach):
-        distance, _ = cKDTree(x[members]).query(candidates, distance_upper_bound=wide * reach[members].max())
-        near |= np.isfinite(distance)
+        here, radius = cKDTree(x[members]), wide * float(reach[members].max())
+        if reach[members].min() == reach[members].max():
+            distance, _ = here.query(candidates, distance_upper_bound=radius)
+            near |= np.isfinite(distance)
+            continue
+        pairs = here.sparse_distance_matrix(there, radius, output_type="ndarray")
+        near[pairs["j"][pairs["v"] <= wide * reach[members[pairs["i"]]]]] = True
     if mutual:
         distance, _ = cKDTree(x).query(candidates, distance_upper_bound=wide * their_reach.max())
         near |= distance <= wide * their_reach

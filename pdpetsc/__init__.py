@@ -75,6 +75,7 @@ from pdpetsc.post.solution import (
     local_damage,
     lost_bonds,
     plastic_strain,
+    reach,
     reaction,
     stress,
 )
@@ -182,6 +183,7 @@ __all__ = [
     "open",
     "plastic_strain",
     "prepare",
+    "reach",
     "reaction",
     "region",
     "run",

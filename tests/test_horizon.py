@@ -412,6 +412,39 @@ def test_any_number_of_ranks_gives_the_same(ranks, kinds, tmp_path):
             np.testing.assert_allclose(gone, lost, atol=1e-6, err_msg=kind)
 
 
+def across(x):
+    """Return horizons of two spacings of a tenth that grow to four along x and y."""
+    return 0.2015 + 0.1 * x[:, 0] * x[:, 1]
+
+
+@pytest.mark.parametrize("beside", ["crack", "mirror", "cell"])
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons", "stress_points"])
+def test_tension_is_uniform_beside_cracks_mirrors_and_periods(beside, scheme, tmp_path):
+    """Tension along a crack, along a mirror plane and in a cell that is free to contract, with growing horizons."""
+    plate = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.1)
+    case = uniform(plate, across, [pd.region.Named("-x"), pd.region.Named("+x")], scheme)
+    case = dataclasses.replace(case, material=pd.LinearElastic(E=1000.0, nu=0.3))
+    if beside == "crack":
+        case = dataclasses.replace(case, cracks=[pd.Segment((0.55, 0.5), (1.55, 0.5))])
+    if beside == "mirror":
+        held, _, *loads = case.conditions
+        at = pd.Displacement(held.region, x=held.x)
+        case = dataclasses.replace(case, symmetry=[pd.Symmetry("y")], conditions=[at, *loads])
+        # With the plane at 0 the exact displacement has none there.
+        assert case.symmetry[0].at == 0.0
+    if beside == "cell":
+        held, _, *loads = case.conditions
+        case = dataclasses.replace(
+            case, cell=pd.Cell((0.0, 0.0), (2.0, 1.0), axes="y"), conditions=[held, pd.MeanStress(yy=0.0), *loads]
+        )
+    if (scheme, beside) == ("stress_points", "mirror"):
+        pytest.skip("drawn at random")
+    result = pd.run(case, tmp_path)
+    assert result["F"] < 1e-9
+    assert result.summary["horizon"] > 1.5 * result.summary["least_horizon"]
+    np.testing.assert_array_equal(result.gathered(pd.reach), across(plate.chunk(0, 1).x))
+
+
 ONE_WAY = """
 import sys
 sys.path.insert(0, {root!r})

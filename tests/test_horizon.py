@@ -623,11 +623,39 @@ def test_one_rank_alone_refuses_for_all(tmp_path):
     assert done.stderr.count("it must be positive and finite") == 1
 
 
-def test_a_fracture_energy_asks_for_one_horizon():
-    case = block("bonds")
-    for damage in (pd.Brittle(pd.FractureEnergy(1.0)), pd.LinearSoftening(pd.FractureEnergy(1.0))):
-        with pytest.raises(pd.CaseError, match="for one horizon"):
-            pd.prepare(dataclasses.replace(case, damage=damage))
+@pytest.mark.parametrize("law", [pd.Brittle, pd.LinearSoftening])
+@pytest.mark.parametrize("calibration", ["continuum", "lattice"])
+def test_breaking_all_bonds_across_a_plane_takes_the_fracture_energy_at_any_horizon(calibration, law):
+    """Three and five spacings in one body: the pairs across x = 15 and x = 45, and less exactly across the jump."""
+    plate = pd.Lattice((0.0, 0.0), (60.0, 24.0), 1.0)
+    Gc = 0.02
+    case = pd.Case(
+        particles=plate, horizon=lambda x: np.where(x[:, 0] < 30.0, 3.015, 5.015), conditions=[],
+        material=pd.BondBased(E=10.0, calibration=calibration), damage=law(pd.FractureEnergy(Gc)),
+    )  # fmt: skip
+    cloud = make_cloud(world(), case)
+    body = Body(cloud, find_families(cloud))
+    length = np.linalg.norm(body.families.bonds(cloud.x), axis=1)
+    omega = (length <= cloud.reach[body.families.centres]).astype(float)
+    bonds = Neighbourhood(cloud, body.families, omega, length, pd.influence.Constant(), 1.0)
+    k = case.material.stiffness(bonds).k
+    damage = make_damage(case.damage, body, omega, k, False)
+    limit = damage.drive.limit
+    key = np.lexsort(damage.bonds.keys.T)
+    np.testing.assert_allclose(limit[key[::2]], limit[key[1::2]], rtol=1e-14)
+    share = damage.bonds.law.toughness(2.0)
+    a, b = cloud.x[body.families.centres], cloud.x[body.families.neighbours]
+    inside = np.abs(0.5 * (a + b)[:, 1] - 12.0) < 3.0
+    for at, rel in ((15.0, 0.06), (45.0, 0.06), (30.0, 0.15)):
+        across = inside & ((a[:, 0] - at) * (b[:, 0] - at) < 0.0)
+        energy = (0.5 * share * k * limit**2)[across].sum() / 6.0
+        assert energy == pytest.approx(Gc, rel=rel), at
+
+
+def test_directed_bonds_take_a_fracture_energy_too(tmp_path):
+    case = dataclasses.replace(block("damage"), damage=pd.LinearSoftening(pd.FractureEnergy(0.004)))
+    result = pd.run(case, tmp_path)
+    assert 0.01 < result.gathered(pd.local_damage).max() < 1.0
 
 
 def test_rotations_have_no_force(rng):

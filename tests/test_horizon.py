@@ -36,6 +36,7 @@ from tests.scenes import (  # fmt: skip
     small_points,
 )
 from tests.test_conforming import square_mesh, uniform
+from tests.test_criterion import FamilyStretch
 from tests.units import in_units
 
 sys.path.insert(0, str(ROOT / "runs" / "convergence"))
@@ -656,6 +657,13 @@ def test_directed_bonds_take_a_fracture_energy_too(tmp_path):
     case = dataclasses.replace(block("damage"), damage=pd.LinearSoftening(pd.FractureEnergy(0.004)))
     result = pd.run(case, tmp_path)
     assert 0.01 < result.gathered(pd.local_damage).max() < 1.0
+
+
+def test_a_drive_of_both_families_is_refused_where_one_may_be_missing():
+    case = dataclasses.replace(block("damage"), damage=pd.LinearSoftening(FamilyStretch(0.02)))
+    with pytest.raises(pd.CaseError, match="reads the families of both ends"):
+        pd.prepare(case)
+    pd.prepare(dataclasses.replace(case, horizon=3.0))
 
 
 def test_rotations_have_no_force(rng):

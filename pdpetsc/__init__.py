@@ -37,6 +37,7 @@ from pdpetsc.declare.conditions import (
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
+from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
@@ -74,6 +75,7 @@ from pdpetsc.post.solution import (
     local_damage,
     lost_bonds,
     plastic_strain,
+    reach,
     reaction,
     stress,
 )
@@ -122,6 +124,7 @@ __all__ = [
     "Force",
     "FractureEnergy",
     "Hold",
+    "Horizon",
     "Interrupted",
     "KeptArray",
     "Largest",
@@ -180,6 +183,7 @@ __all__ = [
     "open",
     "plastic_strain",
     "prepare",
+    "reach",
     "reaction",
     "region",
     "run",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import numbers
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from pdpetsc.damage import BondDamage
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.horizon import AnyHorizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
 from pdpetsc.declare.particles import Particles
 from pdpetsc.declare.region import All, Region
@@ -64,8 +64,9 @@ class Case(Declared):
     ----------
     particles : Particles
         Where the particles are.
-    horizon : float
-        Radius of the families [length].
+    horizon : float, Horizon, callable or (n,) array
+        Radius of the families [length]: one for all, ``Horizon(ratio)`` local spacings, a function of positions
+        (n, dim) that returns lengths (n,), or one length per particle in the order of creation.
     material : Material, BondMaterial, Graded, or sequence of (Region, one of these)
         One material, or one per region; every particle needs exactly one. Materials of bonds do not mix with others.
     conditions : sequence of Condition
@@ -110,7 +111,7 @@ class Case(Declared):
     """
 
     particles: Particles
-    horizon: float
+    horizon: AnyHorizon
     material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]]
     conditions: Sequence[Condition]
     scheme: Scheme | None = None
@@ -163,11 +164,7 @@ class Case(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.horizon) and self.horizon > 0.0):
-            raise CaseError(f"The horizon must be positive, not {self.horizon}.")
-        spacing = getattr(self.particles, "spacing", 0.0)
-        if self.horizon < spacing * (1.0 - 1e-9):
-            raise CaseError(f"The horizon {self.horizon:g} is below the spacing {spacing:g}; families would be empty.")
+        check_horizon(self.horizon, getattr(self.particles, "spacing", 0.0))
         if self.checkpoints < 0:
             raise CaseError(f"Case takes checkpoints >= 0, not {self.checkpoints}.")
         if not self.materials:

@@ -152,6 +152,8 @@ def _fits(value: object, hint: Any) -> bool:
         )
     if origin is not None and origin is not Callable and _is_sequence_hint(origin):
         return _is_sequence(value) and all(_fits(item, arguments[0]) for item in value)  # type: ignore[attr-defined]
+    if origin is np.ndarray:
+        return isinstance(value, np.ndarray)
     if origin is Callable:
         # A class in place of a function is an object that somebody forgot to make.
         return callable(value) and not isinstance(value, type)
@@ -206,6 +208,8 @@ def _words(hint: Any, several: bool = False) -> str:
         return f"{'sequences' if several else 'a sequence'} of {_words(arguments[0], True)}"
     if origin is Callable:
         return "functions" if several else "a function"
+    if origin is np.ndarray:
+        return "arrays" if several else "an array"
     name = getattr(hint, "__name__", str(hint))
     if several:
         return f"{name} objects"

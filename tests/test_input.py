@@ -36,7 +36,7 @@ def case(**changes):
 VALID = [
     case(),
     pd.AdaptiveSteps(), pd.Steps(), pd.Table([0.0, 1.0], [0.0, 1.0]), pd.Cell((0.0, 0.0), (4.0, 4.0)),
-    pd.Symmetry("x"),
+    pd.Symmetry("x"), pd.Horizon(3.015),
     pd.DynamicRelaxation(), pd.EventDriven(), pd.PathFollowing(), pd.BondStretch(),
     pd.Opening("x", region.All(), step=0.1, end=1.0),
     pd.Segment((0.0, 0.0), (1.0, 0.0)), pd.Polyline([(0.0, 0.0), (1.0, 0.0)]), pd.PlaneCrack((0.0,), (1.0,)),
@@ -114,7 +114,7 @@ def refused(valid, changes):
         (lambda: case(conditions=pd.Force(region.All(), x=1.0)), "as conditions, not Force.*; put it into a list"),
         (lambda: case(conditions=[pd.Force(region.All(), x=1.0), 3]), "entry 2 is 3"),
         (lambda: case(cracks=pd.Segment((0, 0), (1, 0))), "put it into a list"),
-        (lambda: case(horizon="2"), "takes a number as horizon, not '2'"),
+        (lambda: case(horizon="2"), "takes a number, a Horizon, a function or an array as horizon, not '2'"),
         (lambda: case(options={3: 1}), "mapping of strings"),
         (lambda: case(options={"-ksp_type": "cg"}), "one word without dash"),
         (lambda: case(options={"ksp_type": [1]}), "takes a string, a number or None"),

@@ -22,7 +22,7 @@ def in_units(case, force, length):
     return dataclasses.replace(
         case,
         particles=_Particles(case.particles, length),
-        horizon=case.horizon * length,
+        horizon=case.horizon if isinstance(case.horizon, pd.Horizon) else case.horizon * length,
         material=materials,
         conditions=[units.condition(condition) for condition in case.conditions],
         cracks=[_Crack(crack, length) for crack in case.cracks],
@@ -45,7 +45,9 @@ class _Particles(Particles):
 
     def chunk(self, part, parts):
         chunk = self._particles.chunk(part, parts)
-        return dataclasses.replace(chunk, x=chunk.x * self._length, volume=chunk.volume * self._length**3)
+        spacing = chunk.spacing if chunk.spacing is None else chunk.spacing * self._length
+        volume = chunk.volume * self._length**3
+        return dataclasses.replace(chunk, x=chunk.x * self._length, volume=volume, spacing=spacing)
 
     def faces(self, part, parts, normal):
         return self._particles.faces(part, parts, normal) * self._length**2

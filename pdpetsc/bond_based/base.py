@@ -31,7 +31,8 @@ class Neighbourhood:
     cloud, families
         Particles and bonds.
     omega, length : (n_bonds,) float64
-        Influence [-] and reference length [length] of every bond.
+        Influence [-] and reference length [length] of every bond. Influence is zero where only the second end reaches
+        the first.
     influence : Influence
         The function that gave ``omega``.
     thickness : float
@@ -50,14 +51,19 @@ class Neighbourhood:
         values = self.omega * self.length**power * self.cloud.volume[self.families.neighbours]
         return np.asarray(np.bincount(self.families.centres, values, self.cloud.n_owned), dtype=float)
 
-    def continuous_moment(self, power: int) -> float:
-        """Return the integral of ``omega |xi|^power`` over a whole ball of the horizon."""
-        dim, horizon = self.cloud.dim, self.cloud.horizon
+    def continuous_moment(self, power: int) -> Float:
+        """Return the integral of ``omega |xi|^power`` over a whole ball of the horizon of each particle (n_owned,)."""
+        dim, horizon = self.cloud.dim, self.cloud.reach[: self.cloud.n_owned]
         surface = {1: 2.0, 2: 2.0 * np.pi, 3: 4.0 * np.pi}[dim]
         points, weights = roots_legendre(QUADRATURE)
         s = np.concatenate([0.25 * (points + 1.0), 0.25 * (points + 3.0)])
         values = evaluate(self.influence, s) * s ** (power + dim - 1) * np.tile(0.25 * weights, 2)
-        return float(surface * self.thickness * horizon ** (power + dim) * values.sum())
+        return np.asarray(surface * self.thickness * horizon ** (power + dim) * values.sum())
+
+    def relative_size(self, power: int) -> Float:
+        """Return moments of whole families over that of the largest horizon, ``(reach / horizon)^(power + dim)``."""
+        cloud = self.cloud
+        return np.asarray((cloud.reach[: cloud.n_owned] / cloud.horizon) ** (power + cloud.dim))
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,8 @@ class LinearSolid(BondMaterial):
         dim, n = cloud.dim, cloud.n_owned
         elastic = self.elastic(dim)
         mu = elastic.lame(dim)[1]
-        m = bonds.moment(2)[families.centres]
+        # A particle that reaches no other one has bonds where others reach it, without influence.
+        m = np.where((m := bonds.moment(2)) > 0.0, m, 1.0)[families.centres]
         ours, theirs = cloud.volume[families.centres], cloud.volume[families.neighbours]
         k = dim * (dim + 2) * mu / m * bonds.omega * ours * theirs
         a = dim / m * bonds.omega * bonds.length * theirs

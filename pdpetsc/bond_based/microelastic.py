@@ -92,7 +92,7 @@ def _continuum(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     dim = bonds.cloud.dim
     # Both Lame constants of 1/2 c int omega |xi| n n n n dV are c I / (2 dim (dim + 2)); lambda + 2 mu = E on a line.
     mu = elastic.E / 3.0 if dim == 1 else elastic.lame(dim)[1]
-    return np.full(len(bonds.length), 2.0 * dim * (dim + 2) * mu / bonds.continuous_moment(1))
+    return np.asarray(2.0 * dim * (dim + 2) * mu / bonds.continuous_moment(1)[bonds.families.centres])
 
 
 def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
@@ -101,7 +101,7 @@ def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     n = families.bonds(cloud.x) / bonds.length[:, None]
     weight = bonds.omega * bonds.length * cloud.volume[families.neighbours]
     # Energy of the particle when stretched along each axis, and the largest in the body over it.
-    W = sum_by(families.centres, weight[:, None] * n**4, cloud.n_owned)
+    W = sum_by(families.centres, weight[:, None] * n**4, cloud.n_owned) / bonds.relative_size(1)[:, None]
     whole = np.array([largest(cloud.comm, float(column.max(initial=0.0))) for column in W.T])
     g = whole / np.maximum(W, LEAST * whole)
     factor = 1.0 / np.sqrt(((n / g[families.centres]) ** 2).sum(axis=1))
@@ -109,11 +109,15 @@ def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
 
 
 def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus with which whole families have the modulus E along x."""
+    """Return the micromodulus with which whole families have the modulus E along x.
+
+    Where horizons differ, those that are whole and what they have are compared over the size of a whole ball.
+    """
     cloud, families = bonds.cloud, bonds.families
-    moment = bonds.moment(1)
+    size = bonds.relative_size(1)
+    moment = bonds.moment(1) / size
     whole = moment >= (1.0 - WHOLE) * largest(cloud.comm, float(moment.max(initial=0.0)))
-    weight = np.where(whole[families.centres], 0.5 * bonds.omega * bonds.length, 0.0)
+    weight = np.where(whole[families.centres], 0.5 * bonds.omega * bonds.length / size[families.centres], 0.0)
     n = families.bonds(cloud.x) / bonds.length[:, None]
     sums = np.einsum("b,bi,bj,bk,bl->ijkl", weight * cloud.volume[families.neighbours], n, n, n, n, optimize=True)
     count = float(total(cloud.comm, np.count_nonzero(whole)))
@@ -121,7 +125,8 @@ def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
     lam, mu = elastic.lame(cloud.dim)
     one = np.eye(cloud.dim)
     both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-    return np.full(len(bonds.length), _modulus_along_x(lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit)
+    c = _modulus_along_x(lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit
+    return np.asarray(c / size[families.centres])
 
 
 def _modulus_along_x(C: Float) -> float:

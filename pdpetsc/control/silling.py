@@ -154,8 +154,9 @@ class SillingMicromodulus(ZeroEnergyControl):
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")
         omega_0 = np.bincount(families.centres, weight, minlength=cloud.n_owned)
-        modulus = c * (self.unit_length / cloud.horizon) ** 2 * stiffness.kappa
-        return _proportional(cloud, families, weight, K, self.G * modulus / (cloud.horizon**2 * omega_0))
+        reach = cloud.reach[: cloud.n_owned]
+        modulus = c * (self.unit_length / reach) ** 2 * stiffness.kappa
+        return _proportional(cloud, families, weight, K, self.G * modulus / (reach**2 * omega_0))
 
 
 def _refuse_negative(G: float) -> None:

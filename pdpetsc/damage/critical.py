@@ -135,11 +135,36 @@ class CriticalFunction(CriticalStretch):
 
 
 @dataclass(frozen=True)
+class CriticalByReach(CriticalStretch):
+    """The critical stretches of a fracture energy where horizons differ, ``scale / sqrt((reach_i + reach_j) / 2)``.
+
+    Parameters
+    ----------
+    scale : float
+        Critical stretch times the square root of the horizon [length^(1/2)].
+    """
+
+    scale: float
+
+    def build(self, bonds: DrivenBonds) -> LinearDrive:
+        """Return ``e / (s_c |xi|)``."""
+        cloud, families = bonds.cloud, bonds.families
+        reach = 0.5 * (cloud.reach[families.centres] + cloud.reach[families.neighbours])
+        return LinearDrive(bonds, self.scale / np.sqrt(reach) * bonds.length)
+
+    def __call__(self, length: Float, middle: Float) -> Float:
+        """Refuse: lengths and places do not tell the horizons."""
+        raise CaseError("The critical stretches of a fracture energy follow the horizons, where these differ.")
+
+
+@dataclass(frozen=True)
 class FractureEnergy(CriticalStretch):
     """The critical stretch with which breaking every bond across a unit area takes the energy ``Gc``.
 
     The energy is the discrete sum over the bonds of the body, for its influence function, horizon and law of damage;
     for deformation gradients, whose bonds have no energy of their own, that of the bond-based material with the same E.
+    Where the horizon differs from particle to particle a bond has the stretch for the mean horizon of its ends,
+    proportional to ``1 / sqrt(horizon)``.
 
     Parameters
     ----------
@@ -161,20 +186,24 @@ class FractureEnergy(CriticalStretch):
         if not (math.isfinite(self.Gc) and self.Gc > 0.0):
             raise CaseError(f"A fracture energy must be positive, not {self.Gc}.")
 
-    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> ConstantCritical:
+    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> CriticalStretch:
         """Return the critical stretch for the bonds of the body (collective).
 
         Breaking all bonds across a unit area with normal ``n`` takes ``G = 1 / V_i sum_j w_ij |xi . n|`` with the
-        energy ``w_ij`` of a bond from one end, averaged over the axes; of the whole families of the body the median.
+        energy ``w_ij`` of a bond from one end, averaged over the axes; of the whole families of the body the median,
+        over the horizon where that differs.
         """
         cloud, families = bonds.cloud, bonds.families
         share = 0.5 * toughness(2.0)
         energy = share * bonds.k * bonds.length**2 * np.abs(families.bonds(cloud.x)).mean(axis=1)
         G = np.bincount(families.centres, energy, cloud.n_owned) / cloud.volume[: cloud.n_owned]
+        if cloud.varies:
+            G /= cloud.reach[: cloud.n_owned]
         whole = (1.0 - WHOLE) * largest(cloud.comm, float(G.max(initial=0.0))) <= G
         # Families that are cut by little count as whole; most are not, so that the median is not theirs.
         middle = float(np.median(np.concatenate(cloud.comm.allgather(G[whole]))))
-        return ConstantCritical(float(np.sqrt(self.Gc / middle)))
+        found = float(np.sqrt(self.Gc / middle))
+        return CriticalByReach(found) if cloud.varies else ConstantCritical(found)
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: it is resolved into a number once the stiffness of the bonds is known."""

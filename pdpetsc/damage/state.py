@@ -8,6 +8,7 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import DrivenBonds
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.families import reached_back
 
 # Bonds this close to the one furthest past its end break with it: symmetric pairs, and both ends of one bond.
 TOGETHER = 1e-8
@@ -16,7 +17,8 @@ TOGETHER = 1e-8
 class FailingBonds:
     """Integrity of the bonds of the own particles, and how far what drives their damage has been.
 
-    A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one. What is called ``x``
+    A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one. Where horizons
+    differ it may be held from the end alone that reaches the other. What is called ``x``
     in the methods is the drive of every bond (n_bonds,) [-], zero where it is protected.
 
     Parameters
@@ -50,10 +52,12 @@ class FailingBonds:
         self.protected: GlobalIndex = np.empty(0, dtype=np.int64)
         if protected is not None:
             self.protected = np.flatnonzero(protected[centres] | protected[neighbours])
-        self._first = np.asarray(bonds.cloud.gid[centres] == self.keys[:, 0])
-        # Bonds to the own mirror image, which has the other end: what is counted from both ends counts them twice.
+        # Bonds to the own mirror image, which has the other end, and those of ends that do not reach back: what is
+        # counted from both ends counts them twice.
         own = self.keys[:, 0] == self.keys[:, 1]
-        self._twice: Mask = own & (bonds.cloud.places.opposite(self.keys[:, 2]) == self.keys[:, 2])
+        alone = ~reached_back(bonds.cloud, bonds.families, bonds.length)
+        self._first: Mask = alone | (bonds.cloud.gid[centres] == self.keys[:, 0])
+        self._twice: Mask = alone | (own & (bonds.cloud.places.opposite(self.keys[:, 2]) == self.keys[:, 2]))
         self.integrity: Float = np.ones(len(self.length))
         self.worst: Float = np.zeros(len(self.length))
         self.frozen = False

@@ -127,6 +127,22 @@ def shares_of_nodes(points: Float, blocks: list[Block]) -> tuple[GlobalIndex, Fl
     return nodes, volume[nodes]
 
 
+def edge_lengths(points: Float, blocks: list[Block]) -> Float:
+    """Return the mean length of the edges of cells that meet at each point (n_points,) [length], 0 where none does."""
+    ends = []
+    for block in blocks:
+        pairs = {(a, b) for face in FACETS[block.kind] for a, b in zip(face, (*face[1:], face[0]), strict=True)}
+        pairs = {(0, 1)} if block.kind == "line" else {(min(pair), max(pair)) for pair in pairs}
+        ends += [np.sort(block.nodes[:, list(pair)], axis=1) for pair in sorted(pairs)]
+    edges = np.unique(np.concatenate(ends), axis=0)
+    # Collapsed cells have edges from a node to itself.
+    edges = edges[edges[:, 0] < edges[:, 1]]
+    length = np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
+    count = np.bincount(edges.ravel(), minlength=len(points))
+    sums = np.bincount(edges.ravel(), np.repeat(length, 2), len(points))
+    return np.asarray(sums / np.maximum(count, 1))
+
+
 def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[GlobalIndex, Float, Float, GlobalIndex]:
     """Return the parts of facets that belong to the dual cells of their corners.
 

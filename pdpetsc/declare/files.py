@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from pdpetsc.declare.cells import (
     Block,
     CellFacets,
     MeshData,
+    edge_lengths,
     facet_keys,
     facets,
     having,
@@ -231,7 +232,9 @@ class MeshNodes(Mesh):
         _volumes_and_centroids(Path(self.path), points, blocks)  # refuses cells without volume
         nodes, volume = shares_of_nodes(points, blocks)
         sets = _node_sets(mesh, points, nodes)
-        return Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
+        found = Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
+        rows = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
+        return replace(found, spacing=edge_lengths(points, blocks)[nodes][rows])
 
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of nodes, and the parts of the free facets of the cells that belong to them.

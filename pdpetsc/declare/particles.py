@@ -25,11 +25,15 @@ ALONG = 1e-6
 
 @dataclass(frozen=True)
 class Chunk:
-    """A contiguous part of the particles: positions, volumes and named sets."""
+    """A contiguous part of the particles: positions, volumes and named sets.
+
+    ``spacing`` (n,) [length] is how far they are apart, where it does not follow from their volumes.
+    """
 
     x: Float
     volume: Float
     sets: Mapping[str, Mask]
+    spacing: Float | None = None
 
 
 class Particles(Declared, ABC):
@@ -183,7 +187,8 @@ class Lattice(Particles):
         sets = self._sets(x, np.all((cell >= 0) & (cell < real), axis=1))
         kept = self._kept(x, sets)
         volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
-        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()})
+        spacing = np.full(np.count_nonzero(kept), float(self.spacing))
+        return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()}, spacing)
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the free face of each particle of a part, seen along a normal: cells without a neighbour there."""

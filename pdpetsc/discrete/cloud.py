@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.symmetry import Symmetry
-from pdpetsc.discrete.communicator import Comm, exchange, fetch, offset, total
+from pdpetsc.discrete.communicator import Comm, exchange, fetch, largest, offset, smallest, total
 from pdpetsc.discrete.halo import Halo
 from pdpetsc.discrete.partition import bisect
 from pdpetsc.discrete.periodic import Images, refuse_outside, shifts
@@ -24,13 +24,15 @@ from pdpetsc.errors import CaseError
 HORIZON_TOLERANCE = 1e-9
 # Particles closer than this share of the horizon coincide.
 COINCIDENT = 1e-6
+# Neighbours are searched together for particles whose horizons differ by less than this factor.
+ALIKE = 1.25
 # Consecutive particles further apart than this many horizons in the mean have their neighbours far away in memory.
 FAR = 4.0
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Particles of this rank, owned ones first, then the ghosts within one horizon of an owned one.
+    """Particles of this rank, owned ones first, then the ghosts that bonds join to an owned one.
 
     In a periodic cell and beside mirror planes images are ghosts too, also those of own particles.
 
@@ -49,7 +51,14 @@ class Cloud:
     sets : mapping of str to (n_local,) bool
         Named sets.
     horizon : float
-        Radius of the families [length].
+        Radius of the largest families [length].
+    least_horizon : float
+        Radius of the smallest families [length].
+    reach : (n_local,) float64
+        Radius of the family of each particle [length].
+    mutual : bool
+        Whether two particles have a bond, from both ends, where either one reaches the other. Else a particle has bonds
+        to those that it reaches, and where horizons differ they may have none to it.
     n_owned, n_global, first : int
         Own particles, all particles, and the row of the first own one.
     halo : Halo
@@ -80,6 +89,9 @@ class Cloud:
     row: GlobalIndex
     sets: Mapping[str, Mask]
     horizon: float
+    least_horizon: float
+    reach: Float
+    mutual: bool
     n_owned: int
     n_global: int
     first: int
@@ -100,6 +112,11 @@ class Cloud:
         Collective.
         """
         return int(total(self.comm, float(numbers.sum() if self.stands_for is None else numbers @ self.stands_for)))
+
+    @property
+    def varies(self) -> bool:
+        """Return whether the horizon differs from particle to particle, of any rank (not collective)."""
+        return self.least_horizon < self.horizon
 
     @property
     def order(self) -> GlobalIndex:
@@ -138,8 +155,8 @@ class Cloud:
 
 
 def distribute(
-    comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float, cell: Cell | None = None,
-    planes: Sequence[Symmetry] = (),
+    comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float | Float, cell: Cell | None = None,
+    planes: Sequence[Symmetry] = (), mutual: bool = False,
 ) -> Cloud:  # fmt: skip
     """Partition particles over the ranks, number them and give every rank its ghosts.
 
@@ -147,12 +164,14 @@ def distribute(
     ----------
     x, volume, sets
         The part of the particles that this rank created; parts in rank order make the whole in creation order.
-    horizon : float
-        Radius of the families [length].
+    horizon : float, or (n,) float64
+        Radius of the families, of all or of each particle that this rank created [length].
     cell : Cell, optional
         The periodic cell that holds the particles.
     planes : sequence of Symmetry
         Mirror planes, of different axes that are not periodic.
+    mutual : bool
+        Whether bonds are where either end reaches the other, as in ``Cloud``.
 
     Returns
     -------
@@ -181,22 +200,25 @@ def distribute(
 
     if cell is not None:
         refuse_outside(comm, cell, x)
-    refuse_beyond(comm, planes, x, horizon)
-    (x, volume, gid, flags), _ = exchange(comm, bisect(comm, x), [x, volume, gid, np.ascontiguousarray(flags)])
-    order = _near_in_memory(x, gid, horizon)
-    x, volume, gid, flags = x[order], volume[order], gid[order], flags[order]
+    reach = np.array(np.broadcast_to(np.asarray(horizon, dtype=float), len(x)))
+    refuse_beyond(comm, planes, x, reach)
+    arrays = [x, volume, gid, np.ascontiguousarray(flags), reach]
+    (x, volume, gid, flags, reach), _ = exchange(comm, bisect(comm, x), arrays)
+    order = _near_in_memory(x, gid, reach)
+    x, volume, gid, flags, reach = x[order], volume[order], gid[order], flags[order], reach[order]
+    widest, least = largest(comm, reach.max(initial=0.0)), smallest(comm, reach.min(initial=np.inf))
     n_owned = len(x)
     first = offset(comm, n_owned)
     row = first + np.arange(n_owned, dtype=np.int64)
 
     periods = [np.zeros(dim)]
     if cell is not None:
-        periods = [n * cell.lengths for n in shifts(cell, horizon * (1.0 + HORIZON_TOLERANCE))]
+        periods = [n * cell.lengths for n in shifts(cell, widest * (1.0 + HORIZON_TOLERANCE))]
     places = Places.of(dim, planes, periods)
-    ghosts, counts = _candidates(comm, x, [volume, gid, row, flags], horizon, places)
-    near = _within(x, ghosts[0], horizon)
+    ghosts, counts = _candidates(comm, x, reach, [volume, gid, row, flags], places, mutual)
+    near = _within(x, reach, ghosts[0], ghosts[1], mutual)
     owner = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[near]
-    positions, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
+    positions, reaches, volumes, gids, rows, other_flags, number = (array[near] for array in ghosts)
     firsts = np.array(comm.allgather(first), dtype=np.int64)
     halo = Halo(comm, n_owned, owner, (rows - firsts[owner]).astype(np.int32))
     flags = np.concatenate([flags, other_flags]).astype(bool)
@@ -207,7 +229,10 @@ def distribute(
         gid=np.concatenate([gid, gids]),
         row=np.concatenate([row, rows]),
         sets={name: np.ascontiguousarray(flags[:, n]) for n, name in enumerate(names)},
-        horizon=horizon,
+        horizon=widest,
+        least_horizon=least,
+        reach=np.concatenate([reach, reaches]),
+        mutual=mutual,
         n_owned=n_owned,
         n_global=n_global,
         first=first,
@@ -250,12 +275,13 @@ def creators(cloud: Cloud) -> tuple[GlobalIndex, GlobalIndex]:
     return creator, gid - starts[creator]
 
 
-def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:
+def _near_in_memory(x: Float, gid: GlobalIndex, reach: Float) -> GlobalIndex:
     """Return the order of own particles: that of creation, or by cells where that jumps about the body.
 
     Loops over families read their members from memory; particles in random order cost them up to twice the time.
     """
     order = np.argsort(gid)
+    horizon = float(np.median(reach)) if len(x) else 1.0
     if len(x) < 2 or np.linalg.norm(np.diff(x[order], axis=0), axis=1).mean() <= FAR * horizon:
         return order
     sides = np.argsort(np.ptp(x, axis=0))
@@ -264,36 +290,63 @@ def _near_in_memory(x: Float, gid: GlobalIndex, horizon: float) -> GlobalIndex:
 
 
 def _candidates(
-    comm: Comm, x: Float, arrays: list[NDArray[Any]], horizon: float, places: Places
+    comm: Comm, x: Float, reach: Float, arrays: list[NDArray[Any]], places: Places, mutual: bool
 ) -> tuple[list[NDArray[Any]], GlobalIndex]:
-    """Receive the particles and images that lie in this rank's bounding box widened by one horizon.
+    """Receive the particles and images near this rank's bounding box: those within the largest reach of its particles.
 
-    Returns their positions, their rows of ``arrays`` and the row of their place; and how many each rank sent.
+    Where bonds are mutual these are also those that reach into the box themselves. Returns their positions, their
+    reach, their rows of ``arrays`` and the row of their place; and how many each rank sent.
     """
     dim = x.shape[1]
-    box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
-    boxes = np.empty((comm.size, 2 * dim))
+    widest = reach.max(initial=0.0)
+    box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf), [widest]])
+    boxes = np.empty((comm.size, 2 * dim + 1))
     comm.Allgather(box, boxes)
-    reach = horizon * (1.0 + HORIZON_TOLERANCE)
+    box = box[: 2 * dim]
+    wide = 1.0 + HORIZON_TOLERANCE
     index, destination, number = [], [], []
     for n, (sign, shift) in enumerate(zip(places.sign, places.shift, strict=True)):
-        one, other = sign * (boxes[:, :dim] - reach - shift), sign * (boxes[:, dim:] + reach - shift)
+        one, other = sign * (boxes[:, :dim] - shift), sign * (boxes[:, dim:-1] - shift)
         low, high = np.minimum(one, other), np.maximum(one, other)
-        for rank in np.flatnonzero(np.all((low <= box[dim:]) & (high >= box[:dim]), axis=1)):
+        near = wide * np.maximum(boxes[:, -1:], widest if mutual else 0.0)
+        for rank in np.flatnonzero(np.all((low - near <= box[dim:]) & (high + near >= box[:dim]), axis=1)):
             if rank == comm.rank and n == places.home:
                 continue
-            index.append(np.flatnonzero(np.all((x >= low[rank]) & (x <= high[rank]), axis=1)))
+            far = wide * np.maximum(boxes[rank, -1], reach[:, None] if mutual else 0.0)
+            index.append(np.flatnonzero(np.all((x >= low[rank] - far) & (x <= high[rank] + far), axis=1)))
             destination.append(np.full(len(index[-1]), rank, dtype=np.int32))
             number.append(np.full(len(index[-1]), n, dtype=np.int64))
     chosen = np.concatenate([np.empty(0, dtype=np.int64), *index])
     rank_of = np.concatenate([np.empty(0, dtype=np.int32), *destination])
     number_of = np.concatenate([np.empty(0, dtype=np.int64), *number])
     image = places.sign[number_of] * x[chosen] + places.shift[number_of]
-    return exchange(comm, rank_of, [image, *(array[chosen] for array in arrays), number_of])
+    return exchange(comm, rank_of, [image, reach[chosen], *(array[chosen] for array in arrays), number_of])
 
 
-def _within(x: Float, candidates: Float, horizon: float) -> Mask:
+def _within(x: Float, reach: Float, candidates: Float, their_reach: Float, mutual: bool) -> Mask:
+    """Return which candidates a particle at ``x`` reaches, or where bonds are mutual is reached by."""
+    near = np.zeros(len(candidates), dtype=bool)
     if len(x) == 0 or len(candidates) == 0:
-        return np.zeros(len(candidates), dtype=bool)
-    distance, _ = cKDTree(x).query(candidates, distance_upper_bound=horizon * (1.0 + 2.0 * HORIZON_TOLERANCE))
-    return np.asarray(np.isfinite(distance))
+        return near
+    wide = 1.0 + 2.0 * HORIZON_TOLERANCE
+    there = cKDTree(candidates)
+    for members in by_reach(reach):
+        here, radius = cKDTree(x[members]), wide * float(reach[members].max())
+        if reach[members].min() == reach[members].max():
+            distance, _ = here.query(candidates, distance_upper_bound=radius)
+            near |= np.isfinite(distance)
+            continue
+        pairs = here.sparse_distance_matrix(there, radius, output_type="ndarray")
+        near[pairs["j"][pairs["v"] <= wide * reach[members[pairs["i"]]]]] = True
+    if mutual:
+        distance, _ = cKDTree(x).query(candidates, distance_upper_bound=wide * their_reach.max())
+        near |= distance <= wide * their_reach
+    return near
+
+
+def by_reach(reach: Float) -> list[GlobalIndex]:
+    """Return the particles in groups of about the same reach, in which neighbours are searched at once."""
+    if len(reach) == 0:
+        return []
+    group = np.floor(np.log(reach / reach.min()) / np.log(ALIKE)).astype(np.int64)
+    return [np.flatnonzero(group == number) for number in np.unique(group)]

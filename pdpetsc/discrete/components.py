@@ -31,6 +31,10 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
         least = np.full(count, np.iinfo(np.int64).max)
         np.minimum.at(least, local, label)
         new = least[local]
+        # Where horizons differ the owner of a ghost may not know that it has a bond here.
+        each = np.ones(cloud.n_ghost, dtype=np.int64)
+        back = cloud.halo.reverse_rows(new[cloud.n_owned :], each, np.ones(len(cloud.halo.send_index), dtype=np.int64))
+        np.minimum.at(new, cloud.halo.send_index, back)
         cloud.halo.forward(new)
         changed = np.any(new != label)
         label = new

@@ -1,4 +1,4 @@
-"""Families: the neighbours of every owned particle within the horizon."""
+"""Families: the neighbours of every owned particle within its horizon."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
-from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.lattice import Repeats, find_repeats
 from pdpetsc.errors import CaseError
@@ -139,7 +139,10 @@ class RepeatedFamilies(Families):
 
 
 def find_families(cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | None = None) -> Families:
-    """Find every pair of particles within one horizon that no crack separates.
+    """Find the neighbours of every own particle within its horizon, where no crack separates them.
+
+    Where the horizon differs from particle to particle ``j`` is in the family of ``i`` if ``|xi| <= reach_i``; where
+    bonds are mutual if that or ``|xi| <= reach_j``.
 
     Parameters
     ----------
@@ -165,28 +168,55 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | 
     Collective (the check); the search itself is local.
     """
     cutting = _Cutting(cloud, cracks)
-    if repeated is not None:
+    if repeated is not None and not cloud.varies:
         repeats = find_repeats(cloud, cutting if cracks else None, repeated)
         if repeats is not None:
             cutting.refuse_idle()
             return RepeatedFamilies(repeats)
-    radius = cloud.horizon * (1.0 + HORIZON_TOLERANCE)
-    pairs = cKDTree(cloud.x).query_pairs(radius, output_type="ndarray")
-    pairs = pairs[(pairs < cloud.n_owned).any(axis=1)]
+    pairs = _pairs(cloud)
     with agreed(cloud.comm):
         pairs = pairs[~cutting(pairs)]
     cutting.refuse_idle()
-    indptr, neighbours = families_from_pairs(pairs, cloud.order, cloud.n_owned)
+    directed = cloud.varies and not cloud.mutual
+    indptr, neighbours = families_from_pairs(pairs, directed, cloud.order, cloud.n_owned)
     families = Families(indptr, neighbours)
     with agreed(cloud.comm):
         length = np.linalg.norm(cloud.x[pairs[:, 0]] - cloud.x[pairs[:, 1]], axis=1)
-        close = np.flatnonzero(length < COINCIDENT * cloud.horizon)
+        close = np.flatnonzero(length < COINCIDENT * cloud.reach[pairs].min(axis=1))
         if len(close):
             one, two = sorted(int(gid) for gid in cloud.gid[pairs[close[0]]])
             raise CaseError(
                 f"Particles {one} and {two} coincide ({len(close)} such pairs on one rank); remove one of each pair."
             )
     return families
+
+
+def reached_back(cloud: Cloud, families: Families, length: Float) -> Mask:
+    """Return which bonds of ``length`` (n_bonds,) [length] exist from their second end too (n_bonds,)."""
+    if cloud.mutual or not cloud.varies:
+        return np.ones(len(length), dtype=bool)
+    return np.asarray(length <= cloud.reach[families.neighbours] * (1.0 + HORIZON_TOLERANCE))
+
+
+def _pairs(cloud: Cloud) -> LocalIndex:
+    """Return the pairs with a bond and an own end (n, 2); of bonds from one end that one is first."""
+    if not cloud.varies:
+        pairs = cKDTree(cloud.x).query_pairs(cloud.horizon * (1.0 + HORIZON_TOLERANCE), output_type="ndarray")
+        return np.asarray(pairs[(pairs < cloud.n_owned).any(axis=1)])
+    n = cloud.n_local if cloud.mutual else cloud.n_owned
+    every, found = cKDTree(cloud.x), [np.empty((0, 2), dtype=np.int64)]
+    for members in by_reach(cloud.reach[:n]):
+        radius = float(cloud.reach[members].max()) * (1.0 + HORIZON_TOLERANCE)
+        near = cKDTree(cloud.x[members]).sparse_distance_matrix(every, radius, output_type="ndarray")
+        centre, other = members[near["i"]], near["j"]
+        kept = (centre != other) & (near["v"] <= cloud.reach[centre] * (1.0 + HORIZON_TOLERANCE))
+        found.append(np.stack([centre[kept], other[kept]], axis=1))
+    pairs = np.concatenate(found)
+    if cloud.mutual:
+        pairs = pairs[(pairs < cloud.n_owned).any(axis=1)]
+        once = np.unique(pairs.min(axis=1) * np.int64(n) + pairs.max(axis=1))
+        pairs = np.stack(np.divmod(once, n), axis=1)
+    return np.asarray(pairs)
 
 
 class _Cutting:

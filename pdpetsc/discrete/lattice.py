@@ -299,7 +299,7 @@ class Repeats:
         stands_for[len(alone) :] = np.bincount(self.pattern_of[self.shared], minlength=self.n_patterns)
         part = replace(
             cloud, x=cloud.x[local], volume=cloud.volume[local], gid=cloud.gid[local], row=cloud.row[local], sets={},
-            n_owned=n, offset=offset, sign=sign, place=cloud.place[local],
+            n_owned=n, offset=offset, sign=sign, place=cloud.place[local], reach=cloud.reach[local],
             stands_for=stands_for,
         )  # fmt: skip
         return Edge(part, local, indptr, number[neighbours], len(alone))

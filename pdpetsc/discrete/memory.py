@@ -12,7 +12,7 @@ from mpi4py import MPI
 from pdpetsc.arrays import Float
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.symmetry import Symmetry
-from pdpetsc.discrete.communicator import Comm, agreed, total
+from pdpetsc.discrete.communicator import Comm, agreed, largest, total
 from pdpetsc.discrete.places import Places
 from pdpetsc.errors import CaseError
 
@@ -83,7 +83,7 @@ def refuse_beyond_memory(comm: Comm, needed: float, what: str) -> None:
 
 
 def predicted_bonds(
-    comm: Comm, x: Float, horizon: float, cell: Cell | None = None, planes: Sequence[Symmetry] = ()
+    comm: Comm, x: Float, horizon: float | Float, cell: Cell | None = None, planes: Sequence[Symmetry] = ()
 ) -> float:
     """Return about how many bonds a body has, counted at a sample of its particles.
 
@@ -93,8 +93,8 @@ def predicted_bonds(
     ----------
     x : (n, dim) float64
         The part of the particles that this rank holds [length].
-    horizon : float
-        Radius of the families [length].
+    horizon : float, or (n,) float64
+        Radius of the families, of all or of each of these particles [length].
     cell : Cell, optional
         The periodic cell.
     planes : sequence of Symmetry
@@ -110,18 +110,21 @@ def predicted_bonds(
     Collective.
     """
     n_global = int(total(comm, len(x)))
+    reach = np.broadcast_to(np.asarray(horizon, dtype=float), len(x))
+    widest = largest(comm, reach.max(initial=0.0))
     lengths = np.zeros(x.shape[1]) if cell is None or cell.dim != x.shape[1] else cell.lengths
-    periods = np.where(lengths > 0.0, horizon / np.where(lengths > 0.0, lengths, 1.0), 0.0)
+    periods = np.where(lengths > 0.0, widest / np.where(lengths > 0.0, lengths, 1.0), 0.0)
     images = math.prod(2.0 * math.ceil(min(p, 1e15)) + 1.0 for p in periods)
     with agreed(comm):
         if images > MOST_IMAGES:
             raise CaseError(
-                f"The horizon {horizon:g} reaches over {images:.3g} images of the periodic cell, more than "
+                f"The horizon {widest:g} reaches over {images:.3g} images of the periodic cell, more than "
                 f"{MOST_IMAGES}; take a smaller one."
             )
     each = -(-SAMPLE // comm.size)
     rows = np.linspace(0, len(x) - 1, min(each, len(x))).astype(np.int64)
     sample = np.concatenate(comm.allgather(x[rows]))
+    radius = np.concatenate(comm.allgather(reach[rows]))
     wide = bool((periods > 0.5).any())
     found = np.zeros(len(sample))
     inside = [plane for plane in planes if plane.number < x.shape[1]]
@@ -134,9 +137,15 @@ def predicted_bonds(
             else:
                 for axis in np.flatnonzero(lengths > 0.0):
                     apart[:, axis] -= lengths[axis] * np.round(apart[:, axis] / lengths[axis])
-            found[k] += np.count_nonzero(np.linalg.norm(apart, axis=1) <= horizon)
-    family = float(total(comm, found).mean()) if len(sample) else 0.0
+            found[k] += np.count_nonzero(np.linalg.norm(apart, axis=1) <= radius[k])
+    found = total(comm, found)
     if wide:
         ball = {1: 1.0, 2: math.pi / 4.0, 3: math.pi / 6.0}[x.shape[1]]
-        family *= ball * math.prod(2.0 * p for p in periods if p > 0.0)
+        found = (
+            found
+            * ball
+            * math.prod(2.0 * p for p in periods if p > 0.0)
+            * (radius / widest) ** np.count_nonzero(periods)
+        )
+    family = float(found.mean()) if len(sample) else 0.0
     return n_global * max(family - 1.0, 0.0)

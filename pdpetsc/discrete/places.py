@@ -13,7 +13,7 @@ from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.errors import CaseError
 
-# Particles this near to a mirror plane, as a share of the horizon, lie on it.
+# Particles this near to a mirror plane, as a share of their horizon, lie on it.
 ON_PLANE = 1e-6
 
 
@@ -94,14 +94,14 @@ class Places:
         return np.asarray(self.sign[row] * (x - self.shift[row]))
 
 
-def refuse_beyond(comm: Comm, planes: Sequence[Symmetry], x: Float, horizon: float) -> None:
-    """Raise on all ranks unless the particles lie on one side of every mirror plane (collective)."""
+def refuse_beyond(comm: Comm, planes: Sequence[Symmetry], x: Float, reach: Float) -> None:
+    """Raise on all ranks unless the particles ``x`` (n, dim) lie on one side of every mirror plane (collective)."""
     dim = x.shape[1]
     for plane in planes:
         if plane.number >= dim:
             raise CaseError(f"There is no Symmetry across {plane.axis} of particles with {dim} coordinates.")
         apart = x[:, plane.number] - plane.at
-        on_side = [np.count_nonzero(apart > ON_PLANE * horizon), np.count_nonzero(apart < -ON_PLANE * horizon)]
+        on_side = [np.count_nonzero(apart > ON_PLANE * reach), np.count_nonzero(apart < -ON_PLANE * reach)]
         ahead, behind, n = (int(count) for count in total(comm, [*on_side, len(x)]))
         wrong = n - max(ahead, behind)
         if wrong:

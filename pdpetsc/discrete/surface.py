@@ -218,7 +218,8 @@ def _interpolated(
     apart = cloud.x[members] - x[of]
     # Distances in units of that of the particle behind the facet, which is half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
-    unit = np.where(unit > NEAR_FACET * cloud.horizon, unit, 0.25 * cloud.horizon)
+    reach = cloud.reach[owner][of, None]
+    unit = np.where(unit > NEAR_FACET * reach, unit, 0.25 * reach)
     apart = apart / unit
     # Directions in which the family has no extent, of a line or a plane of particles, have no slope: facets beside it
     # are interpolated as if they lay in it, which keeps the sum of a load but not its moment.
@@ -243,7 +244,8 @@ def _on_face(cloud: Cloud, area: Float, members: LocalIndex, of: GlobalIndex, pt
     it then acts on the boundary alone, and all of it on supports where these hold the boundary.
     """
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
-    off = np.abs(np.einsum("ei,ei->e", apart, normal[of])) > NEAR_FACET * cloud.horizon
+    behind = members[ptr[:-1]]
+    off = np.abs(np.einsum("ei,ei->e", apart, normal[of])) > NEAR_FACET * cloud.reach[behind][of]
     return np.where(off & ~off[ptr[:-1]][of], 0.0, 1.0)
 
 

@@ -50,7 +50,7 @@ class ConformingSystem:
     def __init__(self, cloud: Cloud, operator: GradientOperator) -> None:
         self.cloud = cloud
         self._operator = operator
-        self._size = np.full(operator.n_points, cloud.horizon)
+        self._size = cloud.reach[operator.owner]
         self._square = operator.volume**2
         M = np.empty((operator.n_points, cloud.dim + 1, cloud.dim + 1))
         linear_moments_kernel(cloud.dim)(operator.point_ptr, operator.members, cloud.x, self._size, M)
@@ -131,7 +131,7 @@ class ConformingSystem:
         counts = np.bincount(families.centres[near], minlength=cloud.n_owned)
         ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
         members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(cloud.n_owned), np.arange(cloud.n_owned))
-        size = np.full(cloud.n_owned, cloud.horizon)
+        size = cloud.reach[: cloud.n_owned]
         M = np.empty((cloud.n_owned, dim + 1, dim + 1))
         linear_moments_kernel(dim)(ptr, members, cloud.x, size, M)
         low, axes = np.linalg.eigh(M)
@@ -139,7 +139,7 @@ class ConformingSystem:
         root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
         of = np.repeat(np.arange(cloud.n_owned), counts + 1)
         W = cloud.volume[of]
-        phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[of]) / cloud.horizon], axis=1)
+        phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[of]) / size[of, None]], axis=1)
         D = W[:, None] * np.einsum("ea,eab->eb", phi, root[of])
         width, n = dim + 1, cloud.n_local
         columns = (of[:, None] * width + np.arange(width)).ravel()

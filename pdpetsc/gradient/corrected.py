@@ -52,7 +52,8 @@ class Corrected(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
-        xi = families.bonds(cloud.x) / cloud.horizon
+        reach = cloud.reach[families.centres]
+        xi = families.bonds(cloud.x) / reach[:, None]
         g = np.zeros((len(weight), cloud.dim))
         left = np.flatnonzero(np.diff(families.indptr) > 0)
         alone = np.flatnonzero(np.diff(families.indptr) == 0)
@@ -66,10 +67,10 @@ class Corrected(Scheme):
                 c, unmet, condition = solve(
                     q, weight[bonds], first, np.broadcast_to(target, (len(part), *target.shape))
                 )
-                g[bonds] = np.einsum("bq,bqm->bm", q, c[owner]) * weight[bonds, None] / cloud.horizon
+                g[bonds] = np.einsum("bq,bqm->bm", q, c[owner]) * weight[bonds, None] / reach[bonds, None]
                 met = unmet <= MET
                 if order > 1:
-                    met &= largest_gain(g[bonds], first, cloud.horizon) <= GAIN
+                    met &= largest_gain(g[bonds], first, cloud.reach[part]) <= GAIN
                 remaining.append(part[~met])
                 worst = max(worst, float(condition[met].max(initial=1.0)))
             left = np.concatenate(remaining)

@@ -106,6 +106,6 @@ def conditioning_note(cloud: Cloud, worst: float, lowered: Float) -> str:
     return f"{note}; the order was lowered {steps} times where families are too small for it" if steps else note
 
 
-def largest_gain(g: Float, first: GlobalIndex, horizon: float) -> Float:
-    """Return ``horizon sum_k |g_k|`` of every family for the weights of its bonds (n_bonds, dim)."""
-    return np.asarray(np.add.reduceat(np.linalg.norm(g, axis=1), first) * horizon)
+def largest_gain(g: Float, first: GlobalIndex, reach: Float) -> Float:
+    """Return ``reach sum_k |g_k|`` of families with horizons (n,) for the weights of their bonds (n_bonds, dim)."""
+    return np.asarray(np.add.reduceat(np.linalg.norm(g, axis=1), first) * reach)

@@ -69,22 +69,23 @@ class SubHorizons(Scheme):
         if number < least or (even and number % 2):
             kind = "an even number of sectors" if even else "sectors"
             raise CaseError(f"Sub-horizons in {cloud.dim}D need {kind} from {least}, not {number}.")
+        reach = cloud.reach[families.centres]
         if cloud.dim == 1:
             shells = number // 2
-            outward = _between(np.abs(xi[:, 0]) / cloud.horizon * shells, shells)
-            share = _product(_side(xi[:, 0], cloud.horizon), outward)
+            outward = _between(np.abs(xi[:, 0]) / reach * shells, shells)
+            share = _product(_side(xi[:, 0], reach), outward)
             distance = _apart(2, shells, shells)
         elif cloud.dim == 2:
             share, distance = _around(xi, number), _apart(number, 1, 1)
         else:
-            above = _side(xi[:, 2], cloud.horizon)
+            above = _side(xi[:, 2], reach)
             share, distance = _product(_around(xi, number // 2), above), _apart(number // 2, 2, 1)
         return sector_operator(cloud, families, omega, share, distance, "sub-horizons")
 
 
-def _side(component: Float, horizon: float) -> Float:
+def _side(component: Float, reach: Float) -> Float:
     """Return the shares below and above zero, (n, 2)."""
-    above = np.where(np.abs(component) < ON_BORDER * horizon, 0.5, (component > 0.0).astype(float))
+    above = np.where(np.abs(component) < ON_BORDER * reach, 0.5, (component > 0.0).astype(float))
     return np.stack([1.0 - above, above], axis=1)
 
 

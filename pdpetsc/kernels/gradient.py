@@ -207,7 +207,7 @@ def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
 
     ``M_ik = sum_j weight_ij (S_jk - S_ik) xi_ij`` over the neighbours ``j`` of ``i`` nearer than ``rest``, where
     ``S_jk`` is the share of member ``k`` in the mean over the members of ``i``, itself among them, nearer to ``j`` than
-    ``radius``. Bonds without weight count neither here nor there.
+    ``radius``; both are of each centre. Bonds without weight count neither here nor there.
     """
 
     @compiled
@@ -229,14 +229,14 @@ def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
                         square = 0.0
                         for m in range(dim):
                             square += (x[k, m] - x[i, m]) ** 2
-                        if square <= rest * rest:
+                        if square <= rest[i] * rest[i]:
                             for m in range(dim):
                                 xi[m] -= weight[t] * (x[k, m] - x[i, m])
                 else:
                     square = 0.0
                     for m in range(dim):
                         square += (x[j, m] - x[i, m]) ** 2
-                    if weight[b] == 0.0 or square > rest * rest:
+                    if weight[b] == 0.0 or square > rest[i] * rest[i]:
                         continue
                     for m in range(dim):
                         xi[m] = weight[b] * (x[j, m] - x[i, m])
@@ -246,14 +246,14 @@ def smoothed_moments_kernel(dim: int) -> Callable[..., Any]:
                     square = 0.0
                     for m in range(dim):
                         square += (x[k, m] - x[j, m]) ** 2
-                    if square <= radius * radius and (t < first or weight[t] != 0.0):
+                    if square <= radius[i] * radius[i] and (t < first or weight[t] != 0.0):
                         total += volume[k]
                 for t in range(first, last):
                     k = neighbours[t]
                     square = 0.0
                     for m in range(dim):
                         square += (x[k, m] - x[j, m]) ** 2
-                    if square <= radius * radius and weight[t] != 0.0:
+                    if square <= radius[i] * radius[i] and weight[t] != 0.0:
                         for m in range(dim):
                             M[t, m] += volume[k] / total * xi[m]
 

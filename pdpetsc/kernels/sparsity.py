@@ -10,11 +10,15 @@ from pdpetsc.kernels.compile import compiled
 
 
 @compiled
-def families_from_pairs(pairs, order, n_owned):  # type: ignore[no-untyped-def]
-    """Turn unordered neighbour pairs into CSR families of the owned particles, each sorted by ``order``."""
+def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-untyped-def]
+    """Turn neighbour pairs into CSR families of the owned particles, each sorted by ``order``.
+
+    Both are in the family of the other, or the second in that of the first alone where they are ``directed``.
+    """
+    sides = 1 if directed else 2
     indptr = np.zeros(n_owned + 1, np.int64)
     for r in range(pairs.shape[0]):
-        for side in range(2):
+        for side in range(sides):
             if pairs[r, side] < n_owned:
                 indptr[pairs[r, side] + 1] += 1
     for i in range(n_owned):
@@ -22,7 +26,7 @@ def families_from_pairs(pairs, order, n_owned):  # type: ignore[no-untyped-def]
     fill = indptr[:-1].copy()
     neighbours = np.empty(indptr[n_owned], np.int32)
     for r in range(pairs.shape[0]):
-        for side in range(2):
+        for side in range(sides):
             i = pairs[r, side]
             if i < n_owned:
                 neighbours[fill[i]] = pairs[r, 1 - side]

@@ -163,7 +163,7 @@ _MEMORY: dict[type[Filler], Callable[[Any], int]] = {
 def _blocks(problem: Problem) -> float:
     """Return about how many blocks the assembled tangent has, from a sample of particles (collective)."""
     cloud = problem.body.cloud
-    reach = cloud.horizon * problem.horizons * (1.0 + 1e-9)
     sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
+    reach = cloud.reach[sample] * problem.horizons * (1.0 + 1e-9)
     found = cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
     return float(total(cloud.comm, float(np.mean(found)) * cloud.n_owned))

@@ -25,6 +25,7 @@ from pdpetsc.post.solution import (
     local_damage,
     lost_bonds,
     plastic_strain,
+    reach,
     reaction,
     stress,
 )
@@ -32,7 +33,7 @@ from pdpetsc.post.solution import (
 EVERYWHERE = All()
 # Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
 _LETTERS: dict[Field, int] = {
-    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain), 0),
+    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach), 0),
     **dict.fromkeys((displacement, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }

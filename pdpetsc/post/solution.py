@@ -246,5 +246,10 @@ def lost_bonds(solution: Solution) -> Float:
     return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()
 
 
+def reach(solution: Solution) -> Float:
+    """Return the horizon of each particle (n_owned,) [length]."""
+    return np.asarray(solution.cloud.reach[: solution.cloud.n_owned])
+
+
 # Which entry of ``Solution.out_of_plane`` completes each tensor.
 _ACROSS: dict[Field, int] = {deformation_gradient: 0, first_piola_stress: 1, stress: 2}

@@ -398,7 +398,7 @@ class BackgroundGrid(Filler):
         sums = total(self._cloud.comm, [float(modulus.sum()), float(size.sum())])
         usual = size * float(sums[0] / sums[1]) if sums[1] > 0.0 else size
         lacking = np.maximum(WEAK * usual - modulus, 0.0)
-        return np.bincount(self._element, lacking, len(self._corners))
+        return np.asarray(np.bincount(self._element, lacking, len(self._corners)), dtype=float)
 
     def _ties(self, blocks: Float | None, diagonal: Float, scale: float) -> tuple[GlobalIndex, Float]:
         """Return the particles that something holds besides the elements, by element, and the block of each."""

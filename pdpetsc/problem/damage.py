@@ -11,6 +11,7 @@ from pdpetsc.damage.criterion import Drive, DrivenBonds, Gradient
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -251,4 +252,9 @@ def make_damage(
     resolved = law.resolved(bonds)
     with agreed(body.cloud.comm):
         drive = resolved.criterion.build(bonds)
+        if drive.reaches and body.cloud.varies and not body.cloud.mutual:
+            raise CaseError(
+                f"{type(resolved.criterion).__name__} reads the families of both ends of a bond, and where the horizon "
+                f"differs from place to place not all have one; take a drive of the own elongation, or one horizon."
+            )
     return Damage(body, FailingBonds(bonds, resolved, protected), drive, finite)

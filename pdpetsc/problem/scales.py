@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.kernels.sparsity import nearest_neighbours
@@ -49,8 +47,8 @@ def scales_of(body: Body, matter: Matter) -> Scales:
 def stiffness_scale(body: Body, matter: Matter) -> float:
     """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials (collective)."""
     cloud = body.cloud
-    volume = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum())) / cloud.n_global
-    return matter.kappa * volume / cloud.horizon**2
+    each = cloud.volume[: cloud.n_owned] / cloud.reach[: cloud.n_owned] ** 2
+    return matter.kappa * float(total(cloud.comm, each.sum())) / cloud.n_global
 
 
 def nearest_distances(body: Body) -> Float:
@@ -61,12 +59,12 @@ def nearest_distances(body: Body) -> Float:
     Not collective.
     """
     cloud, family, repeats = body.cloud, body.families, body.families.repeats
-    nearest = np.full(cloud.n_owned, cloud.horizon)
+    nearest = cloud.reach[: cloud.n_owned].copy()
     if repeats is None:
         nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
         return nearest
     edge = repeats.edge
-    near = np.full(edge.cloud.n_owned, cloud.horizon)
+    near = edge.cloud.reach[: edge.cloud.n_owned].copy()
     nearest_neighbours(edge.indptr, edge.neighbours, edge.cloud.x, near)
     nearest[repeats.shared] = repeats.of_shared(near[edge.n :])
     nearest[edge.local[: edge.n]] = near[: edge.n]

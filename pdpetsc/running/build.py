@@ -16,11 +16,12 @@ from pdpetsc.control.base import Control
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
 from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
+from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
 from pdpetsc.declared import called, numbers_from
-from pdpetsc.discrete.cloud import Cloud, distribute
-from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, total
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
+from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, total
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.lattice import Repeats
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
@@ -67,16 +68,22 @@ def make_cloud(comm: Comm, case: Case) -> Cloud:
     count = int(total(comm, len(chunk.x)))
     if count == 0:
         raise CaseError("The case has no particles.")
-    _refuse_large_families(comm, case, chunk.x, count)
-    return distribute(comm, chunk.x, chunk.volume, chunk.sets, case.horizon, case.cell, case.symmetry)
+    first = offset(comm, len(chunk.x))
+    with agreed(comm):
+        reach = horizons_of(case.horizon, chunk, first, count, case.particles.thickness)
+    _refuse_large_families(comm, case, chunk.x, reach, count)
+    # A bond is one thing with two ends, of which a gradient reads one.
+    mutual = case.of_bonds
+    return distribute(comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual)
 
 
-def _refuse_large_families(comm: Comm, case: Case, x: Float, count: int) -> None:
+def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Float, count: int) -> None:
     """Raise on all ranks where families are so large that they cannot be held (collective)."""
-    bonds = predicted_bonds(comm, x, case.horizon, case.cell, case.symmetry)
+    bonds = predicted_bonds(comm, x, reach, case.cell, case.symmetry)
     family, dim = bonds / count, x.shape[1]
     each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
-    what = f"A horizon of {case.horizon:g} gives {count} particles about {family:.4g} neighbours each, which"
+    widest = largest(comm, float(np.max(reach, initial=0.0)))
+    what = f"A horizon of {widest:g} gives {count} particles about {family:.4g} neighbours each, which"
     refuse_beyond_memory(comm, bonds * each / comm.size, what)
 
 
@@ -166,7 +173,11 @@ def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhoo
     """Return the bonds of a body with their influence (collective)."""
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     with agreed(cloud.comm):
-        omega = evaluate(case.influence, length / cloud.horizon)
+        s = length / cloud.reach[families.centres]
+        # Of bonds that only their second end reaches this one has no share.
+        reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
+        omega = np.zeros(len(s))
+        omega[reached] = evaluate(case.influence, s[reached])
     return Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
 
 

@@ -452,6 +452,9 @@ class _Run:
         bonds, points, ghosts = total(comm, [body.families.n_bonds, matter.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
+        if cloud.varies:
+            self.summary["least_horizon"] = cloud.least_horizon
+            self.report.say(f"horizons from {cloud.least_horizon:.6g} to {cloud.horizon:.6g}")
         self.summary["allocated"] = list(problem.parts)
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "

@@ -4,7 +4,8 @@ With ``distribution=consistent`` the deformation gradient is uniform and exact, 
 a traction. ``distribution=layer`` loads the outer particles and shows what that costs near the ends.
 
 ``shake`` moves particles by up to that share of the spacing, whose cells and facets stay those of the lattice:
-``weights=conforming`` with ``distribution=surface`` then gives the same uniform gradient.
+``weights=conforming`` with ``distribution=surface`` then gives the same uniform gradient. With ``fine=2`` the right
+half has cells half as long, and each particle a horizon of so many of its own spacings.
 """
 
 import math
@@ -34,9 +35,31 @@ def shaken(lattice, shake, seed=0):
     return pd.Arrays(moved, lattice.spacing**lattice.dim, facets=lattice.surface())
 
 
+def refined(dim, dx, fine, shake, seed=0):
+    """Return a block whose right half has cells ``fine`` times smaller, with its facets, moved as in ``shaken``."""
+    ends = [
+        ([0.0] * dim, [1.0] * dim, dx, 1.0),
+        ([1.0] + [0.0] * (dim - 1), [2.0] + [1.0] * (dim - 1), dx / fine, -1.0),
+    ]
+    x, volume, places, areas, owners = [], [], [], [], []
+    for low, high, spacing, inward in ends:
+        half = pd.Lattice(low, high, spacing)
+        part = half.chunk(0, 1)
+        place, area, owner, _ = half.surface().arrays
+        # The halves meet at x = 1, which is no surface.
+        free = ~((np.abs(place[:, 0] - 1.0) < 1e-9) & (inward * area[:, 0] > 0.0))
+        places.append(place[free])
+        areas.append(area[free])
+        owners.append(owner[free] + sum(map(len, x)))
+        x.append(part.x + shake * spacing * np.random.default_rng(seed).uniform(-1.0, 1.0, part.x.shape))
+        volume.append(part.volume)
+    facets = pd.Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(owners))
+    return pd.Arrays(np.concatenate(x), np.concatenate(volume), facets=facets)
+
+
 def case(
     dim=2, n=10, horizon=2.015, traction=100.0, G=0.5, scheme="correspondence", distribution="consistent", steps=1,
-    shake=0.0, weights="standard", seed=0,
+    shake=0.0, weights="standard", seed=0, fine=1,
 ):  # fmt: skip
     if dim not in (1, 2, 3):
         raise pd.CaseError(f"dim is 1, 2 or 3, not {dim}.")
@@ -49,6 +72,9 @@ def case(
     particles = shaken(lattice, shake, seed) if shake else lattice
     corner = np.full(dim, 0.5 * dx)
     far = [corner + np.eye(dim)[d] * (size[d] - dx) for d in range(dim)]
+    if fine != 1:
+        particles = refined(dim, dx, fine, shake, seed)
+        far[0] = np.array([2.0] + [0.0] * (dim - 1)) + 0.5 * dx / fine * np.array([-1.0] + [1.0] * (dim - 1))
     F = exact_gradient(dim, traction)
 
     def along(axis):
@@ -63,7 +89,7 @@ def case(
         held.append(pd.Displacement(region.Nearest(far[1]), z=exact["z"]))
     return pd.Case(
         particles=particles,
-        horizon=horizon * dx,
+        horizon=horizon * dx if fine == 1 else pd.Horizon(horizon),
         material=pd.Hencky(E=E, nu=NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
         weights=pd.choose("weights", weights, pd.WEIGHTS),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.discrete import lattice
+from pdpetsc.discrete import lattice, memory
 from pdpetsc.discrete.components import find_pieces
 from pdpetsc.running import build, prepare
 from tests.commands import python_on
@@ -232,6 +232,15 @@ def test_particles_in_any_order_repeat(rng):
         force[where[gid]] = problem.internal_force(problem.state(u[where][gid]))
         forces.append(force)
     assert np.abs(forces[0] - forces[1]).max() < ALIKE * np.abs(forces[0]).max()
+
+
+def test_memory_is_predicted_without_the_bonds_that_are_not_listed(monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: 200.0 * 2**20)
+    cube = block(3, particles=pd.Lattice([0.0] * 3, [40.0] * 3, 1.0), horizon=3.015)
+    build.make_cloud(world(), cube)
+    for change in ({"control": pd.Springs(0.5)}, {"horizon": 20.0}):
+        with pytest.raises(pd.CaseError, match="takes at least"):
+            build.make_cloud(world(), replace(cube, **change))
 
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])

@@ -104,20 +104,11 @@ def cells_of(rows: Rows) -> GlobalIndex:
 def find_grid(cloud: Cloud) -> Grid | None:
     """Return the lattice that the local particles are on; None where they are on none (not collective)."""
     x, dim = cloud.x, cloud.dim
-    if not len(x):
+    found = positions_on_lattice(x, cloud.horizon)
+    if found is None:
         return None
+    spacing, index = found
     reach = cloud.horizon * (1.0 + HORIZON_TOLERANCE)
-    spacing, index = np.empty(dim), np.empty((len(x), dim), dtype=np.int64)
-    for axis in range(dim):
-        values = np.unique(x[:, axis])
-        apart = np.diff(values)
-        apart = apart[apart > SAME_LAYER * cloud.horizon]
-        spacing[axis] = apart.min() if len(apart) else 2.0 * reach
-        position = (x[:, axis] - values[0]) / spacing[axis]
-        nearest = np.rint(position)
-        if np.abs(position - nearest).max() > ON_LATTICE:
-            return None
-        index[:, axis] = nearest
     wide = np.floor(reach / spacing).astype(np.int64)
     extent = index.max(axis=0) + 1 + 2 * wide
     if np.prod(extent.astype(float)) > MOST_CELLS * len(x) + np.prod(2.0 * wide + 2.0):
@@ -135,6 +126,28 @@ def find_grid(cloud: Cloud) -> Grid | None:
     length = np.linalg.norm(around * spacing, axis=1)
     around = around[(length > 0.0) & (length <= reach)]
     return Grid(spacing, at, cell, around @ axis_steps, axis_steps)
+
+
+def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] | None:
+    """Return the spacing (dim,) of the lattice that points (n, dim) are on, and their places on it; None without one.
+
+    Not collective.
+    """
+    if not len(x):
+        return None
+    spacing, index = np.empty(x.shape[1]), np.empty(x.shape, dtype=np.int64)
+    for axis in range(x.shape[1]):
+        values = np.unique(x[:, axis])
+        apart = np.diff(values)
+        apart = apart[apart > SAME_LAYER * horizon]
+        # A single layer has no member of a family beside it.
+        spacing[axis] = apart.min() if len(apart) else 3.0 * horizon
+        position = (x[:, axis] - values[0]) / spacing[axis]
+        nearest = np.rint(position)
+        if np.abs(position - nearest).max() > ON_LATTICE:
+            return None
+        index[:, axis] = nearest
+    return spacing, index
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, total
 from pdpetsc.discrete.families import Families, find_families
-from pdpetsc.discrete.lattice import Repeats
+from pdpetsc.discrete.lattice import Repeats, positions_on_lattice
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import surface_of
@@ -53,6 +53,8 @@ from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
 # Bonds are not listed where at least this share of the particles share one family.
 LEAST_REPEATED = 0.3
+# Least memory of a particle that shares its family: gradient, stress and moduli [bytes].
+PER_REPEATED = 800.0
 # Sides of a lattice of unit spacing with families that repeat at a horizon of two spacings.
 ENOUGH_TO_REPEAT = [30.0, 7.0, 7.0]
 # Positions and horizons beyond these overflow where they are raised to powers.
@@ -84,7 +86,25 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Floa
     each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
     widest = largest(comm, float(np.max(reach, initial=0.0)))
     what = f"A horizon of {widest:g} gives {count} particles about {family:.4g} neighbours each, which"
-    refuse_beyond_memory(comm, bonds * each / comm.size, what)
+    listed = _listed_share(comm, case, x, reach)
+    refuse_beyond_memory(comm, (listed * bonds * each + (1.0 - listed) * count * PER_REPEATED) / comm.size, what)
+
+
+def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> float:
+    """Return about the share of particles that do not share a family: 1 where none does (collective).
+
+    On a lattice these are the ones within a horizon of the ends of its longest axis.
+    """
+    least = repeated_share(case)
+    on_lattice = least is not None and np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
+    ends = np.array(
+        comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf), not on_lattice)), object
+    )
+    if least is None or ends[:, 2].any():
+        return 1.0
+    longest = float((np.max(list(ends[:, 1]), axis=0) - np.min(list(ends[:, 0]), axis=0)).max())
+    listed = min(1.0, 2.0 * float(reach) / longest) if longest > 0.0 else 1.0
+    return listed if 1.0 - listed >= least else 1.0
 
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:

@@ -10,7 +10,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.discrete import lattice, memory
 from pdpetsc.discrete.components import find_pieces
-from pdpetsc.running import build, prepare
+from pdpetsc.running import build
 from tests.commands import python_on
 from tests.scenes import study, world
 
@@ -59,12 +59,12 @@ def share_small_families(put):
 def both(case):
     """Return the problems of a case with families that repeat and with all bonds listed (collective)."""
     shared = pd.prepare(case, comm=world()).problem
-    keep = prepare.repeated_share
-    prepare.repeated_share = lambda case: None
+    keep = build.repeated_share
+    build.repeated_share = lambda case: None
     try:
         return shared, pd.prepare(case, comm=world()).problem
     finally:
-        prepare.repeated_share = keep
+        build.repeated_share = keep
 
 
 def rough(cloud, size=0.01):

@@ -107,6 +107,11 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
     return listed if 1.0 - listed >= least else 1.0
 
 
+def make_families(case: Case, cloud: Cloud) -> Families:
+    """Return the families of a case; bonds are not listed where enough of them repeat (collective)."""
+    return find_families(cloud, case.cracks, repeated_share(case))
+
+
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
     """Return the problem of a case on a distributed cloud, set up with PETSc options of its run (collective)."""
     if int(total(cloud.comm, families.n_bonds)) == 0:

@@ -14,13 +14,12 @@ from pdpetsc.case import Case, check_declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, agreed, communicator
 from pdpetsc.discrete.components import refuse_rigid_motion
-from pdpetsc.discrete.families import find_families
 from pdpetsc.petsc.defaults import default_options
 from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
-from pdpetsc.running.build import make_cloud, make_problem, rehearse, repeated_share
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.result import gathered
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start
@@ -190,7 +189,7 @@ def prepare(
     with phases.timed("kernels"):
         rehearse(ranks, case, cloud.dim)
     with phases.timed("families"):
-        families = find_families(cloud, case.cracks, repeated_share(case))
+        families = make_families(case, cloud)
     with phases.timed("model"):
         problem = make_problem(case, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)

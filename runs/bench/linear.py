@@ -24,13 +24,12 @@ from petsc4py import PETSc  # noqa: E402
 
 from pdpetsc.declare.solvers import Newton  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
-from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.petsc.defaults import default_options  # noqa: E402
 from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
 from pdpetsc.petsc.library import linear_solver  # noqa: E402
 from pdpetsc.petsc.options import Options  # noqa: E402
 from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_problem, rehearse  # noqa: E402
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse  # noqa: E402
 
 RTOL = 1e-8
 APPLIED = 5
@@ -65,7 +64,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     cloud = make_cloud(comm, scene)
     rehearse(comm, scene, cloud.dim)
     with clock("search"):
-        families = find_families(cloud)
+        families = make_families(scene, cloud)
     with clock("model"):
         problem = make_problem(scene, cloud, families)
         if broken:
@@ -103,7 +102,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
         memory = float(total(comm, float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)))
         found = {
             "particles": cloud.n_global,
-            "bonds": int(total(comm, len(families.neighbours))),
+            "bonds": int(total(comm, families.n_bonds)),
             "ranks": comm.size,
             "solver": linear_solver(ksp),
             "linear_iterations": ksp.getIterationNumber(),

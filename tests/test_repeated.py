@@ -101,7 +101,11 @@ def furthest(case):
         product = tangent(u * u + u).copy()
         every = [energies["strain"], energies["control"]]
         blocks = tangent.point_blocks()
-        found.append((np.array(every), force, one_by_one, field, product, tangent.stiffness(), blocks))
+        rest = problem.linearised(problem.state(np.zeros_like(u)))
+        at_rest = np.concatenate(
+            [rest(u).ravel(), rest.stiffness().ravel(), rest.strength(), rest.point_blocks().ravel()]
+        )
+        found.append((np.array(every), force, one_by_one, field, product, tangent.stiffness(), blocks, at_rest))
     furthest = [np.abs(a - b).max() / np.abs(b).max() for a, b in zip(*found, strict=True)]
     assert problem.admissible(problem.state(u))
     return max(furthest), repeats

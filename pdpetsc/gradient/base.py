@@ -109,9 +109,9 @@ class GradientOperator:
         """Return whether ``divergence`` can add the forces of a control with those of stresses."""
         return isinstance(same, BondGradient)
 
-    def product(self, A: Float, h: Float | None = None) -> Product:
+    def product(self, A: Moduli, h: Float | None = None) -> Product:
         """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces where they are not g."""
-        return ListedProduct(self, A, h)
+        return ListedProduct(self, A.listed, h)
 
     def sum_over_points(self, values: Float) -> Float:
         """Return the sum over the points of each particle, (n_owned, ...)."""
@@ -125,6 +125,31 @@ class GradientOperator:
         flat = values.reshape(len(values), -1)
         sums = np.array([np.bincount(self.owner, column, n_owned) for column in flat.T]).T
         return np.asarray((sums / np.maximum(count, 1)[:, None]).reshape(n_owned, *values.shape[1:]))
+
+
+@dataclass(frozen=True)
+class Moduli:
+    """Moduli ``A_p = dP/dF`` of gradient points, kept once for points that have the same.
+
+    Attributes
+    ----------
+    values : (n_sets, dim, dim, dim, dim) float64
+        Different moduli [stress].
+    of : (n_points,) int32 or None
+        Which of them each point has; each its own where None.
+    """
+
+    values: Float
+    of: LocalIndex | None = None
+
+    def at(self, points: GlobalIndex) -> Float:
+        """Return the moduli of some points (n, dim, dim, dim, dim) [stress]."""
+        return self.values[points if self.of is None else self.of[points]]
+
+    @cached_property
+    def listed(self) -> Float:
+        """Return the moduli of all points (n_points, dim, dim, dim, dim) [stress]."""
+        return self.values if self.of is None else self.values[self.of]
 
 
 class SameGradient:

@@ -14,11 +14,12 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.lattice import Part, Repeats
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Product, SameGradient
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, Product, SameGradient
 from pdpetsc.kernels.repeated import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
 # Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
 OPPOSITE = 1e-12
+NO_SETS = np.empty(0, dtype=np.int32)
 NO_STRESS, NO_CONTROL = np.empty((0, 0)), (np.empty(0), np.empty(0), np.empty((0, 0, 0)))
 
 
@@ -132,7 +133,7 @@ class RepeatedOperator(GradientOperator):
         return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.repeats.shared)))])
 
     @cached_property
-    def _alone(self) -> GlobalIndex:
+    def alone(self) -> GlobalIndex:
         """Return the points of particles whose families do not repeat."""
         return np.flatnonzero(~self.repeats.shared[self.owner])
 
@@ -160,22 +161,21 @@ class RepeatedOperator(GradientOperator):
         """Return the volumes of the points of each pattern (n_lists,) [volume]."""
         return self.edge.volume[self.edge.points_of[self.repeats.edge.n] :]
 
-    def row_points(self, stress: Float) -> RowPoints:
-        """Return what gives the stress for P (n_points, dim, dim) or moduli (n_points, dim, dim, dim, dim)."""
-        size = stress.shape[1] * stress.shape[2]
-        return RowPoints(self.points_of, self.point_volumes, stress.reshape(len(stress), *[size] * (stress.ndim // 2)))
+    def row_points(self, P: Float) -> RowPoints:
+        """Return what gives stresses P (n_points, dim, dim)."""
+        return RowPoints(self.points_of, self.point_volumes, P.reshape(len(P), -1), NO_SETS)
 
     def of_edge(self, values: Float) -> Float:
         """Return values of points (n_points, ...) as ``edge`` takes them: zero for those that stand for a pattern."""
         found = np.zeros((self.edge.n_points, *values.shape[1:]))
-        found[: len(self._alone)] = values[self._alone]
+        found[: len(self.alone)] = values[self.alone]
         return found
 
     def _from_edge(self, values: Float) -> Float:
         """Return values at all points (n_points, ...) from those at the points of ``edge``."""
         own, repeats, points = self.repeats.edge, self.repeats, self.edge.points_of
         found = np.empty((self.n_points, *values.shape[1:]))
-        found[self._alone] = values[: points[own.n]]
+        found[self.alone] = values[: points[own.n]]
         first = repeats.of_shared(points[own.n : -1])
         size = repeats.of_shared(np.diff(points)[own.n :])
         together = np.flatnonzero(repeats.shared[self.owner])
@@ -187,7 +187,7 @@ class RepeatedOperator(GradientOperator):
         repeats, dim = self.repeats, u.shape[1]
         part = repeats.whole
         H = np.empty((self.n_points, dim, dim))
-        H[self._alone] = self.edge.gradient(u[repeats.edge.local])[: len(self._alone)]
+        H[self.alone] = self.edge.gradient(u[repeats.edge.local])[: len(self.alone)]
         rows = part.rows.starts, part.rows.lengths, part.pattern
         data = repeats.grid.at, self.points_of, *self.weights.arrays, repeats.grid.onto(u)
         rows_gradient_kernel(dim)(*rows, *data, H)
@@ -209,7 +209,7 @@ class RepeatedOperator(GradientOperator):
         """Return whether a control repeats as the weights do."""
         return isinstance(same, RepeatedGradient)
 
-    def product(self, A: Float, h: Float | None = None) -> Product:
+    def product(self, A: Moduli, h: Float | None = None) -> Product:
         """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
         return RepeatedProduct(self, A) if h is None else self.listed.product(A, h)
 
@@ -223,9 +223,9 @@ class RepeatedOperator(GradientOperator):
         members = np.empty(int(ptr[-1]), dtype=np.int32)
         g = np.empty((int(ptr[-1]), repeats.cloud.dim))
         of_alone = np.zeros(self.n_points, dtype=bool)
-        of_alone[self._alone] = True
+        of_alone[self.alone] = True
         entries = np.repeat(of_alone, sizes)
-        last = int(edge.point_ptr[len(self._alone)])
+        last = int(edge.point_ptr[len(self.alone)])
         members[entries], g[entries] = own.local[edge.members[:last]], edge.g[:last]
         for pattern, lists in enumerate(self._members):
             centres = np.flatnonzero(repeats.pattern_of == pattern)
@@ -263,13 +263,16 @@ class RowPoints:
         The first point of each own particle.
     volume : (n_lists,) float64
         Volumes of the points of each pattern [volume].
-    stress : (n_points, dim dim) or (n_points, dim dim, dim dim) float64
+    stress : (n_points, dim dim) or (n_sets, dim dim, dim dim) float64
         Stress, or moduli that give it from the gradient of the displacement [stress].
+    of : (n_points,) int32
+        Which moduli each point has; none where each has its own.
     """
 
     first: GlobalIndex
     volume: Float
     stress: Float
+    of: LocalIndex
 
 
 class RepeatedGradient(SameGradient):
@@ -298,13 +301,19 @@ class RepeatedProduct(Product):
     ----------
     operator : RepeatedOperator
         The gradient.
-    A : (n_points, dim, dim, dim, dim) float64
-        Moduli [stress].
+    A : Moduli
+        Moduli of the points.
     """
 
-    def __init__(self, operator: RepeatedOperator, A: Float) -> None:
-        self._operator, self._A = operator, A
-        self._alone = operator.edge.product(operator.of_edge(A))
+    def __init__(self, operator: RepeatedOperator, A: Moduli) -> None:
+        self._operator, dim = operator, operator.repeats.cloud.dim
+        self._points = RowPoints(
+            operator.points_of, operator.point_volumes, A.values.reshape(-1, dim * dim, dim * dim),
+            NO_SETS if A.of is None else A.of,
+        )  # fmt: skip
+        of_edge = np.zeros((operator.edge.n_points, *A.values.shape[1:]))
+        of_edge[: len(operator.alone)] = A.at(operator.alone)
+        self._alone = operator.edge.product(Moduli(of_edge))
         self._same: RepeatedGradient | None = None
 
     def absorb(self, same: SameGradient | None) -> bool:
@@ -322,7 +331,7 @@ class RepeatedProduct(Product):
             forces = np.zeros((len(local), u.shape[1]))
             self._alone.add(part.alone, u[local], forces)
             f[local] += forces
-        add_row_forces(repeats, part, operator.weights, operator.row_points(self._A), self._same, u, f)
+        add_row_forces(repeats, part, operator.weights, self._points, self._same, u, f)
 
     def add_point_blocks(self, blocks: Float) -> None:
         """Add ``sum_p W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
@@ -331,9 +340,9 @@ class RepeatedProduct(Product):
         of_edge = np.zeros((len(repeats.edge.local), dim, dim))
         self._alone.add_point_blocks(of_edge)
         blocks[repeats.edge.local] += of_edge
-        on_cells, points = np.zeros((dim * dim, len(grid.at))), operator.row_points(self._A)
+        on_cells, points = np.zeros((dim * dim, len(grid.at))), self._points
         rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
-        data = weights.arrays[0], weights.g, weights.centre, points.volume, points.stress
+        data = weights.arrays[0], weights.g, weights.centre, points.volume, points.stress, points.of
         rows_blocks_kernel(dim)(*rows, points.first, *data, on_cells)
         add_from_cells(grid.cell, on_cells, blocks.reshape(-1, dim * dim))
 
@@ -357,10 +366,12 @@ def add_row_forces(
         return
     dim, grid, forces = u.shape[1], repeats.grid, repeats.forces_on_cells
     if points is None:
-        points = RowPoints(np.zeros(repeats.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS)
+        points = RowPoints(
+            np.zeros(repeats.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS, NO_SETS
+        )
     control = NO_CONTROL if same is None else (same.weight, same.scale, same.K)
     rows_force_kernel(dim, int(points.stress.ndim == 3), int(same is not None))(
         part.rows.starts, part.rows.lengths, part.pattern, grid.at, points.first, *weights.arrays, weights.centre,
-        points.volume, points.stress, *control, grid.onto(u), forces,
+        points.volume, points.stress, points.of, *control, grid.onto(u), forces,
     )  # fmt: skip
     add_from_cells(grid.cell, forces, f)

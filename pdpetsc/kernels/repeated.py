@@ -173,15 +173,16 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
     """Return the kernel that adds ``sum_p (W_p P_p - c H_p K) g_pk + c w_pk eta_pk`` to the cells of members k.
 
     The stress P is given at points (n_points, dim dim), zero where there are none, or is ``A_p H_p`` with moduli
-    (n_points, dim dim, dim dim) where ``moduli``; terms with c, K and w only where ``controlled``. Both are
-    compile-time constants. For every row of cells, one point after the other: gradient, stress, and its forces on the
-    members, while they are in cache. u and f are (dim, n_cells).
+    (n_sets, dim dim, dim dim) where ``moduli``; ``of`` (n_points,) tells which, each point has its own where it is
+    empty. Terms with c, K and w are added only where ``controlled``. Both are compile-time constants. For every row of
+    cells, one point after the other: gradient, stress, and its forces on the members, while they are in cache. u and f
+    are (dim, n_cells).
     """
     of_row = row_gradient_kernel(dim)
 
     @compiled
     def force(  # type: ignore[no-untyped-def]
-        starts, lengths, pattern, at, first_point, lists, gx, gy, gz, centre, volume, stress, weight, scale, K, u, f
+        starts, lengths, pattern, at, first_point, lists, gx, gy, gz, centre, volume, stress, of, weight, scale, K, u, f
     ):
         list_ptr, entry_ptr, plus, minus = lists
         longest = lengths.max() if lengths.size else 0
@@ -191,7 +192,7 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
         c = np.zeros(longest)
         own = np.empty(longest)
         force = np.empty(longest)
-        stressed = stress.size > 0
+        stressed, shared = stress.size > 0, of.size > 0
         for q in range(starts.size):
             s, n = starts[q], lengths[q]
             if controlled:
@@ -207,6 +208,8 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
                             H[dim * m + o, :n] = buffer[o, :n]
                 for i in range(n):
                     p = first_point[at[s + i]] + k - first_list
+                    if moduli and shared:
+                        p = of[p]
                     for a in range(dim * dim):
                         value = 0.0
                         if moduli:
@@ -518,7 +521,7 @@ def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
     n_pairs, first, second = len(pairs), tuple(m for m, _ in pairs), tuple(n for _, n in pairs)
 
     @compiled
-    def add(starts, lengths, pattern, at, first_point, lists, g, centre, volume, A, blocks):  # type: ignore[no-untyped-def]
+    def add(starts, lengths, pattern, at, first_point, lists, g, centre, volume, A, of, blocks):  # type: ignore[no-untyped-def]
         list_ptr, entry_ptr, plus, minus = lists
         longest = lengths.max() if lengths.size else 0
         WA = np.empty((n_pairs, size, longest))
@@ -529,6 +532,8 @@ def rows_blocks_kernel(dim: int) -> Callable[..., Any]:
             for k in range(list_ptr[pattern[q]], list_ptr[pattern[q] + 1]):
                 for i in range(n):
                     p = first_point[at[s + i]] + k - list_ptr[pattern[q]]
+                    if of.size > 0:
+                        p = of[p]
                     for r in range(n_pairs):
                         for a in range(dim):
                             for b in range(dim):

@@ -10,7 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, FlatFamilies
-from pdpetsc.gradient.base import GradientOperator, Scheme, add_divergence
+from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
 from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
@@ -265,7 +265,7 @@ class DamagedTangent(PointsTangent):
 
     def __init__(self, points: DamagedPoints, state: State) -> None:
         T = points.damage.integrity(state)
-        super().__init__(points, points.moduli(points.deformation(state)), points.scaled_weights(T))
+        super().__init__(points, Moduli(points.moduli(points.deformation(state))), points.scaled_weights(T))
         self._T = T
         self._falling = points.falling(state) if points.damage.bonds.softens else []
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.sparsity import sharing_stencil
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.sparsity import transpose
@@ -113,6 +113,16 @@ class MaterialPoints(Matter):
             at_points.tangent(F, A)
         return A
 
+    def moduli_sets(self, F: Float) -> Moduli:
+        """Return the moduli, kept once for each material where they are the same at all its points."""
+        found = [at_points.same_tangent(F) for at_points in self.materials if len(at_points.points)]
+        if not found or any(A is None for A in found):
+            return Moduli(self.moduli(F))
+        of = np.empty(len(F), dtype=np.int32)
+        for number, at_points in enumerate(one for one in self.materials if len(one.points)):
+            of[at_points.points] = number
+        return Moduli(np.array(found), of)
+
     def point_energy(self, F: Float) -> Float:
         """Return ``psi_p`` (n_points,) [energy / volume]."""
         psi = np.empty(len(F))
@@ -136,7 +146,7 @@ class MaterialPoints(Matter):
 
     def linearised(self, state: State) -> LinearisedTerm:
         """Return ``G^T W A G`` with the moduli A at a state."""
-        return PointsTangent(self, self.moduli(self.deformation(state)))
+        return PointsTangent(self, self.moduli_sets(self.deformation(state)))
 
     def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
         """Return the entries of the operator by particle (not collective)."""
@@ -257,16 +267,16 @@ class PointsTangent(LinearisedTerm):
     ----------
     points : MaterialPoints
         The term.
-    A : (n_points, dim, dim, dim, dim) float64
-        Moduli [stress].
+    A : Moduli
+        Moduli of the points.
     h : (n_entries, dim) float64, optional
         Weights with which points put forces on particles [1 / length]; those of the gradient where absent.
     """
 
-    def __init__(self, points: MaterialPoints, A: Float, h: Float | None = None) -> None:
+    def __init__(self, points: MaterialPoints, A: Moduli, h: Float | None = None) -> None:
         self.points = points
         self.operator = points.operator
-        self.A, self._h = A, h
+        self._A, self._h = A, h
         self._product = self.operator.product(A, h)
 
     def absorb(self, other: LinearisedTerm) -> bool:
@@ -285,7 +295,7 @@ class PointsTangent(LinearisedTerm):
             assemble_kernel(self.points.body.dim)(
                 rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
                 *self.points.by_particle(), operator.point_ptr, operator.members, h, operator.g, operator.volume,
-                self.A, own, entries.off,
+                self._A.listed, own, entries.off,
             )  # fmt: skip
 
     def add_point_blocks(self, blocks: Float) -> bool:
@@ -295,8 +305,16 @@ class PointsTangent(LinearisedTerm):
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle."""
-        return self.operator.sum_over_points(self.operator.volume[:, None, None, None, None] * self.A)
+        operator, A = self.operator, self._A
+        if A.of is None:
+            return operator.sum_over_points(operator.volume[:, None, None, None, None] * A.values)
+        # Points of one particle have the moduli of its material.
+        W = operator.sum_over_points(operator.volume)
+        return np.asarray(W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]])
 
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` without forming it."""
-        return self.operator.sum_over_points(self.operator.volume * np.einsum("pikik->p", self.A))
+        of_set = np.einsum("pikik->p", self._A.values)
+        return self.operator.sum_over_points(
+            self.operator.volume * (of_set if self._A.of is None else of_set[self._A.of])
+        )

@@ -15,7 +15,7 @@ from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reac
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.discrete.lattice import Repeats, find_repeats
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.sparsity import families_from_pairs
+from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,9 @@ class Families:
 
     def with_any(self, marked: Mask) -> Mask:
         """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
-        before = np.concatenate([[0], np.cumsum(marked[self.neighbours], dtype=np.int64)])
-        return np.asarray(np.diff(before[self.indptr]) > 0)
+        found = np.empty(len(self.indptr) - 1, dtype=bool)
+        families_with_any(self.indptr, self.neighbours, marked, found)
+        return found
 
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
         """Return both particles of bonds (n,) that connect what all bonds together do."""

@@ -15,6 +15,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.kernels.repeated import cells_with_any, families_of_cells, family_keys, onto_cells
+from pdpetsc.kernels.sparsity import families_with_any
 
 Number = TypeVar("Number", bound=np.generic)
 
@@ -238,8 +239,9 @@ class Repeats:
         """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
         found = np.zeros(self.cloud.n_owned, dtype=bool)
         edge = self.edge
-        hits = np.concatenate([[0], np.cumsum(marked[edge.local[edge.neighbours]], dtype=np.int64)])
-        found[edge.local[: edge.n]] = np.diff(hits[edge.indptr])[: edge.n] > 0
+        of_edge = np.empty(edge.cloud.n_owned, dtype=bool)
+        families_with_any(edge.indptr, edge.neighbours, marked[edge.local], of_edge)
+        found[edge.local[: edge.n]] = of_edge[: edge.n]
         for number, steps in enumerate(self.steps):
             own = np.flatnonzero(self.pattern_of == number)
             hit = np.empty(len(own), dtype=bool)

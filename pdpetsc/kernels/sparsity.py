@@ -151,12 +151,12 @@ def sum_by(index: Any, values: Any, n: int) -> Any:
 
 
 @compiled
-def families_with_ghosts(indptr, neighbours, n_owned, found):  # type: ignore[no-untyped-def]
-    """Write which families hold a particle of another rank or an image."""
+def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-untyped-def]
+    """Write which families hold a marked particle."""
     for i in range(indptr.size - 1):
         found[i] = False
         for b in range(indptr[i], indptr[i + 1]):
-            if neighbours[b] >= n_owned:
+            if marked[neighbours[b]]:
                 found[i] = True
 
 

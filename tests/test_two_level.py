@@ -192,7 +192,7 @@ def test_a_line_of_bonds_in_the_plane_is_solved(tmp_path):
 def test_bodies_apart_are_solved_together(tmp_path):
     """Two in neighbouring cells of the grid, too far apart for bonds, pulled in opposite directions."""
     one = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), indexing="ij"), axis=-1).reshape(-1, 2)
-    x = np.concatenate([one, one + [0.0, 23.5]])
+    x = np.concatenate([one, one + np.array([0.0, 23.5])])
     below, above = pd.region.Slab("y", high=20.0), pd.region.Slab("y", low=20.0)
     left, right = pd.region.Slab("x", high=0.5), pd.region.Slab("x", low=18.5)
     conditions = [

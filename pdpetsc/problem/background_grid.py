@@ -34,7 +34,7 @@ from pdpetsc.problem.state import State
 LEAST_WIDTH = 2.0
 # A body thinner than this share of a cell lies in the middle of one this wide.
 THINNEST = 0.5
-# A particle without moduli, whose family is too flat for a gradient, is held by the gradients of others: moduli count as
+# A particle without moduli, whose family is too flat for a gradient, is held by gradients of others: moduli count as
 # this share at least of those of a particle with such a diagonal block.
 WEAK = 0.1
 # What every element resists besides, as a share of its modulus: rotations, and modes that no bond resists. Springs of
@@ -398,7 +398,7 @@ class BackgroundGrid(Filler):
         sums = total(self._cloud.comm, [float(modulus.sum()), float(size.sum())])
         usual = size * float(sums[0] / sums[1]) if sums[1] > 0.0 else size
         lacking = np.maximum(WEAK * usual - modulus, 0.0)
-        return np.bincount(self._element, lacking, len(self._corners))
+        return np.asarray(np.bincount(self._element, lacking, len(self._corners)), dtype=float)
 
     def _ties(self, blocks: Float | None, diagonal: Float, scale: float) -> tuple[GlobalIndex, Float]:
         """Return the particles that something holds besides the elements, by element, and the block of each."""

@@ -34,8 +34,8 @@ from pdpetsc.problem.state import State
 LEAST_WIDTH = 2.0
 # A body thinner than this share of a cell lies in the middle of one this wide.
 THINNEST = 0.5
-# A particle without moduli, whose family is too flat for a gradient, is held by the gradients of others: moduli count
-# as this share at least of those of a particle with such a diagonal block.
+# A particle without moduli, whose family is too flat for a gradient, is held by gradients of others: moduli count as
+# this share at least of those of a particle with such a diagonal block.
 WEAK = 0.1
 # What every element resists besides, as a share of its modulus: rotations, and modes that no bond resists. Springs of
 # loose pieces are stiffer.

@@ -64,7 +64,8 @@ class Prepared:
     @cached_property
     def choice(self) -> Choice:
         """Return how the tangent is represented."""
-        return choose(self.problem, self._chosen.chosen, self.case.solver)
+        pivots = self.case.steps.unstable != "warn"
+        return choose(self.problem, self._chosen.chosen, self.case.solver, pivots)
 
     @cached_property
     def options(self) -> Options:

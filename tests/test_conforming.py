@@ -396,6 +396,63 @@ def test_a_surface_that_is_not_that_of_the_particles_is_refused(wrong, tmp_path)
         pd.prepare(uniform(particles, 0.26, [pd.region.All(), pd.region.All()]))
 
 
+def test_facets_of_other_particles_are_refused():
+    """Closed, and around the right volume, but each with the number of another particle."""
+    plate = shaken_plate()
+    x, area, particle, _ = plate.facets.arrays
+    particles = pd.Arrays(plate.x, plate.volume, facets=pd.Facets(x, area, np.roll(particle, 7)))
+    with pytest.raises(pd.CaseError, match="more than one horizon away"):
+        pd.prepare(uniform(particles, 0.26, [pd.region.All(), pd.region.All()]))
+
+
+def meeting(points, triangles, other_points, other_triangles):
+    """Return one mesh of two without common nodes."""
+    nodes = np.concatenate([triangles, other_triangles + len(points)])
+    return np.concatenate([points, other_points]), nodes
+
+
+def test_parts_of_a_mesh_without_common_nodes_are_refused(tmp_path):
+    """Bonds join them, and each has a surface where they touch: with equal nodes there, and with others."""
+    points, triangles, _ = square_mesh(4)
+    for n in (4, 5):
+        others, more, _ = square_mesh(n, seed=1)
+        both = meeting(points, triangles, others + [2.0, 0.0], more)
+        meshio.Mesh(both[0], [("triangle", both[1])]).write(tmp_path / "two.xdmf")
+        ends = [pd.region.Slab("x", high=1e-9), pd.region.Slab("x", low=4.0 - 1e-9)]
+        with pytest.raises(pd.CaseError, match="join the nodes of cells that touch there"):
+            pd.prepare(uniform(pd.Mesh(tmp_path / "two.xdmf"), 0.55, ends))
+
+
+@pytest.mark.parametrize("thickness", [1.0, 1e-3])
+def test_a_mirror_plane_or_a_cell_a_little_off_is_refused(thickness, tmp_path):
+    """Bonds go across, and the facets beside would be a surface that nobody sees."""
+    lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125, thickness=thickness)
+    ends = [pd.region.Named("-x"), pd.region.Named("+x")]
+    for at in (-1e-5, -0.02):
+        with pytest.raises(pd.CaseError, match="on a mirror plane match it"):
+            pd.prepare(uniform(lattice, 0.26, ends, symmetry=[pd.Symmetry("y", at)]))
+    for high in (1.0 + 1e-7, 1.02):
+        with pytest.raises(pd.CaseError, match="opposite sides of a periodic cell"):
+            pd.prepare(uniform(lattice, 0.26, ends, cell=pd.Cell((0.0, 0.0), (2.0, high), axes="y")))
+
+
+def test_a_crack_along_the_side_of_a_cell_is_a_surface():
+    lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
+    cell = pd.Cell((0.0, 0.0), (2.0, 1.0), axes="xy")
+    cloud, families, surface = pieces(lattice, 0.26, cell=cell, cracks=[pd.Segment((0.5, 0.0), (1.0, 0.0))])
+    assert len(surface.x) == 2 * 4
+    np.testing.assert_allclose(np.abs(surface.area).sum(axis=0), [0.0, 2 * 0.5])
+
+
+def test_weights_that_would_be_others_are_refused_and_large_changes_said():
+    """Sub-horizons of the nearest particles of an irregular cloud have hardly a number that is free."""
+    plate = shaken_plate(seed=0)
+    with pytest.raises(pd.CaseError, match="times what they are, most of all by .* widen the horizon"):
+        weights_of(plate, 1.515 / 8, pd.SubHorizons())
+    assert "leave little to choose" in weights_of(plate, 1.515 / 8, pd.BondAssociated())[3].note
+    assert "leave little to choose" not in weights_of(plate, 1.6 / 8, pd.SubHorizons())[3].note
+
+
 def test_particles_without_a_surface_are_refused():
     plate = shaken_plate()
     with pytest.raises(pd.CaseError, match="have no known surface"):

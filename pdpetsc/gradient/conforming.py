@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
@@ -26,6 +26,16 @@ TOLERANCE = 1e-10
 NEAR = 1.6
 # Times that the system is solved, for what is left of the right-hand side.
 ROUNDS = 4
+# Weights whose change is this many times as large as they were, in the norm over the body, are no longer those of the
+# scheme: of 300 clouds those above it, 1.2 to 1.9, had errors up to thirty times those of a slightly wider horizon;
+# those below, up to 0.93, had none that stood out.
+REFUSED = 1.0
+# A point whose weights change by more times what they were is named; other clouds, shaken and of triangles, have 3.8.
+NOTED = 4.0
+# As are more iterations than this: where families leave little to choose they grow with the number of particles.
+MANY = 1000
+# Linear fields stay exact up to this.
+EXACT = 1e-8
 
 
 class ConformingSystem:
@@ -185,7 +195,7 @@ def conforming(
     Raises
     ------
     CaseError
-        No such weights exist for these families, on every rank.
+        No such weights exist for these families, or they are further from those of the scheme than zero, on every rank.
 
     Notes
     -----
@@ -224,20 +234,50 @@ def conforming(
         rest = system.excess(changed, s)
         found = largest(cloud.comm, float(np.abs(rest).max(initial=0.0)))
         iterations += more
-        if not found < after:
+        if not found < 0.5 * after:
             break
         g, left, after = changed, rest, found
         if after <= TOLERANCE * scale:
             break
     if not after <= TOLERANCE * scale:
-        found = np.abs(left).max(axis=1, initial=0.0)
-        here = (float(found.max()), cloud.x[int(np.argmax(found))].tolist()) if len(found) else (0.0, [])
-        after, worst = max(cloud.comm.allgather(here))
+        after, worst = _worst(cloud, np.abs(left).max(axis=1, initial=0.0), cloud.x)
         raise CaseError(
             f"No conforming weights were found: the divergence theorem is off by {after / scale:.1e} of the weights of "
             f"a particle at {worst} after {iterations} iterations; its family is too "
             f"small to be changed, so widen the horizon, or its facets are not those of its cell."
         )
-    change, size = (largest(cloud.comm, float(np.abs(w).max(initial=0.0))) for w in (g - operator.g, operator.g))
-    note = f"conforming weights, {iterations} iterations, changed by at most {change / size:.2g} of the largest"
+    note = _judged(cloud, operator, g, iterations)
     return replace(operator, g=g, note="; ".join(filter(None, [operator.note, note])))
+
+
+def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int) -> str:
+    """Return what is said of changed weights ``g``; raise on all ranks where they are no good (collective)."""
+    first = operator.point_ptr[:-1]
+    changed, before = (np.add.reduceat((w**2).sum(axis=1), first) for w in (g - operator.g, operator.g))
+    sums = total(cloud.comm, np.array([changed.sum(), before.sum()]))
+    whole = float(np.sqrt(sums[0] / sums[1]))
+    change, worst = _worst(cloud, np.sqrt(changed / before), cloud.x[operator.owner])
+    if whole > REFUSED:
+        raise CaseError(
+            f"Conforming weights would change by {whole:.2g} times what they are, most of all by {change:.2g} times at "
+            f"{worst}: families leave too little to choose; widen the horizon."
+        )
+    # Seen from the middle of the rank, so that bodies far from the origin have no more round-off.
+    linear = replace(operator, g=g).gradient(cloud.x - cloud.x[: cloud.n_owned].mean(axis=0))
+    off = np.abs(linear - np.eye(cloud.dim)).max(axis=(1, 2), initial=0.0)
+    inexact, where = _worst(cloud, off, cloud.x[operator.owner])
+    if not inexact <= EXACT:
+        raise CaseError(
+            f"No conforming weights were found: linear fields are off by {inexact:.1e} at {where}, whose family is "
+            f"nearly flat; widen the horizon."
+        )
+    note = f"conforming weights, {iterations} iterations, changed by {whole:.2g}, at a point by at most {change:.2g}"
+    if change > NOTED or iterations > MANY:
+        note += f", at {worst}: families leave little to choose, which a wider horizon mends"
+    return note
+
+
+def _worst(cloud: Cloud, values: Float, x: Float) -> tuple[float, list[float]]:
+    """Return the largest of values (n,) of all ranks, and where it is (collective)."""
+    here = (float(values.max()), x[int(np.argmax(values))].tolist()) if len(values) else (0.0, [])
+    return max(cloud.comm.allgather(here))

@@ -27,7 +27,8 @@ MULTIGRID = {
 FACTOR = {"weights_pc_type": "cholesky", "weights_pc_factor_mat_solver_type": "mumps"}
 # Largest number of particles for which the near matrix is factored, by dimension.
 DIRECT = {1: 10**7, 2: 250_000, 3: 6_000}
-MOST = 5000
+# Iterations at most; a system that takes more has hardly anything to solve for.
+MOST = 2000
 
 
 class ScalarSystem(Protocol):

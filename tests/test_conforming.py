@@ -416,7 +416,7 @@ def test_parts_of_a_mesh_without_common_nodes_are_refused(tmp_path):
     points, triangles, _ = square_mesh(4)
     for n in (4, 5):
         others, more, _ = square_mesh(n, seed=1)
-        both = meeting(points, triangles, others + [2.0, 0.0], more)
+        both = meeting(points, triangles, others + np.array([2.0, 0.0]), more)
         meshio.Mesh(both[0], [("triangle", both[1])]).write(tmp_path / "two.xdmf")
         ends = [pd.region.Slab("x", high=1e-9), pd.region.Slab("x", low=4.0 - 1e-9)]
         with pytest.raises(pd.CaseError, match="join the nodes of cells that touch there"):
@@ -439,7 +439,7 @@ def test_a_mirror_plane_or_a_cell_a_little_off_is_refused(thickness, tmp_path):
 def test_a_crack_along_the_side_of_a_cell_is_a_surface():
     lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
     cell = pd.Cell((0.0, 0.0), (2.0, 1.0), axes="xy")
-    cloud, families, surface = pieces(lattice, 0.26, cell=cell, cracks=[pd.Segment((0.5, 0.0), (1.0, 0.0))])
+    _, _, surface = pieces(lattice, 0.26, cell=cell, cracks=[pd.Segment((0.5, 0.0), (1.0, 0.0))])
     assert len(surface.x) == 2 * 4
     np.testing.assert_allclose(np.abs(surface.area).sum(axis=0), [0.0, 2 * 0.5])
 

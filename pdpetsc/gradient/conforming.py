@@ -280,4 +280,5 @@ def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int)
 def _worst(cloud: Cloud, values: Float, x: Float) -> tuple[float, list[float]]:
     """Return the largest of values (n,) of all ranks, and where it is (collective)."""
     here = (float(values.max()), x[int(np.argmax(values))].tolist()) if len(values) else (0.0, [])
-    return max(cloud.comm.allgather(here))
+    value, where = max(cloud.comm.allgather(here))
+    return value, where

@@ -447,7 +447,7 @@ def test_a_crack_along_the_side_of_a_cell_is_a_surface():
 def test_weights_that_would_be_others_are_refused_and_large_changes_said():
     """Sub-horizons of the nearest particles of an irregular cloud have hardly a number that is free."""
     plate = shaken_plate(seed=0)
-    with pytest.raises(pd.CaseError, match="times what they are, most of all by .* widen the horizon"):
+    with pytest.raises(pd.CaseError, match=r"times what they are, most of all by .* widen the horizon"):
         weights_of(plate, 1.515 / 8, pd.SubHorizons())
     assert "leave little to choose" in weights_of(plate, 1.515 / 8, pd.BondAssociated())[3].note
     assert "leave little to choose" not in weights_of(plate, 1.6 / 8, pd.SubHorizons())[3].note

@@ -37,7 +37,7 @@ def griffith(a=8.0):
     return np.sqrt(E * GC / (np.pi * a)) / F
 
 
-def case(n=20, horizon=3.015, a=8.0, solver="events"):
+def case(n=20, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5):
     dx = WIDTH / n
     low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=LENGTH - dx)
     ends = pd.region.Slab("y", high=3.0 * horizon * dx) | pd.region.Slab("y", low=LENGTH - 3.0 * horizon * dx)
@@ -56,10 +56,18 @@ def case(n=20, horizon=3.015, a=8.0, solver="events"):
         }
 
     force = MOST * exact * WIDTH
+    model = {"material": pd.BondBased(E=E, plane="stress", calibration="family")}
+    if scheme:
+        model = {
+            "material": pd.LinearElastic(E=E, nu=1.0 / 3.0, plane="stress"),
+            "scheme": pd.choose("scheme", scheme, pd.SCHEMES),
+            "weights": pd.choose("weights", weights, pd.WEIGHTS),
+            "control": pd.Silling(G) if G else None,
+        }
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
         horizon=horizon * dx,
-        material=pd.BondBased(E=E, plane="stress", calibration="family"),
+        **model,
         cracks=[pd.Segment((-1.0, 0.5 * LENGTH), (a, 0.5 * LENGTH))],
         damage=pd.Brittle(pd.FractureEnergy(GC), protected=ends),
         conditions=[
@@ -68,7 +76,7 @@ def case(n=20, horizon=3.015, a=8.0, solver="events"):
             pd.Force(low, y=-force),
             pd.Force(high, y=force),
         ],
-        solver=pd.choose("solver", solver, pd.SOLVERS),
+        solver=pd.choose("solver", solver, {**pd.SOLVERS, "path": pd.PathFollowing(until=0.1)}),
         history={
             "opening": pd.Mean(pd.displacement, "y", high),
             "broken": pd.BrokenBonds(),

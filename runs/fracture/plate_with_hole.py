@@ -31,7 +31,7 @@ class Asymmetry(pd.Quantity):
 
 def case(
     nx=30, horizon=3.015, s_cr=0.002, s_min=0.0015, pull=0.3, G=0.5, scheme="correspondence", law="smooth", steps=30,
-    unit=0.0, effect="largest", continuous=True, grips=True,
+    unit=0.0, effect="largest", continuous=True, grips=True, weights="standard",
 ):  # fmt: skip
     dx = LENGTH / nx
     layer = horizon * dx
@@ -72,6 +72,7 @@ def case(
         horizon=layer,
         material=pd.Hencky(E=210e3, nu=0.33),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
         control=control,
         damage=damage,
         conditions=[pd.Displacement(left, x=-pull, y=0.0), pd.Displacement(right, x=pull, y=0.0)],

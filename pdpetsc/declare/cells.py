@@ -76,8 +76,9 @@ class MeshData:
         All cells, also those of boundaries; they are numbered through all blocks.
     cell_sets : mapping of str to (n,) int64
         Named sets of cells.
-    side_sets : mapping of str to (n,) int64
-        Named sets of facets, as the cells that they belong to.
+    side_sets : mapping of str to (n, 2) int64
+        Named sets of facets: the cell of each, and which of the ``FACETS`` of its kind it is; -1 for the cell itself,
+        such as a side of a shell, or where the file does not say.
     node_sets : mapping of str to (n,) int64
         Named sets of nodes.
     """
@@ -183,6 +184,8 @@ class CellFacets:
         Centroids.
     corners : (n_facets, 4) int64
         The corner nodes in turn, followed by -1 where there are fewer.
+    place : (n_facets,) int64
+        Which of the ``FACETS`` of its cell each is.
     """
 
     key: GlobalIndex
@@ -190,6 +193,7 @@ class CellFacets:
     area: Float
     centre: Float
     corners: GlobalIndex
+    place: GlobalIndex
 
     @property
     def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
@@ -215,7 +219,7 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
     blocks : list of Block
         Cells of dimension ``dim``.
     """
-    keys, cells, areas, centres, turns = [], [], [], [], []
+    keys, cells, areas, centres, turns, places = [], [], [], [], [], []
     before = 0
     for block in blocks:
         number = before + np.arange(len(block.nodes))
@@ -228,12 +232,14 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
             cells.append(number)
             areas.append(sign[:, None] * _vector_area(points[nodes], place))
             centres.append(_centroid(points[nodes]))
+            places.append(np.full(len(number), place))
     return CellFacets(
         np.concatenate(keys),
         np.concatenate(cells),
         np.concatenate(areas),
         np.concatenate(centres),
         np.concatenate(turns),
+        np.concatenate(places),
     )
 
 
@@ -248,11 +254,6 @@ def facet_keys(nodes: NDArray[np.int64]) -> GlobalIndex:
     return key
 
 
-def owners(wanted: GlobalIndex, surface: CellFacets) -> GlobalIndex:
-    """Return the cells that have one of the wanted facets, given by their keys (n, 4)."""
-    return np.asarray(np.unique(surface.cell[having(wanted, surface)]), dtype=np.int64)
-
-
 def having(wanted: GlobalIndex, surface: CellFacets) -> Mask:
     """Return which facets have one of the wanted keys (n, 4)."""
     both = np.concatenate([wanted, surface.key])
@@ -261,6 +262,17 @@ def having(wanted: GlobalIndex, surface: CellFacets) -> Mask:
     asked = np.zeros(number.max(initial=0) + 1, dtype=bool)
     asked[number[: len(wanted)]] = True
     return np.asarray(asked[number[len(wanted) :]])
+
+
+def on_sides(cell: GlobalIndex, place: GlobalIndex, surface: CellFacets) -> Mask:
+    """Return which facets are at these places of these cells (n,) each; none at a place -1."""
+    width = 1 + max(len(corners) for corners in FACETS.values())
+    return np.asarray(np.isin(surface.cell * width + surface.place, (cell * width + place)[place >= 0]))
+
+
+def with_corners_in(nodes: GlobalIndex, surface: CellFacets) -> Mask:
+    """Return which facets have all their corners among nodes (n,)."""
+    return np.asarray((np.isin(surface.corners, nodes) | (surface.corners < 0)).all(axis=1))
 
 
 def _centroid(x: Float) -> Float:

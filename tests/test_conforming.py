@@ -713,3 +713,121 @@ def test_fields_at_the_surface_of_a_half_are_those_of_the_whole(tmp_path):
     assert abs(one["xy"]) > 1e-3 * abs(one["xx"])
     for name, value in one.items():
         assert two[name] == pytest.approx(value, rel=1e-9), name
+
+
+HOLE = pd.region.Box((0.75, 0.25), (1.25, 0.75))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "cut"),
+    [(0.0, 2.0, None), ((0.0, -1.0), (2.0, 1.0), HOLE), ((1.0, 0.0, 0.0), (2.0, 1.0, 0.5), None)],
+)
+def test_corners_of_a_lattice_share_its_cells_and_faces(low, high, cut):
+    """As the cells themselves: volume, enclosed volume, area of each side; in one part and in three."""
+    given = {"spacing": 0.25, "thickness": 0.5, "cut": cut}
+    nodes, cells = pd.LatticeNodes(low, high, **given), pd.Lattice(low, high, **given)
+    whole, dim = nodes.chunk(0, 1), cells.dim
+    assert whole.volume.sum() == pytest.approx(cells.chunk(0, 1).volume.sum(), rel=1e-14)
+    assert len(whole.x) <= nodes.estimate() and whole.x.min(axis=0) == pytest.approx(np.atleast_1d(low))
+    x, area, particle, tags = nodes.surface(0, 1).arrays
+    np.testing.assert_allclose(x.T @ area, whole.volume.sum() * np.eye(dim), atol=1e-13)
+    # The share of a corner in a face lies within half a cell of it, on the face.
+    apart = np.abs(x - whole.x[particle])
+    assert np.isin(np.round(apart / 0.25, 9), [0.0, 0.25]).all()
+    _, other, _, sides = cells.surface(0, 1).arrays
+    for name, flags in tags.items():
+        np.testing.assert_allclose(area[flags].sum(axis=0), other[sides[name]].sum(axis=0), rtol=1e-13, atol=1e-15)
+    parts = [nodes.chunk(part, 3) for part in range(3)]
+    np.testing.assert_array_equal(np.concatenate([part.x for part in parts]), whole.x)
+    first = np.cumsum([0, *(len(part.x) for part in parts)])
+    pieces_of = [nodes.surface(part, 3).arrays for part in range(3)]
+    found = np.concatenate([first[k] + of[2] for k, of in enumerate(pieces_of)])
+    assert sorted(found) == sorted(particle)
+    along = nodes.faces(0, 1, np.eye(dim)[0])
+    assert along.sum() == pytest.approx(other[sides["+x"]].sum(axis=0)[0], rel=1e-13)
+
+
+def test_corners_have_no_cracks():
+    with pytest.raises(pd.CaseError, match="which corners do not have; take a Lattice"):
+        pieces(pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25), 0.51, cracks=[pd.Segment((0.6, 0.6), (0.9, 0.6))])
+
+
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons", "bond_associated"])
+def test_a_plane_that_corners_of_a_lattice_hold_carries_the_exact_stress(scheme, tmp_path):
+    E, nu, pull = 1000.0, 0.3, 1.0
+    H = np.diag([(1.0 - nu**2) * pull / E, -nu * (1.0 + nu) * pull / E])
+    held = pd.region.Slab("x", high=1e-9)
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125, cut=HOLE & pd.region.Slab("x", low=3.0)),
+        horizon=2.015 * 0.125,
+        material=pd.LinearElastic(E=E, nu=nu),
+        scheme=pd.SCHEMES[scheme],
+        weights=pd.Conforming(),
+        control=pd.Silling(0.5) if scheme == "correspondence" else None,
+        conditions=[
+            pd.Displacement(held, x=0.0),
+            pd.Displacement(pd.region.Nearest((0.0, 0.0)), y=0.0),
+            pd.Traction(pd.region.Named("+x"), x=pull),
+        ],
+        history={
+            "F": pd.LargestError(pd.deformation_gradient, lambda x, t: np.eye(2) + t * H),
+            "force": pd.Reaction("x", held),
+        },
+        results=lambda h: {"F": h["F"][-1], "force": h["force"][-1]},
+    )
+    found = pd.run(case, tmp_path)
+    assert found["F"] < 1e-11
+    assert found["force"] == pytest.approx(-pull, rel=1e-9)
+
+
+def cantilever(particles, spacing, scheme):
+    """Return the error in the L2 norm of a plate 2 x 1 that bends as the closed form has it, held at x = 0 alone.
+
+    Plane stress, shear ``-Q (D^2 / 4 - y^2) / 2 I`` at its end; the displacement of the side x = 0, which warps, is
+    given to the outermost particles there, on the side or half a cell inside (Timoshenko and Goodier, article 21;
+    Augarde and Deeks 2008, equations 5 and 6).
+    """
+    E, nu, L, D, Q = 1000.0, 0.3, 2.0, 1.0, 1.0
+    inertia = D**3 / 12.0
+
+    def exact(x, t):
+        a, b = x.T
+        u = b * ((6.0 * L - 3.0 * a) * a + (2.0 + nu) * (b**2 - 0.25 * D**2))
+        v = -(3.0 * nu * b**2 * (L - a) + (4.0 + 5.0 * nu) * 0.25 * D**2 * a + (3.0 * L - a) * a**2)
+        return t * Q / (6.0 * E * inertia) * np.stack([u, v], axis=1)
+
+    def of_side(axis):
+        return lambda x, t: exact(x * [0.0, 1.0], t)[:, axis]
+
+    held = pd.region.Slab("x", high=0.51 * spacing)
+    case = pd.Case(
+        particles=particles, horizon=2.015 * spacing, material=pd.LinearElastic(E=E, nu=nu, plane="stress"),
+        scheme=pd.SCHEMES[scheme], weights=pd.Conforming(),
+        control=pd.Silling(0.5) if scheme == "correspondence" else None,
+        conditions=[
+            pd.Displacement(held, x=of_side(0), y=of_side(1)),
+            pd.Traction(pd.region.Named("+x"), y=lambda x, t: -t * Q / (2.0 * inertia) * (0.25 * D**2 - x[:, 1] ** 2)),
+        ],
+    )  # fmt: skip
+    prepared = pd.prepare(case)
+    solver = prepared.make_solver()
+    try:
+        *_, last = prepared.march(solver)
+        solution = prepared.solution(last.u, last.t)
+        whole = exact(solution.x, 1.0)
+        off = pd.displacement(solution) - whole
+        return float(np.sqrt(solution.volume @ (off**2).sum(axis=1) / (solution.volume @ (whole**2).sum(axis=1))))
+    finally:
+        solver.destroy()
+
+
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+def test_bending_of_a_plate_that_is_held_on_its_boundary(scheme):
+    """Far nearer to the closed form than with supports half a cell inside, and faster so."""
+    kinds = (pd.LatticeNodes, pd.Lattice)
+    nodes, cells = (
+        np.array([cantilever(kind((0.0, -0.5), (2.0, 0.5), 1.0 / n), 1.0 / n, scheme) for n in (8, 32)])
+        for kind in kinds
+    )
+    assert np.log2(nodes[0] / nodes[1]) / 2.0 > 1.8
+    assert nodes[1] < 0.1 * cells[1]

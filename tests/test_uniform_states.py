@@ -4,6 +4,7 @@ The tractions are ``P N`` with the closed form of ``P`` at the wanted gradient `
 directions have the displacements of ``F``, which takes the rigid motions away, and no force.
 """
 
+import dataclasses
 import itertools
 
 import meshio
@@ -12,6 +13,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import pdpetsc as pd
+from pdpetsc.declare.cells import Block, volumes_and_moments
 from tests.commands import ROOT, results
 from tests.test_conforming import square_mesh
 from tests.test_symmetry import assert_the_part_is_the_whole
@@ -159,6 +161,71 @@ def out_of_balance(tmp_path, kind, dim, scheme, motion, horizon, n):
     state = problem.state(x @ MOTIONS[motion][:dim, :dim].T, 1.0)
     applied = problem.external_force(state)
     return np.abs(problem.internal_force(state) - applied).max() / np.abs(applied).max()
+
+
+# Corners of the unit cube in the order of a hexahedron, and what else it falls into.
+CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+CELLS = {
+    "hexahedron": [list(range(8))],
+    "wedge": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]],
+    # To a node in the middle.
+    "pyramid": [[0, 1, 2, 3, 8], [4, 7, 6, 5, 8], [0, 4, 5, 1, 8], [1, 5, 6, 2, 8], [2, 6, 7, 3, 8], [3, 7, 4, 0, 8]],
+}
+
+
+def bricks(kind, n, share, surface):
+    """Return n^3 cubes, or what they fall into, whose nodes are moved by up to a share of a side, outer ones too."""
+    side = np.arange(n + 1)
+    points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3) / n
+    low = np.stack(np.meshgrid(side[:-1], side[:-1], side[:-1], indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = (low[:, None] + CUBE) @ np.array([(n + 1) ** 2, n + 1, 1])
+    shift = np.random.default_rng(8).uniform(-share / n, share / n, points.shape)
+    inner = ((points > 1e-9) & (points < 1.0 - 1e-9)).all(axis=1)
+    points = points + np.where(inner[:, None] | surface, shift, 0.0)
+    if kind == "pyramid":
+        corner = np.concatenate([corner, len(points) + np.arange(len(corner))[:, None]], axis=1)
+        points = np.concatenate([points, points[corner[:, :8]].mean(axis=1)])
+    return points, np.concatenate([corner[:, cell] for cell in CELLS[kind]])
+
+
+def test_the_volume_and_the_centroid_of_a_warped_hexahedron():
+    """Against the integral of the determinant of the trilinear map with 4 x 4 x 4 points."""
+    points, cells = bricks("hexahedron", 2, 0.3, True)
+    volume, moment = volumes_and_moments(points, Block("hexahedron", cells))
+    g, w = np.polynomial.legendre.leggauss(4)
+    for cell, V, S in zip(points[cells], volume, moment, strict=True):
+        found, first = 0.0, np.zeros(3)
+        for (a, p), (b, q), (c, r) in itertools.product(zip(g, w, strict=True), repeat=3):
+            signs = 2.0 * CUBE - 1.0
+            one = 1.0 + signs * [a, b, c]
+            J = np.stack([0.125 * signs[:, k] * np.delete(one, k, axis=1).prod(axis=1) @ cell for k in range(3)])
+            weight = p * q * r * np.linalg.det(J)
+            found, first = found + weight, first + weight * (0.125 * one.prod(axis=1) @ cell)
+        assert pytest.approx(found, rel=1e-13) == V
+        np.testing.assert_allclose(S, first, rtol=1e-12)
+
+
+@pytest.mark.parametrize("at", [pd.Mesh, pd.MeshNodes])
+@pytest.mark.parametrize("kind", CELLS)
+def test_cells_with_warped_faces_fill_the_body_and_conform(kind, at, tmp_path):
+    """Faces inside warped, and those of the surface too: a pressure all around gives the uniform state."""
+    path = tmp_path / "bricks.vtk"
+    for surface in (False, True):
+        points, cells = bricks(kind, 4, 0.2, surface)
+        meshio.Mesh(points, [(kind, cells)]).write(path)
+        particles = at(path)
+        volume = particles.chunk(0, 1).volume
+        x, area, _, _ = particles.surface(0, 1).arrays
+        assert volume.min() > 0.0
+        if not surface:
+            assert volume.sum() == pytest.approx(1.0, rel=1e-13)
+        np.testing.assert_allclose(area.sum(axis=0), 0.0, atol=1e-14)
+        np.testing.assert_allclose(x.T @ area, volume.sum() * np.eye(3), atol=1e-13)
+        whole = case(particles, 2.6 * float(volume.max()) ** (1.0 / 3.0), "sub_horizons", "hydrostatic")
+        pressure = pd.Pressure(pd.region.All(), lambda x, t: np.full(len(x), -stress(0.96 * np.eye(3))[0, 0]))
+        held = [one for one in whole.conditions if isinstance(one, pd.Displacement)]
+        squeezed = dataclasses.replace(whole, conditions=[*held, pressure])
+        assert pd.run(squeezed, tmp_path / "out")["error"] < 1e-8
 
 
 @LONG

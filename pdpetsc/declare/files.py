@@ -20,6 +20,7 @@ from pdpetsc.declare.cells import (
     MeshData,
     facet_keys,
     facets,
+    flat_parts,
     having,
     on_sides,
     parts_of_facets,
@@ -186,9 +187,11 @@ class Mesh(Particles):
             for crack in cracks:
                 cut |= crack.cuts(x[found.cell[one]], x[found.cell[other]])
             free[one[cut]] = free[other[cut]] = True
-        tags = {name: flags[free] for name, flags in _tags(mesh, found, blocks).items()}
+        at = np.flatnonzero(free)
+        x, area, facet = flat_parts(points, found.corners[at], found.centre[at], found.area[at])
+        tags = {name: flags[at[facet]] for name, flags in _tags(mesh, found, blocks).items()}
         count = sum(len(block.nodes) for block in blocks)
-        return count, Facets(found.centre[free], found.area[free] * self._depth(points), found.cell[free], tags)
+        return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags)
 
     def _cells(self) -> tuple[MeshData, Float, list[Block]]:
         """Return the mesh, its points in the dimension of the body, and the cells that become particles."""

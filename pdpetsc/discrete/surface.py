@@ -25,6 +25,8 @@ ON_SIDE = 1e-9
 NEAR_FACET = 1e-6
 # A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8
+# A bond goes straight through a facet where the cosine between it and the normal is above this.
+ACROSS = 0.8
 # A facet lies on a mirror plane where it is this near to it, as a share of the horizon.
 ON_MIRROR = 1e-6
 
@@ -230,8 +232,11 @@ def refuse_joined(cloud: Cloud, families: Families, surface: Surface, thickness:
     half = 0.5 * {1: np.full(len(size), np.inf), 2: size / thickness, 3: np.sqrt(size)}[dim]
     depth = np.einsum("fi,fi->f", surface.x - cloud.x[surface.owner], normal)
     behind = np.einsum("ei,ei->e", cloud.x[surface.members] - surface.x[of], normal[of])
-    # Beyond twice the depth of the cell there may be the other side of a narrow gap.
-    near = np.flatnonzero((behind > 0.0) & (behind <= 2.0 * depth[of]))
+    bond = cloud.x[surface.members] - cloud.x[surface.owner[of]]
+    straight = np.einsum("ei,ei->e", bond, normal[of]) > ACROSS * np.linalg.norm(bond, axis=1)
+    # Beyond twice the depth of the cell there may be the other side of a narrow gap; beside a rough surface others lie
+    # a little behind.
+    near = np.flatnonzero(straight & (behind > 0.3 * depth[of]) & (behind <= 2.0 * depth[of]))
     f, k = of[near], surface.members[near]
     share = (depth[f] / (depth[f] + behind[near]))[:, None]
     through = (1.0 - share) * cloud.x[surface.owner[f]] + share * cloud.x[k]

@@ -380,6 +380,24 @@ def test_a_plate_that_a_crack_cuts_in_two_conforms_in_both_halves():
     assert len(plate.chunk(0, 1).x) == cloud.n_owned
 
 
+@pytest.mark.parametrize("scheme", [pd.Correspondence(), pd.SubHorizons()])
+def test_pieces_of_a_body_conform_each(scheme):
+    """Linear functions of one piece alone are in the null space too: iterations neither stagnate nor grow much."""
+    large, small = pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.1), pd.Lattice((3.0, 0.0), (3.5, 0.3), 0.1)
+    x, area, particle, _ = [
+        np.concatenate(both) for both in zip(*(one.surface().arrays[:3] for one in (large, small)), strict=True)
+    ] + [0]
+    particle[len(large.surface().arrays[0]) :] += 100
+    places = np.concatenate([large.chunk(0, 1).x, small.chunk(0, 1).x])
+    places += 0.03 * np.random.default_rng(0).uniform(-1.0, 1.0, places.shape)
+    cloud, surface, _, operator = weights_of(pd.Arrays(places, 0.01, facets=pd.Facets(x, area, particle)), 0.22, scheme)
+    s = np.zeros_like(cloud.x)
+    surface.spread(surface.area, s)
+    np.testing.assert_allclose(sums_over_points(cloud, operator), s, atol=1e-9 * np.abs(operator.g).max() * 0.01)
+    iterations = int(operator.note.split(" iterations")[0].split()[-1])
+    assert iterations < 200
+
+
 REFUSED = {
     "open": (lambda f: pd.Facets(f.arrays[0][1:], f.arrays[1][1:], f.arrays[2][1:]), "is open"),
     "inverted": (lambda f: pd.Facets(f.arrays[0], -f.arrays[1], f.arrays[2]), "encloses a volume of -2"),

@@ -55,7 +55,8 @@ class Particles(Declared, ABC):
         """
         raise CaseError(
             f"Particles of {type(self).__name__} have no known surface, which conforming weights and tractions on a "
-            f"surface need; take a Lattice or a Mesh, or give Arrays(..., facets=pd.Facets(...))."
+            f"surface need; take a Lattice or a Mesh, give Arrays(..., facets=pd.Facets(...)), or take pd.Standard() "
+            f"weights and tractions with a normal and an area."
         )
 
     @abstractmethod

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.components import find_pieces
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
@@ -34,6 +36,10 @@ REFUSED = 1.0
 NOTED = 4.0
 # As are more iterations than this: where families leave little to choose they grow with the number of particles.
 MANY = 1000
+# Pieces of a body at most whose linear functions are taken out one by one.
+PIECES = 20
+# What the system makes of a function in its null space is below this share of its largest entry and of the function.
+LINEAR = 1e-9
 # Linear fields stay exact up to this.
 EXACT = 1e-8
 
@@ -51,14 +57,17 @@ class ConformingSystem:
         Particles of this rank.
     operator : GradientOperator
         The gradient whose weights are changed.
+    pieces : (n_owned,) int64
+        The piece of the body that each own particle belongs to.
 
     Notes
     -----
     Every method but where it says otherwise is collective.
     """
 
-    def __init__(self, cloud: Cloud, operator: GradientOperator) -> None:
+    def __init__(self, cloud: Cloud, operator: GradientOperator, pieces: GlobalIndex) -> None:
         self.cloud = cloud
+        self._pieces = pieces
         self._operator = operator
         self._size = np.full(operator.n_points, cloud.horizon)
         self._square = operator.volume**2
@@ -76,13 +85,35 @@ class ConformingSystem:
 
     @property
     def null_functions(self) -> list[Float]:
-        """Return the linear functions that are linear on the images too, on the own particles (not collective)."""
+        """Return linear functions on the own particles whose images are linear too, of each piece of the body.
+
+        Where there are many pieces those of the whole body alone.
+        """
         cloud = self.cloud
-        x, planes = cloud.x[: cloud.n_owned], cloud.places.planes
-        if self._component in planes:
-            return [x[:, self._component] - planes[self._component]]
-        bent = [*planes, *([] if cloud.images is None else cloud.images.cell.periodic)]
-        return [np.ones(len(x)), *(x[:, axis] for axis in range(cloud.dim) if axis not in bent)]
+        labels = np.unique(np.concatenate(cloud.comm.allgather(np.unique(self._pieces))))
+        masks = [self._pieces == label for label in labels] if len(labels) <= PIECES else [np.ones(cloud.n_owned)]
+        x = cloud.x[: cloud.n_owned]
+        # Even or odd about every mirror plane; small numbers far from the origin.
+        middle = total(cloud.comm, x.sum(axis=0)) / cloud.n_global
+        for axis, at in cloud.places.planes.items():
+            middle[axis] = at
+        found = []
+        for mask in masks:
+            for function in (np.ones(len(x)), *((x - middle) / cloud.horizon).T):
+                v = np.asarray(function * mask)[:, None]
+                size = largest(cloud.comm, float(np.abs(v).max(initial=0.0)))
+                left = largest(cloud.comm, float(np.abs(self.product(v)).max(initial=0.0)))
+                # Of a function that is not linear on the images the system leaves a part.
+                if left <= LINEAR * size * self._scale:
+                    found.append(v[:, 0])
+        return found
+
+    @cached_property
+    def _scale(self) -> float:
+        """Return the largest diagonal entry of the system, ``sum_p W_p^2`` over the points of a particle."""
+        points = np.repeat(self._square, np.diff(self._operator.point_ptr))
+        diagonal = np.bincount(self._operator.members, points, self.cloud.n_local)
+        return largest(self.cloud.comm, float(diagonal.max(initial=0.0)))
 
     def _turn(self, values: Float) -> None:
         """Give the ghosts of ``values`` (n_local, columns) the sign of the component."""
@@ -207,7 +238,7 @@ def conforming(
     """
     s = np.zeros((cloud.n_local, cloud.dim))
     surface.spread(surface.area, s)
-    system = ConformingSystem(cloud, operator)
+    system = ConformingSystem(cloud, operator, find_pieces(cloud, families))
     sums = np.bincount(
         operator.members,
         np.repeat(operator.volume, np.diff(operator.point_ptr)) * np.linalg.norm(operator.g, axis=1),

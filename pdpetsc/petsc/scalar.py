@@ -38,7 +38,7 @@ class ScalarSystem(Protocol):
 
     @property
     def null_functions(self) -> Sequence[Float]:
-        """Return the functions on the own particles (n_owned,) that span its null space (not collective)."""
+        """Return the functions on the own particles (n_owned,) that span its null space (collective)."""
         ...
 
     def product(self, values: Float) -> Float:

@@ -3,7 +3,8 @@
 Width 20, length 60, bond-based, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, a crack of length ``a`` from
 the left edge; the ends are pulled by uniform forces, which leave them free to turn. The event-driven solver follows the
 crack. With a ``scheme``, and ``solver=path``, the material has deformation gradients, linear elastic with a Poisson
-ratio of 1/3, ``weights`` and Silling's control of strength ``G``. Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)`` with
+ratio of 1/3, ``weights`` and Silling's control of strength ``G``.
+Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)`` with
 ``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris, Irwin); ``ratio`` of both;
 ``straightness``, the largest distance of a broken bond from the line of the crack over the horizon.
 """

@@ -3,9 +3,9 @@
 150 x 50 mm, hole of radius 10, E = 210 GPa, nu = 0.33, plane strain; bonds fade between the stretches ``s_min`` and
 ``s_cr``. Each end is moved by ``pull``. The published scheme is ``effect=present continuous=False``; ``G`` is that of
 Silling's control, or with ``unit`` the printed coefficient with that unit of length [mm]. Without ``grips`` bonds near
-the ends may fail. ``weights`` are those of the scheme, or conforming. Results: ``first_damage_load``, ``peak_load``, ``max_damage``,
-``broken_bonds``, ``symmetry_error`` (first moments of the damage about the axes of the plate over its sum, in widths),
-``last_load``.
+the ends may fail. ``weights`` are those of the scheme, or conforming.
+Results: ``first_damage_load``, ``peak_load``, ``max_damage``, ``broken_bonds``, ``symmetry_error`` (first moments of
+the damage about the axes of the plate over its sum, in widths), ``last_load``.
 Reference: Hashim et al., section 4.5; the end displacement in the text is a misprint.
 """
 

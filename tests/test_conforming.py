@@ -849,3 +849,20 @@ def test_bending_of_a_plate_that_is_held_on_its_boundary(scheme):
     )
     assert np.log2(nodes[0] / nodes[1]) / 2.0 > 1.8
     assert nodes[1] < 0.1 * cells[1]
+
+
+@LONG
+@pytest.mark.parametrize(
+    ("words", "first", "peak", "broken"),
+    [((), 3578, 5927, 90), (("law=brittle",), 4766, 8252, 86), (("scheme=sub_horizons", "G=0"), 5232, 6305, 126)],
+)
+def test_the_plate_with_a_hole_breaks_as_its_page_says(words, first, peak, broken, tmp_path):
+    """Symmetric and apart; damage begins at a lower load than with the weights of the scheme."""
+    found = results("runs/fracture/plate_with_hole.py", *words, "weights=conforming", output=tmp_path)["results"]
+    plain = results("runs/fracture/plate_with_hole.py", *words, output=tmp_path)["results"]
+    assert found["first_damage_load"] == pytest.approx(first, rel=1e-3)
+    assert found["peak_load"] == pytest.approx(peak, rel=1e-3)
+    assert found["broken_bonds"] == broken
+    assert found["symmetry_error"] < 1e-10
+    assert abs(found["last_load"]) < 1e-6 * peak
+    assert found["first_damage_load"] < 0.8 * plain["first_damage_load"]

@@ -58,7 +58,7 @@ def case(n=20, horizon=3.015, a=8.0, solver="events", scheme="", weights="standa
         }
 
     force = MOST * exact * WIDTH
-    model = {"material": pd.BondBased(E=E, plane="stress", calibration="family")}
+    model, paths = {"material": pd.BondBased(E=E, plane="stress", calibration="family")}, {}
     if scheme:
         model = {
             "material": pd.LinearElastic(E=E, nu=1.0 / 3.0, plane="stress"),
@@ -66,6 +66,8 @@ def case(n=20, horizon=3.015, a=8.0, solver="events", scheme="", weights="standa
             "weights": pd.choose("weights", weights, pd.WEIGHTS),
             "control": pd.Silling(G) if G else None,
         }
+        # The last bonds hold a piece that turns about them: nothing is left to follow there.
+        paths = {"path": pd.PathFollowing(until=0.1)}
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
         horizon=horizon * dx,
@@ -78,7 +80,7 @@ def case(n=20, horizon=3.015, a=8.0, solver="events", scheme="", weights="standa
             pd.Force(low, y=-force),
             pd.Force(high, y=force),
         ],
-        solver=pd.choose("solver", solver, {**pd.SOLVERS, "path": pd.PathFollowing(until=0.1)}),
+        solver=pd.choose("solver", solver, {**pd.SOLVERS, **paths}),
         history={
             "opening": pd.Mean(pd.displacement, "y", high),
             "broken": pd.BrokenBonds(),

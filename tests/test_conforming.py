@@ -866,3 +866,31 @@ def test_the_plate_with_a_hole_breaks_as_its_page_says(words, first, peak, broke
     assert found["symmetry_error"] < 1e-10
     assert abs(found["last_load"]) < 1e-6 * peak
     assert found["first_damage_load"] < 0.8 * plain["first_damage_load"]
+
+
+def cracked_cell(at):
+    """Return a strip, periodic in y, with a crack along it at a height that its load goes with."""
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125),
+        horizon=0.252,
+        material=pd.LinearElastic(E=10.0, nu=0.3),
+        weights=pd.Conforming(),
+        cell=pd.Cell((0.0, 0.0), (2.0, 1.0), axes="y"),
+        cracks=[pd.Segment((0.5, at), (1.0, at))],
+        conditions=[
+            pd.MeanStrain(yy=0.0),
+            pd.Displacement(pd.region.Slab("x", high=0.125), x=0.0, y=0.0),
+            pd.Traction(
+                pd.region.Named("+x"),
+                x=lambda x, t: t * (1.0 + np.cos(2.0 * np.pi * (x[:, 1] - at))),
+                y=lambda x, t: t * np.cos(2.0 * np.pi * (x[:, 1] - at)),
+            ),
+        ],
+        history={"energy": pd.StrainEnergy()},
+        results=lambda h: {"energy": h["energy"][-1]},
+    )
+
+
+def test_a_crack_along_the_side_of_a_cell_is_that_in_its_middle(tmp_path):
+    side, middle = (pd.run(cracked_cell(at), tmp_path)["energy"] for at in (0.0, 0.5))
+    assert side == pytest.approx(middle, rel=1e-9)

@@ -22,7 +22,7 @@ from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest,
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
-from pdpetsc.discrete.surface import surface_of
+from pdpetsc.discrete.surface import refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.compile import cache_lock
@@ -91,6 +91,9 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
         with agreed(cloud.comm):
             facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
         surface = surface_of(cloud, families, facets)
+        # Facets that a crack frees may have bonds beside its tip.
+        if case.weights.conform and not case.cracks:
+            refuse_joined(cloud, families, surface, case.particles.thickness)
     return _problem(case, Body(cloud, families, surface), materials, material_of, factor, options)
 
 

@@ -15,7 +15,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import NoConformingWeights
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.conforming import linear_moments_kernel, remainder_kernel
 from pdpetsc.kernels.near import reach_kernel
@@ -184,8 +184,8 @@ def conforming(
 
     Raises
     ------
-    CaseError
-        No such weights exist for these families, on every rank.
+    NoConformingWeights
+        None exist for these families, on every rank.
 
     Notes
     -----
@@ -233,7 +233,7 @@ def conforming(
         found = np.abs(left).max(axis=1, initial=0.0)
         here = (float(found.max()), cloud.x[int(np.argmax(found))].tolist()) if len(found) else (0.0, [])
         after, worst = max(cloud.comm.allgather(here))
-        raise CaseError(
+        raise NoConformingWeights(
             f"No conforming weights were found: the divergence theorem is off by {after / scale:.1e} of the weights of "
             f"a particle at {worst} after {iterations} iterations; its family is too "
             f"small to be changed, so widen the horizon, or its facets are not those of its cell."

@@ -7,10 +7,11 @@ those of everything from positions to displacements: families, weights, sparsity
 numbering, assembly and the same factorisation by MUMPS. Medians of ``REPEATS`` runs, one rank. Errors are relative, in
 the L2 norm over particles or, with elements, over the body, without the rigid motion of the three supports.
 
-Prints the front, the methods for which no other is both faster and better, and what each needs for ``TARGETS``. Leaves
+Rows of problems that are not named are kept from the table that is in the folder. Prints the front, the methods for which no other is both faster and better, and what each needs for ``TARGETS``. Leaves
 ``fronts.csv``, and ``front.png`` with displacement and stress of each problem.
 """
 
+import csv
 import dataclasses
 import sys
 import time
@@ -56,7 +57,7 @@ def particles(folder, module, parameters):
     case = dataclasses.replace(module.case(**parameters), fields=[], checkpoints=0)
     try:
         done = pd.run(case, folder / "last_run").summary
-    except pd.PdpetscError as error:
+    except (pd.CaseError, pd.SolveError) as error:
         print(f"  {parameters}: {str(error)[:100]} ...", flush=True)
         return None
     spent = done["timings"]
@@ -286,10 +287,21 @@ def picture(folder, rows):
     figure.savefig(folder / "front.png", dpi=90)
 
 
+def stored(folder):
+    """Return the rows of the table in the folder, none where there is none."""
+    try:
+        lines = list(csv.reader((folder / "fronts.csv").open(newline="")))[1:]
+    except FileNotFoundError:
+        return []
+    return [
+        (*line[:2], float(line[2]) if line[2] else "", line[3], int(line[4]), *map(float, line[5:])) for line in lines
+    ]
+
+
 def main():
     names = study.chosen(words, PROBLEMS, "problem")
     folder = study.folder_for(words, "out/fronts")
-    rows = []
+    rows = [row for row in stored(folder) if row[0] not in names]
     for name in names:
         found = []
         for row in measured(folder, name):

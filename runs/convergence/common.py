@@ -158,7 +158,7 @@ class ErrorL2(pd.Quantity):
             difference = difference - self._rigid_part(solution, difference)
         width = tuple(range(1, exact.ndim))
         above, below = solution.sum([V @ (difference**2).sum(axis=width), V @ (exact**2).sum(axis=width)])
-        return float(np.sqrt(above / below))
+        return float(np.sqrt(above / below)) if below > 0.0 else np.nan
 
     @staticmethod
     def _rigid_part(solution, difference):

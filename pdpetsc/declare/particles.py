@@ -39,7 +39,7 @@ class Particles(Declared, ABC):
 
     @property
     def irregular(self) -> bool:
-        """Return whether the particles are known to be no lattice of equal cells: standard weights do not converge then.
+        """Return whether the particles are known to be no lattice of equal cells: standard weights do not converge.
 
         Raises
         ------

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import NoConformingWeights
@@ -24,6 +24,8 @@ from pdpetsc.kernels.near import reach_kernel
 TOLERANCE = 1e-10
 # Near members are up to this many times as far as the 2 dim-th nearest one; on lattices those along the diagonals are.
 NEAR = 1.6
+# Members of a point, squared, summed over the points of a particle, up to which the whole matrix preconditions.
+FEW = {1: 500, 2: 500, 3: 2500}
 # Times that the system is solved, for what is left of the right-hand side.
 ROUNDS = 4
 
@@ -120,31 +122,40 @@ class ConformingSystem:
         return out[: cloud.n_owned]
 
     def near_matrix(self, families: Families) -> csr_matrix:
-        """Return the same matrix for one point per particle with near members only (n_local, n_local) (not collective).
+        """Return the matrix that preconditions ``S`` (n_local, n_local), what this rank adds to it.
 
-        It preconditions ``S``, and has about 25 entries in a row in the plane and 85 in space for any horizon.
+        It is ``S`` itself where its points have few members, as sectors have: what is left there of the numbers of a
+        point is little, and no other matrix is near. Else it is that of one point per particle with near members only,
+        which has about 25 entries in a row in the plane and 85 in space for any horizon.
         """
-        cloud, dim = self.cloud, self.cloud.dim
-        reach, every = np.zeros(cloud.n_owned), np.ones(len(families.neighbours), dtype=bool)
+        cloud, operator = self.cloud, self._operator
+        entries = total(cloud.comm, float((np.diff(operator.point_ptr) ** 2).sum()))
+        if entries <= FEW[cloud.dim] * cloud.n_global:
+            return self._matrix(operator.owner, operator.point_ptr, operator.members, operator.volume)
+        dim, n = cloud.dim, cloud.n_owned
+        reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
         reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
         near = np.linalg.norm(families.bonds(cloud.x), axis=1) <= NEAR * reach[families.centres]
-        counts = np.bincount(families.centres[near], minlength=cloud.n_owned)
+        counts = np.bincount(families.centres[near], minlength=n)
         ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
-        members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(cloud.n_owned), np.arange(cloud.n_owned))
-        size = np.full(cloud.n_owned, cloud.horizon)
-        M = np.empty((cloud.n_owned, dim + 1, dim + 1))
-        linear_moments_kernel(dim)(ptr, members, cloud.x, size, M)
+        members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
+        return self._matrix(np.arange(n), ptr, members, cloud.volume[:n])
+
+    def _matrix(self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float) -> csr_matrix:
+        """Return ``C (I - Phi M^-1 Phi^T) C^T`` of points with the given owners, members and volumes."""
+        cloud, dim, points = self.cloud, self.cloud.dim, len(owner)
+        M = np.empty((points, dim + 1, dim + 1))
+        linear_moments_kernel(dim)(ptr, members, cloud.x, np.full(points, cloud.horizon), M)
         low, axes = np.linalg.eigh(M)
         keep = low > 1e-12 * low[:, -1:]
         root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
-        of = np.repeat(np.arange(cloud.n_owned), counts + 1)
-        W = cloud.volume[of]
-        phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[of]) / cloud.horizon], axis=1)
-        D = W[:, None] * np.einsum("ea,eab->eb", phi, root[of])
+        of = np.repeat(np.arange(points), np.diff(ptr))
+        phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[owner[of]]) / cloud.horizon], axis=1)
+        D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])
         width, n = dim + 1, cloud.n_local
         columns = (of[:, None] * width + np.arange(width)).ravel()
-        shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * cloud.n_owned))
-        diagonal = np.bincount(members, W**2, n)
+        shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * points))
+        diagonal = np.bincount(members, W[of] ** 2, n)
         found = csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
         return csr_matrix(found)
 

@@ -24,8 +24,8 @@ from pdpetsc.kernels.near import reach_kernel
 TOLERANCE = 1e-10
 # Near members are up to this many times as far as the 2 dim-th nearest one; on lattices those along the diagonals are.
 NEAR = 1.6
-# Members of a point, squared, summed over the points of a particle, up to which the whole matrix preconditions.
-FEW = {1: 500, 2: 500, 3: 2500}
+# Points have few members where these are, in the mean, at most as many, by dimension.
+FEW = {1: 10.0, 2: 14.0, 3: 12.0}
 # Times that the system is solved, for what is left of the right-hand side.
 ROUNDS = 4
 
@@ -129,8 +129,7 @@ class ConformingSystem:
         which has about 25 entries in a row in the plane and 85 in space for any horizon.
         """
         cloud, operator = self.cloud, self._operator
-        entries = total(cloud.comm, float((np.diff(operator.point_ptr) ** 2).sum()))
-        if entries <= FEW[cloud.dim] * cloud.n_global:
+        if total(cloud.comm, len(operator.members)) <= FEW[cloud.dim] * total(cloud.comm, operator.n_points):
             return self._matrix(operator.owner, operator.point_ptr, operator.members, operator.volume)
         dim, n = cloud.dim, cloud.n_owned
         reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)

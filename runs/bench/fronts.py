@@ -33,6 +33,8 @@ import pdpetsc as pd  # noqa: E402
 
 REPEATS = 3
 TARGETS = (0.01, 0.001)
+# Seconds that the table of errors is for.
+BUDGET = 0.3
 SILLING = {"scheme": "correspondence", "G": 0.5}
 # What a method is called, its parameters, and its horizons in spacings.
 METHODS = {
@@ -227,6 +229,29 @@ def seconds_for(rows, error, target):
     return float(np.exp(np.interp(np.log(target), values[order], seconds[order])))
 
 
+def error_after(rows, error, seconds):
+    """Return as text what a method has for some seconds, with < where its finest size takes less."""
+    spent, values = np.log([row[5] for row in rows]), np.log([row[error] for row in rows])
+    order = np.argsort(values)[::-1]
+    spent, values = np.maximum.accumulate(spent[order]), values[order]
+    if np.log(seconds) < spent[0]:
+        return "-"
+    found = np.exp(np.interp(np.log(seconds), spent, values))
+    return f"{'<' if np.log(seconds) > spent[-1] else ''}{found:.1e}"
+
+
+def table(rows):
+    """Print what every method has for the budget, of displacement and stress of each problem."""
+    names = [name for name in PROBLEMS if any(row[0] == name for row in rows)]
+    print(f"\n| error after {BUDGET} s | " + " | ".join(names) + " |\n|" + "---|" * (len(names) + 1))
+    for method in dict.fromkeys(label(row) for row in rows):
+        cells = []
+        for name in names:
+            of = [row for row in rows if row[0] == name and label(row) == method]
+            cells.append(" / ".join(error_after(of, place, BUDGET) for place in (6, 7)) if of else "")
+        print(f"| {method} | " + " | ".join(cells) + " |")
+
+
 def label(row):
     return " ".join(str(part) for part in row[1:4] if part != "")
 
@@ -311,6 +336,7 @@ def main():
         study.write_table(folder, "fronts", ["problem", "method", "horizon", "weights", "n", "seconds", *ERRORS], rows)
     for name in (name for name in PROBLEMS if any(row[0] == name for row in rows)):
         report(name, [row for row in rows if row[0] == name])
+    table(rows)
     picture(folder, rows)
 
 

@@ -629,7 +629,7 @@ def test_irregular_clouds_that_cannot_have_conforming_weights_keep_their_own_and
         (shaken, scarce, "widen the horizon"), (larger, {}, "encloses a volume"), (unknown, {}, "no known surface"),
     ):  # fmt: skip
         found, note = of_case(pulled(particles, **changes), tmp_path)
-        assert "standard weights, which do not converge on irregular positions" in note and why in note
+        assert "standard weights on an irregular cloud, where they need not converge" in note and why in note
         assert found == of_case(pulled(particles, weights=pd.Standard(), **changes), tmp_path)[0]
         with pytest.raises(pd.CaseError, match=why):
             pd.run(pulled(particles, weights=pd.Conforming(), **changes), tmp_path)

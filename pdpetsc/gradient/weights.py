@@ -115,7 +115,7 @@ class Unsuited(Standard):
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
         """Return the gradient as it is, with a note."""
-        note = f"standard weights, which do not converge on irregular positions. {self.why}"
+        note = f"standard weights on an irregular cloud, where they need not converge. {self.why}"
         return replace(operator, note="; ".join(filter(None, [operator.note, note])))
 
 

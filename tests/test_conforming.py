@@ -662,6 +662,71 @@ def test_what_fails_in_a_pressure_is_named():
         pd.prepare(pd.Case(**{**vars(case), "conditions": [*case.conditions, bad]}))
 
 
+def pulled(particles, horizon=0.26, **changes):
+    """Return a case that says nothing of its weights, in which tractions need no facets."""
+    held = [pd.Displacement(pd.region.Nearest((0.0, 0.0)), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Nearest((2.0, 0.0)), y=0.0)]  # fmt: skip
+    right = pd.Force(pd.region.Slab("x", low=1.8), x=1.0)
+    return pd.Case(**{
+        "particles": particles, "horizon": horizon, "material": pd.LinearElastic(E=1000.0, nu=0.3),
+        "scheme": pd.Correspondence(), "control": pd.Silling(0.5),
+        "conditions": [*held, right, pd.Force(pd.region.Slab("x", high=0.2), x=-1.0)],
+        "history": {"u": pd.At((2.0, 0.5), pd.displacement, "x")}, "results": lambda h: {"u": h["u"][-1]},
+    } | changes)  # fmt: skip
+
+
+def of_case(case, tmp_path):
+    """Return the displacement of the end and what the summary says of the weights."""
+    result = pd.run(case, tmp_path)
+    return result["u"], result.summary["scheme"]["note"]
+
+
+def test_weights_conform_by_default_where_a_cloud_that_knows_its_surface_is_no_lattice(tmp_path):
+    lattice, shaken = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125), shaken_plate()
+    for particles, weights in ((lattice, pd.Standard()), (shaken, pd.Conforming())):
+        found, note = of_case(pulled(particles), tmp_path)
+        assert (found, note) == of_case(pulled(particles, weights=weights), tmp_path)
+        assert ("conforming weights" in note) == weights.conform
+    assert of_case(pulled(shaken, weights=pd.Standard()), tmp_path)[0] != pytest.approx(found, rel=1e-3)
+    # As arrays a lattice with the facets of a lattice is one.
+    chunk = lattice.chunk(0, 1)
+    assert not pd.Arrays(chunk.x, chunk.volume, facets=lattice.surface()).irregular
+    assert pd.Arrays(chunk.x, np.where(chunk.x[:, 0] < 1.0, 2.0, 0.5) * chunk.volume).irregular
+
+
+def test_irregular_clouds_that_cannot_have_conforming_weights_keep_their_own_and_say_why(tmp_path):
+    shaken = shaken_plate(shake=0.2)
+    unknown = pd.Arrays(shaken.x, shaken.volume)
+    # Points with as many members as a linear function has numbers; a surface that does not enclose the volume; none.
+    scarce = {"scheme": pd.BondAssociated(), "control": None, "horizon": 1.3 * 0.125}
+    larger = pd.Arrays(shaken.x, 1.01 * np.asarray(shaken.volume), facets=shaken.facets)
+    for particles, changes, why in (
+        (shaken, scarce, "widen the horizon"), (larger, {}, "encloses a volume"), (unknown, {}, "no known surface"),
+    ):  # fmt: skip
+        found, note = of_case(pulled(particles, **changes), tmp_path)
+        assert "standard weights on an irregular cloud, where they need not converge" in note and why in note
+        assert found == of_case(pulled(particles, weights=pd.Standard(), **changes), tmp_path)[0]
+        with pytest.raises(pd.CaseError, match=why):
+            pd.run(pulled(particles, weights=pd.Conforming(), **changes), tmp_path)
+    # Where a load needs the surface as well, a wrong one is refused.
+    with pytest.raises(pd.CaseError, match="encloses a volume"):
+        pd.run(pulled(larger, conditions=[*pulled(larger).conditions, pd.Pressure(pd.region.All(), 1.0)]), tmp_path)
+
+
+def test_bonds_have_no_weights_by_default(tmp_path):
+    case = pulled(shaken_plate(), material=pd.BondBased(E=1000.0), scheme=None, control=None)
+    assert "weights" not in of_case(case, tmp_path)[1]
+
+
+def test_a_run_goes_on_with_the_weights_that_it_had_by_default(tmp_path):
+    lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
+    pd.run(pulled(lattice, weights=pd.Standard()), tmp_path / "one")
+    longer = pulled(lattice, steps=pd.Steps(2))
+    assert pd.run(longer, tmp_path / "two", restart=tmp_path / "one")["u"] > 0.0
+    with pytest.raises(pd.CaseError, match="weights"):
+        pd.run(pulled(lattice, weights=pd.Conforming()), tmp_path / "three", restart=tmp_path / "one")
+
+
 def test_options_of_a_run_reach_the_solver_of_the_weights(tmp_path):
     case = uniform(shaken_plate(), 0.26, [pd.region.Named("-x"), pd.region.Named("+x")])
     result = pd.run(case, tmp_path, options={"weights_pc_type": "jacobi"})

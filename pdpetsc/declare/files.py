@@ -76,6 +76,11 @@ class TextFile(Particles):
         """Return part ``part`` of ``parts`` of the file."""
         return self._arrays().chunk(part, parts)
 
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles do not fill the cells of a lattice."""
+        return self._arrays().irregular
+
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return what Arrays of the same particles return."""
         return self._arrays().faces(part, parts, normal)
@@ -158,6 +163,12 @@ class Mesh(Particles):
         volume, x = _volumes_and_centroids(Path(self.path), points, blocks)
         volume *= self._depth(points)
         return Arrays(x, volume, _sets(mesh, points, blocks), self.thickness).chunk(part, parts)
+
+    @property
+    def irregular(self) -> bool:
+        """Return whether the cells, or the nodes with theirs, are not those of a lattice."""
+        whole = self.chunk(0, 1)
+        return Arrays(whole.x, whole.volume, thickness=self.thickness).irregular
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""

@@ -42,6 +42,17 @@ class Particles(Declared, ABC):
 
     thickness: float
 
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles are known to be no lattice of equal cells: standard weights do not converge.
+
+        Raises
+        ------
+        CaseError
+            The source is missing or malformed.
+        """
+        return False
+
     def surface(self, part: int, parts: int, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that nothing lies behind, particles counted from its first one.
 
@@ -397,6 +408,15 @@ class Arrays(Particles):
                     f"The facets of Arrays have {places.shape[1]} coordinates and particles up to "
                     f"{particle.max(initial=0)}; there are {len(x)} particles of {x.shape[1]} coordinates."
                 )
+
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles do not fill the cells of a lattice."""
+        try:
+            self._lattice()
+        except CaseError:
+            return True
+        return False
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets that were given, or those of the lattice whose cells the particles fill.

@@ -11,13 +11,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.components import find_pieces
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import NoConformingWeights
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.kernels.conforming import linear_moments_kernel, remainder_kernel
 from pdpetsc.kernels.near import reach_kernel
@@ -26,6 +26,8 @@ from pdpetsc.kernels.near import reach_kernel
 TOLERANCE = 1e-10
 # Near members are up to this many times as far as the 2 dim-th nearest one; on lattices those along the diagonals are.
 NEAR = 1.6
+# Points have few members where these are, in the mean, at most as many, by dimension.
+FEW = {1: 10.0, 2: 14.0, 3: 12.0}
 # Times that the system is solved, for what is left of the right-hand side.
 ROUNDS = 4
 # Weights that change by this many times what they were, in the norm over the body, are no longer those of the scheme:
@@ -161,31 +163,40 @@ class ConformingSystem:
         return out[: cloud.n_owned]
 
     def near_matrix(self, families: Families) -> csr_matrix:
-        """Return the same matrix for one point per particle with near members only (n_local, n_local) (not collective).
+        """Return the matrix that preconditions ``S`` (n_local, n_local), what this rank adds to it.
 
-        It preconditions ``S``, and has about 25 entries in a row in the plane and 85 in space for any horizon.
+        It is ``S`` itself where its points have few members, as sectors have: what is left there of the numbers of a
+        point is little, and no other matrix is near. Else it is that of one point per particle with near members only,
+        which has about 25 entries in a row in the plane and 85 in space for any horizon.
         """
-        cloud, dim = self.cloud, self.cloud.dim
-        reach, every = np.zeros(cloud.n_owned), np.ones(len(families.neighbours), dtype=bool)
+        cloud, operator = self.cloud, self._operator
+        if total(cloud.comm, len(operator.members)) <= FEW[cloud.dim] * total(cloud.comm, operator.n_points):
+            return self._matrix(operator.owner, operator.point_ptr, operator.members, operator.volume)
+        dim, n = cloud.dim, cloud.n_owned
+        reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
         reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
         near = np.linalg.norm(families.bonds(cloud.x), axis=1) <= NEAR * reach[families.centres]
-        counts = np.bincount(families.centres[near], minlength=cloud.n_owned)
+        counts = np.bincount(families.centres[near], minlength=n)
         ptr = np.concatenate([[0], np.cumsum(counts + 1)]).astype(np.int64)
-        members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(cloud.n_owned), np.arange(cloud.n_owned))
-        size = cloud.reach[: cloud.n_owned]
-        M = np.empty((cloud.n_owned, dim + 1, dim + 1))
-        linear_moments_kernel(dim)(ptr, members, cloud.x, size, M)
+        members = np.insert(families.neighbours[near], ptr[:-1] - np.arange(n), np.arange(n))
+        return self._matrix(np.arange(n), ptr, members, cloud.volume[:n])
+
+    def _matrix(self, owner: LocalIndex | GlobalIndex, ptr: GlobalIndex, members: LocalIndex, W: Float) -> csr_matrix:
+        """Return ``C (I - Phi M^-1 Phi^T) C^T`` of points with the given owners, members and volumes."""
+        cloud, dim, points = self.cloud, self.cloud.dim, len(owner)
+        M = np.empty((points, dim + 1, dim + 1))
+        linear_moments_kernel(dim)(ptr, members, cloud.x, cloud.reach[owner], M)
         low, axes = np.linalg.eigh(M)
         keep = low > 1e-12 * low[:, -1:]
         root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
-        of = np.repeat(np.arange(cloud.n_owned), counts + 1)
-        W = cloud.volume[of]
-        phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[of]) / size[of, None]], axis=1)
-        D = W[:, None] * np.einsum("ea,eab->eb", phi, root[of])
+        of = np.repeat(np.arange(points), np.diff(ptr))
+        xi = (cloud.x[members] - cloud.x[owner[of]]) / cloud.reach[owner[of], None]
+        phi = np.concatenate([np.ones((len(of), 1)), xi], axis=1)
+        D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])
         width, n = dim + 1, cloud.n_local
         columns = (of[:, None] * width + np.arange(width)).ravel()
-        shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * cloud.n_owned))
-        diagonal = np.bincount(members, W**2, n)
+        shared = csr_matrix((D.ravel(), (np.repeat(members, width), columns)), shape=(n, width * points))
+        diagonal = np.bincount(members, W[of] ** 2, n)
         found = csr_matrix((diagonal, (np.arange(n), np.arange(n))), shape=(n, n)) - shared @ shared.T
         return csr_matrix(found)
 
@@ -225,8 +236,8 @@ def conforming(
 
     Raises
     ------
-    CaseError
-        No such weights exist for these families, or they are further from those of the scheme than zero, on every rank.
+    NoConformingWeights
+        None exist for these families, or they are further from those of the scheme than zero, on every rank.
 
     Notes
     -----
@@ -272,7 +283,7 @@ def conforming(
             break
     if not after <= TOLERANCE * scale:
         after, worst = _worst(cloud, np.abs(left).max(axis=1, initial=0.0), cloud.x)
-        raise CaseError(
+        raise NoConformingWeights(
             f"No conforming weights were found: the divergence theorem is off by {after / scale:.1e} of the weights of "
             f"a particle at {worst} after {iterations} iterations; its family is too "
             f"small to be changed, so widen the horizon, or its facets are not those of its cell."
@@ -289,7 +300,7 @@ def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int)
     whole = float(np.sqrt(sums[0] / sums[1]))
     change, worst = _worst(cloud, np.sqrt(changed / before), cloud.x[operator.owner])
     if whole > REFUSED:
-        raise CaseError(
+        raise NoConformingWeights(
             f"Conforming weights would change by {whole:.2g} times what they are, most of all by {change:.2g} times at "
             f"{worst}: families leave too little to choose; widen the horizon."
         )
@@ -298,7 +309,7 @@ def _judged(cloud: Cloud, operator: GradientOperator, g: Float, iterations: int)
     off = np.abs(linear - np.eye(cloud.dim)).max(axis=(1, 2), initial=0.0)
     inexact, where = _worst(cloud, off, cloud.x[operator.owner])
     if not inexact <= EXACT:
-        raise CaseError(
+        raise NoConformingWeights(
             f"No conforming weights were found: linear fields are off by {inexact:.1e} at {where}, whose family is "
             f"nearly flat; widen the horizon."
         )

@@ -22,9 +22,10 @@ from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest,
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
-from pdpetsc.discrete.surface import refuse_joined, surface_of
+from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
 from pdpetsc.petsc.options import Options
@@ -86,15 +87,29 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
             f"the cracks cut less."
         )
     materials, material_of, factor = _materials(case, cloud)
+    with agreed(cloud.comm):
+        weights = case.chosen_weights
     surface = None
-    if case.needs_surface:
-        with agreed(cloud.comm):
-            facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
-        surface = surface_of(cloud, families, facets)
-        # Facets that a crack frees may have bonds beside its tip.
-        if case.weights.conform and not case.cracks:
-            refuse_joined(cloud, families, surface, case.particles.thickness)
-    return _problem(case, Body(cloud, families, surface), materials, material_of, factor, options)
+    if case.needs_surface or weights.conform:
+        try:
+            surface = _surface(case, cloud, families)
+        except CaseError as error:
+            if case.needs_surface:  # not by default only
+                raise
+            weights = Unsuited(str(error))
+    chosen = replace(case, weights=weights)
+    return _problem(chosen, Body(cloud, families, surface), materials, material_of, factor, options)
+
+
+def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
+    """Return the surface of the body (collective)."""
+    with agreed(cloud.comm):
+        facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
+    surface = surface_of(cloud, families, facets)
+    # Facets that a crack frees may have bonds beside its tip.
+    if case.chosen_weights.conform and not case.cracks:
+        refuse_joined(cloud, families, surface, case.particles.thickness)
+    return surface
 
 
 def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
@@ -118,9 +133,10 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                 damage = None
                 if case.damage is not None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
-                bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=())
+                weights = case.chosen_weights
+                bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=(), weights=weights)
                 families = find_families(cloud)
-                surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if case.weights.conform else None
+                surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
                 assembler = NearAssembler(problem) if near else Assembler(problem)
                 state = problem.state(np.zeros_like(x))
@@ -189,7 +205,7 @@ def _points(
 
     def weigh(operator: GradientOperator) -> GradientOperator:
         solve = partial(solve_scalar, options=options)
-        return case.weights.of(operator, body.cloud, body.families, body.surface, solve)
+        return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None:
         alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in continuum]

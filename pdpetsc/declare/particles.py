@@ -298,7 +298,7 @@ class LatticeNodes(Particles):
         x, _, filled = self._corners(part, parts)
         cells = self._cells
         cell = self.spacing**cells.dim * (self.thickness if cells.dim < 3 else 1.0)
-        return Chunk(x, filled.mean(axis=1) * cell, {})
+        return Chunk(x, filled.mean(axis=1) * cell, {}, np.full(len(x), float(self.spacing)))
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the free faces of each particle of a part, seen along a normal."""

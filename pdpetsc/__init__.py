@@ -38,7 +38,7 @@ from pdpetsc.declare.conditions import (
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
 from pdpetsc.declare.horizon import Horizon
-from pdpetsc.declare.particles import Arrays, Lattice
+from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.schedule import Hold, Ramp, Table
 from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
@@ -131,6 +131,7 @@ __all__ = [
     "LargestError",
     "LargestStretch",
     "Lattice",
+    "LatticeNodes",
     "LinearCritical",
     "LinearSoftening",
     "LinearSolid",

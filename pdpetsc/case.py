@@ -24,6 +24,7 @@ from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
+from pdpetsc.gradient.weights import Suited
 from pdpetsc.material import Graded, Material
 from pdpetsc.output.picture import Picture
 from pdpetsc.post.quantities import Quantity, refuse_component
@@ -76,9 +77,10 @@ class Case(Declared):
         Materials of bonds have none.
     influence : Influence
         How much a bond counts.
-    weights : Weights
+    weights : Weights, optional
         ``Conforming()`` lets the gradients satisfy the divergence theorem up to the surface; ``Standard()`` leaves them
-        as the scheme has them.
+        as the scheme has them. By default they conform where particles that know their surface are no lattice, as
+        those of a mesh: standard weights do not converge there.
     control : ZeroEnergyControl, optional
         Zero-energy control; none where absent.
     cracks : sequence of Crack
@@ -116,7 +118,7 @@ class Case(Declared):
     conditions: Sequence[Condition]
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
-    weights: Weights = field(default_factory=Standard)
+    weights: Weights | None = None
     control: ZeroEnergyControl | None = None
     cracks: Sequence[Crack] = ()
     damage: BondDamage | None = None
@@ -146,14 +148,28 @@ class Case(Declared):
 
     @property
     def needs_surface(self) -> bool:
-        """Return whether weights, loads or quantities need the facets of the surface."""
+        """Return whether weights that are required, loads or quantities need the facets of the surface."""
         asked = [*self.conditions, *self.history.values()]
-        return self.weights.conform or any(getattr(one, "on_surface", False) for one in asked)
+        required = self.weights is not None and self.weights.required
+        return required or any(getattr(one, "on_surface", False) for one in asked)
 
     @property
     def gradients(self) -> Scheme:
         """Return the scheme of a body with deformation gradients."""
         return SubHorizons() if self.scheme is None else self.scheme
+
+    @property
+    def chosen_weights(self) -> Weights:
+        """Return the weights that were given, or those that suit the particles.
+
+        Raises
+        ------
+        CaseError
+            The source of the particles is missing or malformed.
+        """
+        if self.weights is not None:
+            return self.weights
+        return Suited() if not self.of_bonds and self.particles.irregular else Standard()
 
     @property
     def written(self) -> list[Field]:
@@ -217,7 +233,7 @@ class Case(Declared):
         if self.of_bonds:
             if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):
                 raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")
-            weights = self.weights if self.weights.conform else None
+            weights = self.weights if self.weights is not None and self.weights.required else None
             for name, given in (("scheme", self.scheme), ("control", self.control), ("weights", weights)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")

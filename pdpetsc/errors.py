@@ -53,6 +53,10 @@ class FlatFamilies(CaseError):
         self.gid = gid
 
 
+class NoConformingWeights(CaseError):
+    """Families are too small to be changed so that they satisfy the divergence theorem."""
+
+
 class SolveError(PdpetscError, RuntimeError):
     """A load step did not converge; everything up to the last converged step is on disk."""
 

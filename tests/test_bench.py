@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import textwrap
 
 import pytest
 
@@ -60,6 +61,35 @@ def test_counts_of_the_performance_model(tmp_path):
         assert 0.97 < float(row[3]) < 1.03
         assert row[4] == row[5]
         assert float(row[7]) < 7.0
+
+
+def test_the_elements_that_methods_are_held_against_have_their_orders():
+    """Linear ones 2 and 1 in displacement and stress, quadratic ones 3 and 2, on a shaken square and a round ring."""
+    pytest.importorskip("skfem")
+    code = """
+        import json, sys
+        sys.argv = ["fronts.py"]
+        sys.path[:0] = ["runs/bench", "runs"]
+        import fronts
+        kinds = [(fronts.manufactured, "shaken square"), (fronts.ring, "ring")]
+        found = [[[fronts.elements(*kind, degree, n)[1:] for n in (8, 16)] for degree in (1, 2)] for kind in kinds]
+        rows = [("p", "m", 1.0, "w", n, *of) for n, of in ((1, (0.1, 1e-1, 1e-1)), (2, (1.0, 1e-3, 1e-3)))]
+        worse = ("p", "other", 1.0, "w", 1, 0.5, 0.2, 0.2)
+        kept = [row[1] for row in fronts.front([*rows, worse], 6)]
+        print(json.dumps([found, kept, fronts.error_after(rows, 6, 10.0**-0.5), fronts.error_after(rows, 6, 2.0)]))
+    """
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    said = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], cwd=ROOT, env=environment, capture_output=True, text=True,
+        check=True, timeout=300,
+    ).stdout  # fmt: skip
+    found, kept, between, beyond = json.loads(said)
+    for of_kind in found:
+        for degree, ((coarse_u, coarse_stress), (u, stress)) in enumerate(of_kind, 1):
+            assert coarse_u / u > 0.85 * 2 ** (degree + 1)
+            assert coarse_stress / stress > 0.85 * 2**degree
+    assert kept == ["m", "m"]
+    assert (between, beyond) == ("1.0e-02", "<1.0e-03")
 
 
 @pytest.mark.long

@@ -380,6 +380,24 @@ def test_a_plate_that_a_crack_cuts_in_two_conforms_in_both_halves():
     assert len(plate.chunk(0, 1).x) == cloud.n_owned
 
 
+@pytest.mark.parametrize("scheme", [pd.Correspondence(), pd.SubHorizons()])
+def test_pieces_of_a_body_conform_each(scheme):
+    """Linear functions of one piece alone are in the null space too: iterations neither stagnate nor grow much."""
+    large, small = pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.1), pd.Lattice((3.0, 0.0), (3.5, 0.3), 0.1)
+    x, area, particle, _ = [
+        np.concatenate(both) for both in zip(*(one.surface().arrays[:3] for one in (large, small)), strict=True)
+    ] + [0]
+    particle[len(large.surface().arrays[0]) :] += 100
+    places = np.concatenate([large.chunk(0, 1).x, small.chunk(0, 1).x])
+    places += 0.03 * np.random.default_rng(0).uniform(-1.0, 1.0, places.shape)
+    cloud, surface, _, operator = weights_of(pd.Arrays(places, 0.01, facets=pd.Facets(x, area, particle)), 0.22, scheme)
+    s = np.zeros_like(cloud.x)
+    surface.spread(surface.area, s)
+    np.testing.assert_allclose(sums_over_points(cloud, operator), s, atol=1e-9 * np.abs(operator.g).max() * 0.01)
+    iterations = int(operator.note.split(" iterations")[0].split()[-1])
+    assert iterations < 200
+
+
 REFUSED = {
     "open": (lambda f: pd.Facets(f.arrays[0][1:], f.arrays[1][1:], f.arrays[2][1:]), "is open"),
     "inverted": (lambda f: pd.Facets(f.arrays[0], -f.arrays[1], f.arrays[2]), "encloses a volume of -2"),
@@ -394,6 +412,63 @@ def test_a_surface_that_is_not_that_of_the_particles_is_refused(wrong, tmp_path)
     particles = pd.Arrays(plate.x, plate.volume, facets=change(plate.facets))
     with pytest.raises(pd.CaseError, match=words):
         pd.prepare(uniform(particles, 0.26, [pd.region.All(), pd.region.All()]))
+
+
+def test_facets_of_other_particles_are_refused():
+    """Closed, and around the right volume, but each with the number of another particle."""
+    plate = shaken_plate()
+    x, area, particle, _ = plate.facets.arrays
+    particles = pd.Arrays(plate.x, plate.volume, facets=pd.Facets(x, area, np.roll(particle, 7)))
+    with pytest.raises(pd.CaseError, match="more than one horizon away"):
+        pd.prepare(uniform(particles, 0.26, [pd.region.All(), pd.region.All()]))
+
+
+def meeting(points, triangles, other_points, other_triangles):
+    """Return one mesh of two without common nodes."""
+    nodes = np.concatenate([triangles, other_triangles + len(points)])
+    return np.concatenate([points, other_points]), nodes
+
+
+def test_parts_of_a_mesh_without_common_nodes_are_refused(tmp_path):
+    """Bonds join them, and each has a surface where they touch: with equal nodes there, and with others."""
+    points, triangles, _ = square_mesh(4)
+    for n in (4, 5):
+        others, more, _ = square_mesh(n, seed=1)
+        both = meeting(points, triangles, others + np.array([2.0, 0.0]), more)
+        meshio.Mesh(both[0], [("triangle", both[1])]).write(tmp_path / "two.xdmf")
+        ends = [pd.region.Slab("x", high=1e-9), pd.region.Slab("x", low=4.0 - 1e-9)]
+        with pytest.raises(pd.CaseError, match="join the nodes of cells that touch there"):
+            pd.prepare(uniform(pd.Mesh(tmp_path / "two.xdmf"), 0.55, ends))
+
+
+@pytest.mark.parametrize("thickness", [1.0, 1e-3])
+def test_a_mirror_plane_or_a_cell_a_little_off_is_refused(thickness, tmp_path):
+    """Bonds go across, and the facets beside would be a surface that nobody sees."""
+    lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125, thickness=thickness)
+    ends = [pd.region.Named("-x"), pd.region.Named("+x")]
+    for at in (-1e-5, -0.02):
+        with pytest.raises(pd.CaseError, match="on a mirror plane match it"):
+            pd.prepare(uniform(lattice, 0.26, ends, symmetry=[pd.Symmetry("y", at)]))
+    for high in (1.0 + 1e-7, 1.02):
+        with pytest.raises(pd.CaseError, match="opposite sides of a periodic cell"):
+            pd.prepare(uniform(lattice, 0.26, ends, cell=pd.Cell((0.0, 0.0), (2.0, high), axes="y")))
+
+
+def test_a_crack_along_the_side_of_a_cell_is_a_surface():
+    lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
+    cell = pd.Cell((0.0, 0.0), (2.0, 1.0), axes="xy")
+    _, _, surface = pieces(lattice, 0.26, cell=cell, cracks=[pd.Segment((0.5, 0.0), (1.0, 0.0))])
+    assert len(surface.x) == 2 * 4
+    np.testing.assert_allclose(np.abs(surface.area).sum(axis=0), [0.0, 2 * 0.5])
+
+
+def test_weights_that_would_be_others_are_refused_and_large_changes_said():
+    """Sub-horizons of the nearest particles of an irregular cloud have hardly a number that is free."""
+    plate = shaken_plate(seed=0)
+    with pytest.raises(pd.CaseError, match=r"times what they are, most of all by .* widen the horizon"):
+        weights_of(plate, 1.515 / 8, pd.SubHorizons())
+    assert "leave little to choose" in weights_of(plate, 1.515 / 8, pd.BondAssociated())[3].note
+    assert "leave little to choose" not in weights_of(plate, 1.6 / 8, pd.SubHorizons())[3].note
 
 
 def test_particles_without_a_surface_are_refused():
@@ -587,6 +662,71 @@ def test_what_fails_in_a_pressure_is_named():
         pd.prepare(pd.Case(**{**vars(case), "conditions": [*case.conditions, bad]}))
 
 
+def pulled(particles, horizon=0.26, **changes):
+    """Return a case that says nothing of its weights, in which tractions need no facets."""
+    held = [pd.Displacement(pd.region.Nearest((0.0, 0.0)), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Nearest((2.0, 0.0)), y=0.0)]  # fmt: skip
+    right = pd.Force(pd.region.Slab("x", low=1.8), x=1.0)
+    return pd.Case(**{
+        "particles": particles, "horizon": horizon, "material": pd.LinearElastic(E=1000.0, nu=0.3),
+        "scheme": pd.Correspondence(), "control": pd.Silling(0.5),
+        "conditions": [*held, right, pd.Force(pd.region.Slab("x", high=0.2), x=-1.0)],
+        "history": {"u": pd.At((2.0, 0.5), pd.displacement, "x")}, "results": lambda h: {"u": h["u"][-1]},
+    } | changes)  # fmt: skip
+
+
+def of_case(case, tmp_path):
+    """Return the displacement of the end and what the summary says of the weights."""
+    result = pd.run(case, tmp_path)
+    return result["u"], result.summary["scheme"]["note"]
+
+
+def test_weights_conform_by_default_where_a_cloud_that_knows_its_surface_is_no_lattice(tmp_path):
+    lattice, shaken = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125), shaken_plate()
+    for particles, weights in ((lattice, pd.Standard()), (shaken, pd.Conforming())):
+        found, note = of_case(pulled(particles), tmp_path)
+        assert (found, note) == of_case(pulled(particles, weights=weights), tmp_path)
+        assert ("conforming weights" in note) == weights.conform
+    assert of_case(pulled(shaken, weights=pd.Standard()), tmp_path)[0] != pytest.approx(found, rel=1e-3)
+    # As arrays a lattice with the facets of a lattice is one.
+    chunk = lattice.chunk(0, 1)
+    assert not pd.Arrays(chunk.x, chunk.volume, facets=lattice.surface()).irregular
+    assert pd.Arrays(chunk.x, np.where(chunk.x[:, 0] < 1.0, 2.0, 0.5) * chunk.volume).irregular
+
+
+def test_irregular_clouds_that_cannot_have_conforming_weights_keep_their_own_and_say_why(tmp_path):
+    shaken = shaken_plate(shake=0.2)
+    unknown = pd.Arrays(shaken.x, shaken.volume)
+    # Points with as many members as a linear function has numbers; a surface that does not enclose the volume; none.
+    scarce = {"scheme": pd.BondAssociated(), "control": None, "horizon": 1.3 * 0.125}
+    larger = pd.Arrays(shaken.x, 1.01 * np.asarray(shaken.volume), facets=shaken.facets)
+    for particles, changes, why in (
+        (shaken, scarce, "widen the horizon"), (larger, {}, "encloses a volume"), (unknown, {}, "no known surface"),
+    ):  # fmt: skip
+        found, note = of_case(pulled(particles, **changes), tmp_path)
+        assert "standard weights on an irregular cloud, where they need not converge" in note and why in note
+        assert found == of_case(pulled(particles, weights=pd.Standard(), **changes), tmp_path)[0]
+        with pytest.raises(pd.CaseError, match=why):
+            pd.run(pulled(particles, weights=pd.Conforming(), **changes), tmp_path)
+    # Where a load needs the surface as well, a wrong one is refused.
+    with pytest.raises(pd.CaseError, match="encloses a volume"):
+        pd.run(pulled(larger, conditions=[*pulled(larger).conditions, pd.Pressure(pd.region.All(), 1.0)]), tmp_path)
+
+
+def test_bonds_have_no_weights_by_default(tmp_path):
+    case = pulled(shaken_plate(), material=pd.BondBased(E=1000.0), scheme=None, control=None)
+    assert "weights" not in of_case(case, tmp_path)[1]
+
+
+def test_a_run_goes_on_with_the_weights_that_it_had_by_default(tmp_path):
+    lattice = pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125)
+    pd.run(pulled(lattice, weights=pd.Standard()), tmp_path / "one")
+    longer = pulled(lattice, steps=pd.Steps(2))
+    assert pd.run(longer, tmp_path / "two", restart=tmp_path / "one")["u"] > 0.0
+    with pytest.raises(pd.CaseError, match="weights"):
+        pd.run(pulled(lattice, weights=pd.Conforming()), tmp_path / "three", restart=tmp_path / "one")
+
+
 def test_options_of_a_run_reach_the_solver_of_the_weights(tmp_path):
     case = uniform(shaken_plate(), 0.26, [pd.region.Named("-x"), pd.region.Named("+x")])
     result = pd.run(case, tmp_path, options={"weights_pc_type": "jacobi"})
@@ -656,3 +796,166 @@ def test_fields_at_the_surface_of_a_half_are_those_of_the_whole(tmp_path):
     assert abs(one["xy"]) > 1e-3 * abs(one["xx"])
     for name, value in one.items():
         assert two[name] == pytest.approx(value, rel=1e-9), name
+
+
+HOLE = pd.region.Box((0.75, 0.25), (1.25, 0.75))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "cut"),
+    [(0.0, 2.0, None), ((0.0, -1.0), (2.0, 1.0), HOLE), ((1.0, 0.0, 0.0), (2.0, 1.0, 0.5), None)],
+)
+def test_corners_of_a_lattice_share_its_cells_and_faces(low, high, cut):
+    """As the cells themselves: volume, enclosed volume, area of each side; in one part and in three."""
+    given = {"spacing": 0.25, "thickness": 0.5, "cut": cut}
+    nodes, cells = pd.LatticeNodes(low, high, **given), pd.Lattice(low, high, **given)
+    whole, dim = nodes.chunk(0, 1), cells.dim
+    assert whole.volume.sum() == pytest.approx(cells.chunk(0, 1).volume.sum(), rel=1e-14)
+    assert len(whole.x) <= nodes.estimate() and whole.x.min(axis=0) == pytest.approx(np.atleast_1d(low))
+    x, area, particle, tags = nodes.surface(0, 1).arrays
+    np.testing.assert_allclose(x.T @ area, whole.volume.sum() * np.eye(dim), atol=1e-13)
+    # The share of a corner in a face lies within half a cell of it, on the face.
+    apart = np.abs(x - whole.x[particle])
+    assert np.isin(np.round(apart / 0.25, 9), [0.0, 0.25]).all()
+    _, other, _, sides = cells.surface(0, 1).arrays
+    for name, flags in tags.items():
+        np.testing.assert_allclose(area[flags].sum(axis=0), other[sides[name]].sum(axis=0), rtol=1e-13, atol=1e-15)
+    parts = [nodes.chunk(part, 3) for part in range(3)]
+    np.testing.assert_array_equal(np.concatenate([part.x for part in parts]), whole.x)
+    first = np.cumsum([0, *(len(part.x) for part in parts)])
+    pieces_of = [nodes.surface(part, 3).arrays for part in range(3)]
+    found = np.concatenate([first[k] + of[2] for k, of in enumerate(pieces_of)])
+    assert sorted(found) == sorted(particle)
+    along = nodes.faces(0, 1, np.eye(dim)[0])
+    assert along.sum() == pytest.approx(other[sides["+x"]].sum(axis=0)[0], rel=1e-13)
+
+
+def test_corners_have_no_cracks():
+    with pytest.raises(pd.CaseError, match="which corners do not have; take a Lattice"):
+        pieces(pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.25), 0.51, cracks=[pd.Segment((0.6, 0.6), (0.9, 0.6))])
+
+
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons", "bond_associated"])
+def test_a_plane_that_corners_of_a_lattice_hold_carries_the_exact_stress(scheme, tmp_path):
+    E, nu, pull = 1000.0, 0.3, 1.0
+    H = np.diag([(1.0 - nu**2) * pull / E, -nu * (1.0 + nu) * pull / E])
+    held = pd.region.Slab("x", high=1e-9)
+    case = pd.Case(
+        particles=pd.LatticeNodes((0.0, 0.0), (2.0, 1.0), 0.125, cut=HOLE & pd.region.Slab("x", low=3.0)),
+        horizon=2.015 * 0.125,
+        material=pd.LinearElastic(E=E, nu=nu),
+        scheme=pd.SCHEMES[scheme],
+        weights=pd.Conforming(),
+        control=pd.Silling(0.5) if scheme == "correspondence" else None,
+        conditions=[
+            pd.Displacement(held, x=0.0),
+            pd.Displacement(pd.region.Nearest((0.0, 0.0)), y=0.0),
+            pd.Traction(pd.region.Named("+x"), x=pull),
+        ],
+        history={
+            "F": pd.LargestError(pd.deformation_gradient, lambda x, t: np.eye(2) + t * H),
+            "force": pd.Reaction("x", held),
+        },
+        results=lambda h: {"F": h["F"][-1], "force": h["force"][-1]},
+    )
+    found = pd.run(case, tmp_path)
+    assert found["F"] < 1e-11
+    assert found["force"] == pytest.approx(-pull, rel=1e-9)
+
+
+def cantilever(particles, spacing, scheme):
+    """Return the error in the L2 norm of a plate 2 x 1 that bends as the closed form has it, held at x = 0 alone.
+
+    Plane stress, shear ``-Q (D^2 / 4 - y^2) / 2 I`` at its end; the displacement of the side x = 0, which warps, is
+    given to the outermost particles there, on the side or half a cell inside (Timoshenko and Goodier, article 21;
+    Augarde and Deeks 2008, equations 5 and 6).
+    """
+    E, nu, L, D, Q = 1000.0, 0.3, 2.0, 1.0, 1.0
+    inertia = D**3 / 12.0
+
+    def exact(x, t):
+        a, b = x.T
+        u = b * ((6.0 * L - 3.0 * a) * a + (2.0 + nu) * (b**2 - 0.25 * D**2))
+        v = -(3.0 * nu * b**2 * (L - a) + (4.0 + 5.0 * nu) * 0.25 * D**2 * a + (3.0 * L - a) * a**2)
+        return t * Q / (6.0 * E * inertia) * np.stack([u, v], axis=1)
+
+    def of_side(axis):
+        return lambda x, t: exact(x * [0.0, 1.0], t)[:, axis]
+
+    held = pd.region.Slab("x", high=0.51 * spacing)
+    case = pd.Case(
+        particles=particles, horizon=2.015 * spacing, material=pd.LinearElastic(E=E, nu=nu, plane="stress"),
+        scheme=pd.SCHEMES[scheme], weights=pd.Conforming(),
+        control=pd.Silling(0.5) if scheme == "correspondence" else None,
+        conditions=[
+            pd.Displacement(held, x=of_side(0), y=of_side(1)),
+            pd.Traction(pd.region.Named("+x"), y=lambda x, t: -t * Q / (2.0 * inertia) * (0.25 * D**2 - x[:, 1] ** 2)),
+        ],
+    )  # fmt: skip
+    prepared = pd.prepare(case)
+    solver = prepared.make_solver()
+    try:
+        *_, last = prepared.march(solver)
+        solution = prepared.solution(last.u, last.t)
+        whole = exact(solution.x, 1.0)
+        off = pd.displacement(solution) - whole
+        return float(np.sqrt(solution.volume @ (off**2).sum(axis=1) / (solution.volume @ (whole**2).sum(axis=1))))
+    finally:
+        solver.destroy()
+
+
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+def test_bending_of_a_plate_that_is_held_on_its_boundary(scheme):
+    """Far nearer to the closed form than with supports half a cell inside, and faster so."""
+    kinds = (pd.LatticeNodes, pd.Lattice)
+    nodes, cells = (
+        np.array([cantilever(kind((0.0, -0.5), (2.0, 0.5), 1.0 / n), 1.0 / n, scheme) for n in (8, 32)])
+        for kind in kinds
+    )
+    assert np.log2(nodes[0] / nodes[1]) / 2.0 > 1.8
+    assert nodes[1] < 0.1 * cells[1]
+
+
+@LONG
+@pytest.mark.parametrize(
+    ("words", "first", "peak", "broken"),
+    [((), 3578, 5927, 90), (("law=brittle",), 4766, 8252, 86), (("scheme=sub_horizons", "G=0"), 5232, 6305, 126)],
+)
+def test_the_plate_with_a_hole_breaks_as_its_page_says(words, first, peak, broken, tmp_path):
+    """Symmetric and apart; damage begins at a lower load than with the weights of the scheme."""
+    found = results("runs/fracture/plate_with_hole.py", *words, "weights=conforming", output=tmp_path)["results"]
+    plain = results("runs/fracture/plate_with_hole.py", *words, output=tmp_path)["results"]
+    assert found["first_damage_load"] == pytest.approx(first, rel=1e-3)
+    assert found["peak_load"] == pytest.approx(peak, rel=1e-3)
+    assert found["broken_bonds"] == broken
+    assert found["symmetry_error"] < 1e-10
+    assert abs(found["last_load"]) < 1e-6 * peak
+    assert found["first_damage_load"] < 0.8 * plain["first_damage_load"]
+
+
+def cracked_cell(at):
+    """Return a strip, periodic in y, with a crack along it at a height that its load goes with."""
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 1.0), 0.125),
+        horizon=0.252,
+        material=pd.LinearElastic(E=10.0, nu=0.3),
+        weights=pd.Conforming(),
+        cell=pd.Cell((0.0, 0.0), (2.0, 1.0), axes="y"),
+        cracks=[pd.Segment((0.5, at), (1.0, at))],
+        conditions=[
+            pd.MeanStrain(yy=0.0),
+            pd.Displacement(pd.region.Slab("x", high=0.125), x=0.0, y=0.0),
+            pd.Traction(
+                pd.region.Named("+x"),
+                x=lambda x, t: t * (1.0 + np.cos(2.0 * np.pi * (x[:, 1] - at))),
+                y=lambda x, t: t * np.cos(2.0 * np.pi * (x[:, 1] - at)),
+            ),
+        ],
+        history={"energy": pd.StrainEnergy()},
+        results=lambda h: {"energy": h["energy"][-1]},
+    )
+
+
+def test_a_crack_along_the_side_of_a_cell_is_that_in_its_middle(tmp_path):
+    side, middle = (pd.run(cracked_cell(at), tmp_path)["energy"] for at in (0.0, 0.5))
+    assert side == pytest.approx(middle, rel=1e-9)

@@ -55,6 +55,7 @@ VALID = [
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
     pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),
     pd.Correspondence(), pd.SubHorizons(), pd.StressPoints(), pd.Corrected(), pd.HigherOrder(), pd.BondAssociated(),
+    pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5),
     pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.5), pd.Arrays([[0.0], [1.0]], [1.0, 1.0], {"a": [0]}),
     pd.Displacement(region.All(), x=0.0), pd.Force(region.All(), x=0.0), pd.BodyForce(region.All(), x=ones),
     pd.Traction(region.All(), x=0.0, normal=(1.0, 0.0)), pd.SurfacePressure(region.All(), 1.0),

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.declare import formats
+from pdpetsc.declare import abaqus as abaqus_format
+from pdpetsc.declare import cells, formats
+from pdpetsc.declare import exodus as exodus_format
 from pdpetsc.declare.cells import SIMPLICES
 from tests.test_scene import whole
 
@@ -544,3 +546,112 @@ def test_curved_beams_have_their_middle_node_anywhere(order, tmp_path):
     chunk = pd.Mesh(path).chunk(0, 1)
     assert chunk.x[:, 0].tolist() == [1.0, 3.0]
     assert chunk.volume.tolist() == [2.0, 2.0]
+
+
+# Nodes of the sides of elements, from 1 on, as the manuals print them: Exodus II, "Side set node ordering"; Abaqus,
+# "Element face identifiers".
+SIDES = {
+    "exodus": {
+        "triangle": ["12", "23", "31"],
+        "quad": ["12", "23", "34", "41"],
+        "tetra": ["124", "234", "143", "132"],
+        "pyramid": ["125", "235", "345", "154", "1432"],
+        "wedge": ["1254", "2365", "1463", "132", "456"],
+        "hexahedron": ["1265", "2376", "3487", "1584", "1432", "5678"],
+    },
+    "abaqus": {
+        "triangle": ["12", "23", "31"],
+        "quad": ["12", "23", "34", "41"],
+        "tetra": ["123", "142", "243", "341"],
+        "pyramid": ["1234", "152", "253", "354", "451"],
+        "wedge": ["123", "465", "1452", "2563", "3641"],
+        "hexahedron": ["1234", "5876", "1562", "2673", "3784", "4851"],
+    },
+}
+
+
+@pytest.mark.parametrize("kind", SIDES["exodus"])
+def test_sides_of_elements_are_those_of_the_manuals(kind):
+    def nodes(texts):
+        return [{int(letter) - 1 for letter in text} for text in texts]
+
+    facets = [set(corners) for corners in cells.FACETS[kind]]
+    assert [facets[place] for place in exodus_format._SIDES[kind]] == nodes(SIDES["exodus"][kind])
+    places = [abaqus_format._places(f"S{n + 1}", len(facets))[0] for n in range(len(facets))]
+    assert [facets[place] for place in places] == nodes(SIDES["abaqus"][kind])
+
+
+def plate_with_sides(folder, form, word="", shells=False):
+    """Write 3 x 2 quadrilaterals of 1 x 0.5 with the right end, and the nodes of the upper side, by name."""
+    x, y = np.meshgrid(np.arange(4.0), 0.5 * np.arange(3), indexing="ij")
+    points = np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=1)
+    quads = np.array([[3 * i + j, 3 * i + j + 3, 3 * i + j + 4, 3 * i + j + 1] for i in range(3) for j in range(2)])
+    ends, top = [5, 6], np.flatnonzero(points[:, 1] == 1.0)
+    if form == "abaqus":
+        lines = ["*NODE", *(f"{n + 1}, {x}, {y}" for n, (x, y, _) in enumerate(points)), "*ELEMENT, TYPE=CPE4"]
+        lines += [f"{n + 1}, " + ", ".join(str(node + 1) for node in quad) for n, quad in enumerate(quads)]
+        lines += ["*SURFACE, NAME=end", *(f"{n}{word or ', S2'}" for n in ends), "*NSET, NSET=top"]
+        lines += [", ".join(str(n + 1) for n in top)]
+        (folder / "plate.inp").write_text("\n".join(lines) + "\n")
+        return folder / "plate.inp"
+    with netCDF4.Dataset(folder / "plate.g", "w", format="NETCDF3_64BIT_OFFSET") as file:
+        sizes = {"num_nodes": 12, "num_dim": 3, "num_el_blk": 1, "e": 6, "k": 4, "num_node_sets": 1, "s": 2, "t": 4,
+                 "num_side_sets": 1, "len_string": 33}  # fmt: skip
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        for axis, column in zip("xyz", points.T, strict=True):
+            file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = column
+        connect = file.createVariable("connect1", "i4", ("e", "k"))
+        connect.elem_type = "SHELL4" if shells else "QUAD4"
+        connect[:] = quads + 1
+        for short, size, label in (("ns", "num_node_sets", "top"), ("ss", "num_side_sets", "end")):
+            text = file.createVariable(f"{short}_names", "S1", (size, "len_string"))
+            text[0, : len(label)] = np.array(list(label), dtype="S1")
+        file.createVariable("node_ns1", "i4", ("t",))[:] = top + 1
+        file.createVariable("elem_ss1", "i4", ("s",))[:] = ends
+        file.createVariable("side_ss1", "i4", ("s",))[:] = int(word or (4 if shells else 2))
+    return folder / "plate.g"
+
+
+@pytest.mark.parametrize("at", [pd.Mesh, pd.MeshNodes])
+@pytest.mark.parametrize(("form", "shells"), [("abaqus", False), ("exodus", False), ("exodus", True)])
+def test_loads_act_on_side_sets_and_node_sets(at, form, shells, tmp_path):
+    """On these facets alone: not on the other free facets of the cells that they belong to."""
+    mesh = at(plate_with_sides(tmp_path, form, shells=shells), thickness=0.25)
+    named = pd.region.Named
+    case = pd.Case(
+        particles=mesh, horizon=2.1, material=pd.LinearElastic(E=10.0, nu=0.3),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=0.6), x=0.0, y=0.0),
+            pd.Traction(named("end"), x=2.0), pd.Pressure(named("end"), 2.0), pd.Pressure(named("top"), 2.0),
+        ],
+    )  # fmt: skip
+    loads = [found for term in pd.prepare(case).problem.terms for found in getattr(term, "resultants", [])]
+    np.testing.assert_allclose(
+        [force for _, _, force in loads], [[2.0 * 0.25, 0.0], [-2.0 * 0.25, 0.0], [0.0, -2.0 * 3.0 * 0.25]], atol=1e-12
+    )
+    x, _, sets = whole(mesh)
+    assert sets["end"].tolist() == (x[:, 0] > (2.0 if at is pd.Mesh else 2.9)).tolist()
+
+
+def test_sides_that_are_no_facets_are_refused(tmp_path):
+    def prepared(path):
+        traction = pd.Traction(pd.region.Named("end"), x=2.0)
+        held = pd.Displacement(pd.region.Slab("x", high=0.6), x=0.0, y=0.0)
+        case = pd.Case(particles=pd.Mesh(path), horizon=2.1, material=pd.LinearElastic(E=10.0, nu=0.3),
+                       conditions=[held, traction])  # fmt: skip
+        return pd.prepare(case).problem.terms
+
+    for path in (lambda: plate_with_sides(tmp_path, "abaqus", ", SPOS"), lambda: plate_with_sides(tmp_path, "exodus", 2,
+                 shells=True)):  # fmt: skip
+        with pytest.raises(pd.CaseError, match="holds no facet of the surface"):
+            prepared(path())
+    for path, words in (
+        (lambda: plate_with_sides(tmp_path, "abaqus", ", S5"), "has the face 'S5' of an element with 4 facets"),
+        (lambda: plate_with_sides(tmp_path, "exodus", 5), "has side 5 of a quad"),
+    ):
+        with pytest.raises(pd.CaseError, match=words):
+            prepared(path())
+    # Elements without a face: all that is free of them.
+    loads = [f for term in prepared(plate_with_sides(tmp_path, "abaqus", ",")) for f in getattr(term, "resultants", [])]
+    np.testing.assert_allclose(loads[0][2], [2.0 * (0.5 + 0.5 + 1.0 + 1.0), 0.0], atol=1e-12)

@@ -326,6 +326,19 @@ def test_conforming_weights_are_those_of_the_whole(dim, planes):
     both(planes, dim=dim, weights=pd.Conforming(), scheme=pd.Correspondence(), control=pd.Silling(0.3), tolerance=1e-8)
 
 
+@pytest.mark.parametrize(("dim", "planes"), [(2, "x"), (2, "xy"), (3, "x")])
+def test_a_crack_along_a_plane_has_its_faces_there(dim, planes):
+    """Facets on the plane are surface where a crack cuts the bonds through them, and nowhere else."""
+    if dim == 2:
+        crack = pd.Segment((0.0, -2.5 if planes == "xy" else 1.5), (0.0, 2.5))
+    else:
+        crack = pd.PolygonCrack([(0.0, 0.5, 0.5), (0.0, 2.5, 0.5), (0.0, 2.5, 2.5), (0.0, 0.5, 2.5)])
+    changes = {"weights": pd.Conforming(), "scheme": pd.Correspondence(), "control": pd.Silling(0.3)}
+    found = both(planes, dim=dim, cracks=[crack], tolerance=1e-8, **changes)
+    uncut = solved(pulled(planes, True, dim=dim, **changes))[1]
+    assert found["strain"][-1] != pytest.approx(uncut["strain"][-1], rel=1e-4)
+
+
 def test_pressure_with_conforming_weights_is_that_of_the_whole():
     changes = {"weights": pd.Conforming(), "material": pd.LinearElastic(E=10.0, nu=0.3)}
     part, whole = (loaded("xy", whole, "pressure", **changes) for whole in (False, True))

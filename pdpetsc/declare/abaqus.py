@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.cells import Block, MeshData
+from pdpetsc.declare.cells import FACETS, Block, MeshData
 from pdpetsc.errors import CaseError
 
 # Element types of solids, plane elements, lines and beams; the number in them is that of the nodes, of beams the order.
@@ -40,7 +40,7 @@ class _Deck:
     without_cells: set[int] = field(default_factory=set)
     node_sets: dict[str, list[int]] = field(default_factory=dict)
     element_sets: dict[str, list[int]] = field(default_factory=dict)
-    sides: dict[str, list[int]] = field(default_factory=dict)
+    sides: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     parts: int = 0
     instances: int = 0
 
@@ -101,6 +101,16 @@ def _mesh(deck: _Deck) -> MeshData:
             raise CaseError(f"a set names element {missing[0]}, which it does not have")
         return np.unique(np.array([flat[m] for m in members if m in flat], dtype=np.int64))
 
+    def sides(members: list[tuple[int, str]]) -> GlobalIndex:
+        cells([member for member, _ in members])
+        pairs = [
+            (flat[member], place)
+            for member, word in members
+            if member in flat
+            for place in _places(word, len(FACETS.get(deck.place[member][0][0], [])))
+        ]
+        return np.asarray(np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0))
+
     def nodes(members: list[int]) -> GlobalIndex:
         missing = [m for m in members if m not in deck.nodes]
         if missing:
@@ -110,7 +120,7 @@ def _mesh(deck: _Deck) -> MeshData:
     return MeshData(
         points, blocks,
         {name: cells(members) for name, members in deck.element_sets.items()},
-        {name: cells(members) for name, members in deck.sides.items()},
+        {name: sides(members) for name, members in deck.sides.items()},
         {name: nodes(members) for name, members in deck.node_sets.items()},
     )  # fmt: skip
 
@@ -261,6 +271,22 @@ def _named(sets: dict[str, list[int]], word: str) -> list[int]:
     raise CaseError(f"there is no set {word!r}")
 
 
+def _places(word: str, count: int) -> list[int]:
+    """Return the places of the facets, of so many of an element, that the word of a surface stands for.
+
+    ``S1``, ``E1`` and ``END1`` are the first facet, as numbers in ``FACETS`` go; a side of a shell is no facet, -1. No
+    word stands for all of them, of which those that two elements share are no surface.
+    """
+    if not word:
+        return list(range(count))
+    found = re.fullmatch(r"(?:S|E|END)(\d+)", word)
+    if found and 1 <= int(found[1]) <= count:
+        return [int(found[1]) - 1]
+    if word in ("SPOS", "SNEG"):
+        return [-1]
+    raise CaseError(f"a surface has the face {word!r} of an element with {count} facets")
+
+
 def _surface(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> None:
     name, kind = _option(options, "NAME", "SURFACE"), options.get("TYPE", "ELEMENT").upper()
     # Only surfaces that name elements or nodes select particles: not those of other kinds or made of other surfaces,
@@ -271,4 +297,8 @@ def _surface(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> Non
         sets = deck.element_sets if kind == "ELEMENT" else deck.node_sets
         word = words[0].rpartition(".")[2]
         members = [int(word)] if _is_whole(word) else _named(sets, words[0])
-        (deck.sides if kind == "ELEMENT" else deck.node_sets).setdefault(name, []).extend(members)
+        if kind == "NODE":
+            deck.node_sets.setdefault(name, []).extend(members)
+        else:
+            side = words[1].upper() if len(words) > 1 else ""
+            deck.sides.setdefault(name, []).extend((member, side) for member in members)

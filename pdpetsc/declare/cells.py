@@ -20,8 +20,23 @@ SIMPLICES: dict[str, list[tuple[int, ...]]] = {
     "wedge": [(0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3)],
     "hexahedron": [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)],
 }
-# Other ways that a cell falls into simplices.
-_OTHER_WAYS: dict[str, list[list[tuple[int, ...]]]] = {"quad": [[(0, 1, 3), (1, 2, 3)]]}
+
+
+def _turned(ways: list[tuple[int, ...]], turn: tuple[int, ...], times: int) -> list[list[tuple[int, ...]]]:
+    """Return simplices whose corners are turned once, twice and so on by a rotation of the cell onto itself."""
+    found = [ways]
+    for _ in range(times):
+        found.append([tuple(turn[corner] for corner in simplex) for simplex in found[-1]])
+    return found[1:]
+
+
+# Other ways that a cell falls into simplices: no diagonal is better than another.
+_OTHER_WAYS: dict[str, list[list[tuple[int, ...]]]] = {
+    "quad": _turned(SIMPLICES["quad"], (1, 2, 3, 0), 1),
+    "pyramid": _turned(SIMPLICES["pyramid"], (1, 2, 3, 0, 4), 1),
+    "wedge": _turned(SIMPLICES["wedge"], (1, 2, 0, 4, 5, 3), 2),
+    "hexahedron": _turned(SIMPLICES["hexahedron"], (1, 2, 3, 0, 5, 6, 7, 4), 3),
+}
 # Facets of a cell by its corner nodes, outward where the volume of its simplices is positive.
 FACETS: dict[str, list[tuple[int, ...]]] = {
     "line": [(0,), (1,)],
@@ -36,6 +51,8 @@ CORNERS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyrami
 DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
 # Corners of a facet at most.
 _WIDTH = 4
+# A face with four corners is flat where one is this near to the plane of its diagonals, as a share of their length.
+_FLAT = 1e-10
 
 
 @dataclass(frozen=True)
@@ -76,8 +93,9 @@ class MeshData:
         All cells, also those of boundaries; they are numbered through all blocks.
     cell_sets : mapping of str to (n,) int64
         Named sets of cells.
-    side_sets : mapping of str to (n,) int64
-        Named sets of facets, as the cells that they belong to.
+    side_sets : mapping of str to (n, 2) int64
+        Named sets of facets: the cell of each, and which of the ``FACETS`` of its kind it is; -1 for the cell itself,
+        such as a side of a shell, or where the file does not say.
     node_sets : mapping of str to (n,) int64
         Named sets of nodes.
     """
@@ -90,39 +108,67 @@ class MeshData:
 
 
 def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
-    """Return signed volumes (n,) and first moments (n, dim) of the cells between straight edges."""
+    """Return signed volumes (n,) and first moments (n, dim) of the cells between straight edges.
+
+    Faces with four corners are bilinear surfaces, the same for both neighbours, flat or not: ``V = 1/3 oint x . da``
+    and ``int x_a dV = 1/2 oint x_a^2 da_a``, exact with 2 x 2 points.
+    """
     dim = points.shape[1]
     volume = np.zeros(len(block.nodes))
     moment = np.zeros((len(block.nodes), dim))
+    if any(len(corners) == _WIDTH for corners in FACETS[block.kind]):
+        low = points[block.nodes[:, 0]]
+        for corners in FACETS[block.kind]:
+            x, area = _quadrature(points[block.nodes[:, list(corners)]] - low[:, None])
+            volume += np.einsum("nqa,nqa->n", x, area) / 3.0
+            moment += 0.5 * (x**2 * area).sum(axis=1)
+        return volume, moment + volume[:, None] * low
     for simplex in SIMPLICES[block.kind]:
-        corners = points[block.nodes[:, list(simplex)]]
-        edges = corners[:, 1:] - corners[:, :1]
+        corners_of = points[block.nodes[:, list(simplex)]]
+        edges = corners_of[:, 1:] - corners_of[:, :1]
         part = np.linalg.det(edges) / float(np.prod(np.arange(1, dim + 1)))
         volume += part
-        moment += part[:, None] * corners.mean(axis=1)
+        moment += part[:, None] * corners_of.mean(axis=1)
     return volume, moment
+
+
+def _quadrature(x: Float) -> tuple[Float, Float]:
+    """Return points (n, q, 3) and vector areas (n, q, 3) at them, exact on faces with corners (n, 3 or 4, 3).
+
+    Of triangles for quadratic functions, in the middles of the edges; of bilinear surfaces for products of cubic ones.
+    Those of the latter are one near each corner, in turn.
+    """
+    if x.shape[1] == 3:
+        area = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        return 0.5 * (x + np.roll(x, -1, axis=1)), np.repeat(area[:, None] / 3.0, 3, axis=1)
+    signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    places, areas = [], []
+    for at, to in signs / np.sqrt(3.0):
+        N = 0.25 * (1.0 + at * signs[:, 0]) * (1.0 + to * signs[:, 1])
+        along = np.einsum("k,nki->ni", 0.25 * signs[:, 0] * (1.0 + to * signs[:, 1]), x)
+        across = np.einsum("k,nki->ni", 0.25 * signs[:, 1] * (1.0 + at * signs[:, 0]), x)
+        places.append(np.einsum("k,nki->ni", N, x))
+        areas.append(np.cross(along, across))
+    return np.stack(places, axis=1), np.stack(areas, axis=1)
 
 
 def shares_of_nodes(points: Float, blocks: list[Block]) -> tuple[GlobalIndex, Float]:
     """Return the nodes that are corners of cells, ascending, and the volumes of their dual cells.
 
-    A simplex gives every corner the same share; other cells fall into simplices, quadrilaterals in both ways at once.
+    A simplex gives every corner the same share; other cells fall into simplices, in several ways at once.
     """
     volume = np.zeros(len(points))
     used = np.zeros(len(points), dtype=bool)
-    dim = points.shape[1]
     for block in blocks:
         used[np.ravel(block.corners)] = True
-        ways = [SIMPLICES[block.kind], *_OTHER_WAYS.get(block.kind, [])]
-        sign = np.where(volumes_and_moments(points, block)[0] < 0.0, -1.0, 1.0)
-        for way in ways:
+        whole = volumes_and_moments(points, block)[0]
+        share = np.zeros(block.corners.shape)
+        for way in [SIMPLICES[block.kind], *_OTHER_WAYS.get(block.kind, [])]:
             for simplex in way:
-                nodes = block.nodes[:, list(simplex)]
-                corners = points[nodes]
-                edges = corners[:, 1:] - corners[:, :1]
-                part = sign * np.linalg.det(edges) / float(np.prod(np.arange(1, dim + 1)))
-                for column in nodes.T:
-                    volume += np.bincount(column, part / (len(simplex) * len(ways)), len(points))
+                corners = points[block.nodes[:, list(simplex)]]
+                share[:, list(simplex)] += np.linalg.det(corners[:, 1:] - corners[:, :1])[:, None]
+        share *= (np.abs(whole) / share.sum(axis=1))[:, None]
+        volume += np.bincount(np.ravel(block.corners), np.ravel(share), len(points))
     nodes = np.flatnonzero(used)
     return nodes, volume[nodes]
 
@@ -141,6 +187,47 @@ def edge_lengths(points: Float, blocks: list[Block]) -> Float:
     count = np.bincount(edges.ravel(), minlength=len(points))
     sums = np.bincount(edges.ravel(), np.repeat(length, 2), len(points))
     return np.asarray(sums / np.maximum(count, 1))
+
+
+def flat_parts(points: Float, corners: GlobalIndex, x: Float, area: Float) -> tuple[Float, Float, GlobalIndex]:
+    """Return facets as they are, and four points in the place of those that are not flat.
+
+    Parameters
+    ----------
+    corners : (n, 4) int64
+        Nodes of facets in turn, followed by -1 where there are fewer than four.
+    x, area : (n, dim) float64
+        Centroids and vector areas.
+
+    Returns
+    -------
+    x, area, facet
+        Centroids and vector areas (n_parts, dim), and the facet (n_parts,) of each: ``sum x (x) a`` is that of the
+        bilinear surface.
+    """
+    bent = _warped(points, corners)
+    places, areas, facet = [x[~bent]], [area[~bent]], [np.flatnonzero(~bent)]
+    if bent.any():
+        at, of = _quadrature(points[corners[bent]])
+        sign = np.where((of.sum(axis=1) * area[bent]).sum(axis=1) < 0.0, -1.0, 1.0)
+        places.append(at.reshape(-1, 3))
+        areas.append((sign[:, None, None] * of).reshape(-1, 3))
+        facet.append(np.repeat(np.flatnonzero(bent), _WIDTH))
+    return np.concatenate(places), np.concatenate(areas), np.concatenate(facet)
+
+
+def _warped(points: Float, corners: GlobalIndex) -> Mask:
+    """Return which facets have four corners that do not lie in a plane (n,)."""
+    found = np.zeros(len(corners), dtype=bool)
+    if points.shape[1] < 3:
+        return found
+    square = np.flatnonzero((corners >= 0).all(axis=1))
+    x = points[corners[square]]
+    one, other = x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]
+    off = np.abs(np.einsum("ni,ni->n", np.cross(one, other), x[:, 1] - x[:, 0]))
+    size = np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(other, axis=1))
+    found[square] = off > _FLAT * size**3
+    return found
 
 
 def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[GlobalIndex, Float, Float, GlobalIndex]:
@@ -163,24 +250,27 @@ def parts_of_facets(points: Float, corners: GlobalIndex, area: Float) -> tuple[G
     # Share of the corner, and of each other one, in the centroid of the part next to it.
     for m, own, other in ((1, 1.0, 0.0), (2, 3.0 / 4.0, 1.0 / 4.0), (3, 22.0 / 36.0, 7.0 / 36.0)):
         of = np.flatnonzero(count == m)
-        simplices, sizes = corners[of, :m], area[of]
-        if m == 3:  # faces with four corners are two triangles
-            square = np.flatnonzero(count == 4)
-            halves = [corners[square][:, [0, 1, 2]], corners[square][:, [0, 2, 3]]]
-            simplices, of = np.concatenate([simplices, *halves]), np.concatenate([of, square, square])
-            sizes = np.concatenate([sizes, *(_along(area[square], _vector_area(points[half], 0)) for half in halves)])
-        x = points[simplices]
+        x = points[corners[of, :m]]
         for corner in range(m):
-            nodes.append(simplices[:, corner])
+            nodes.append(corners[of, corner])
             centres.append((own - other) * x[:, corner] + other * x.sum(axis=1))
-            areas.append(sizes / m)
+            areas.append(area[of] / m)
+            facet.append(of)
+    of = np.flatnonzero(count == _WIDTH)
+    if len(of):
+        x = points[corners[of]]
+        bent = _warped(points, corners[of])[:, None]
+        at, part = _quadrature(x)
+        sign = np.where((part.sum(axis=1) * area[of]).sum(axis=1) < 0.0, -1.0, 1.0)
+        for corner in range(_WIDTH):
+            # Between the corner, the middles of its edges and that of the facet.
+            after, before = (0.5 * (x[:, corner] + x[:, (corner + step) % _WIDTH]) for step in (1, -1))
+            quarter = np.stack([x[:, corner], after, x.mean(axis=1), before], axis=1)
+            nodes.append(corners[of, corner])
+            centres.append(np.where(bent, at[:, corner], _centroid(quarter)))
+            areas.append(sign[:, None] * np.where(bent, part[:, corner], _vector_area(quarter, 0)))
             facet.append(of)
     return np.concatenate(nodes), np.concatenate(centres), np.concatenate(areas), np.concatenate(facet)
-
-
-def _along(whole: Float, part: Float) -> Float:
-    """Return vector areas (n, 3), turned to the side that those of the whole facets look to."""
-    return np.asarray(part * np.where((whole * part).sum(axis=1) < 0.0, -1.0, 1.0)[:, None])
 
 
 @dataclass(frozen=True)
@@ -199,6 +289,8 @@ class CellFacets:
         Centroids.
     corners : (n_facets, 4) int64
         The corner nodes in turn, followed by -1 where there are fewer.
+    place : (n_facets,) int64
+        Which of the ``FACETS`` of its cell each is.
     """
 
     key: GlobalIndex
@@ -206,6 +298,7 @@ class CellFacets:
     area: Float
     centre: Float
     corners: GlobalIndex
+    place: GlobalIndex
 
     @property
     def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
@@ -231,7 +324,7 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
     blocks : list of Block
         Cells of dimension ``dim``.
     """
-    keys, cells, areas, centres, turns = [], [], [], [], []
+    keys, cells, areas, centres, turns, places = [], [], [], [], [], []
     before = 0
     for block in blocks:
         number = before + np.arange(len(block.nodes))
@@ -244,12 +337,14 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
             cells.append(number)
             areas.append(sign[:, None] * _vector_area(points[nodes], place))
             centres.append(_centroid(points[nodes]))
+            places.append(np.full(len(number), place))
     return CellFacets(
         np.concatenate(keys),
         np.concatenate(cells),
         np.concatenate(areas),
         np.concatenate(centres),
         np.concatenate(turns),
+        np.concatenate(places),
     )
 
 
@@ -264,11 +359,6 @@ def facet_keys(nodes: NDArray[np.int64]) -> GlobalIndex:
     return key
 
 
-def owners(wanted: GlobalIndex, surface: CellFacets) -> GlobalIndex:
-    """Return the cells that have one of the wanted facets, given by their keys (n, 4)."""
-    return np.asarray(np.unique(surface.cell[having(wanted, surface)]), dtype=np.int64)
-
-
 def having(wanted: GlobalIndex, surface: CellFacets) -> Mask:
     """Return which facets have one of the wanted keys (n, 4)."""
     both = np.concatenate([wanted, surface.key])
@@ -277,6 +367,17 @@ def having(wanted: GlobalIndex, surface: CellFacets) -> Mask:
     asked = np.zeros(number.max(initial=0) + 1, dtype=bool)
     asked[number[: len(wanted)]] = True
     return np.asarray(asked[number[len(wanted) :]])
+
+
+def on_sides(cell: GlobalIndex, place: GlobalIndex, surface: CellFacets) -> Mask:
+    """Return which facets are at these places of these cells (n,) each; none at a place -1."""
+    width = 1 + max(len(corners) for corners in FACETS.values())
+    return np.asarray(np.isin(surface.cell * width + surface.place, (cell * width + place)[place >= 0]))
+
+
+def with_corners_in(nodes: GlobalIndex, surface: CellFacets) -> Mask:
+    """Return which facets have all their corners among nodes (n,)."""
+    return np.asarray((np.isin(surface.corners, nodes) | (surface.corners < 0)).all(axis=1))
 
 
 def _centroid(x: Float) -> Float:

@@ -13,6 +13,11 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declare.cells import CORNERS, Block, MeshData
 from pdpetsc.errors import CaseError
 
+# The sides of an element, from 1 on, as places in ``FACETS``; Exodus II manual, table of side set nodes.
+_SIDES = {
+    "line": [0, 1], "triangle": [0, 1, 2], "quad": [0, 1, 2, 3], "tetra": [1, 2, 3, 0], "pyramid": [1, 2, 3, 4, 0],
+    "wedge": [2, 3, 4, 0, 1], "hexahedron": [2, 3, 4, 5, 0, 1], "vertex": [],
+}  # fmt: skip
 # Kinds by the letters that an element type begins with; the corners come first whatever its order.
 _KINDS = {
     "HEX": "hexahedron", "TET": "tetra", "WED": "wedge", "PYR": "pyramid", "TRI": "triangle", "QUA": "quad",
@@ -39,17 +44,21 @@ def read(path: Path) -> MeshData:
         file.set_auto_mask(False)
         variables = file.variables
         blocks, groups, start = [], {}, 0
+        shell = []
+        points = _points(variables)
         for number, name in _listed(file, "num_el_blk", "eb", "group"):
             if f"connect{number}" not in variables:
                 continue
             connect = variables[f"connect{number}"]
-            block = _block(str(getattr(connect, "elem_type", "")).upper(), np.asarray(connect[:]))
+            word = str(getattr(connect, "elem_type", "")).upper()
+            block = _block(word, np.asarray(connect[:]))
+            # Shells, and triangles in space, have their two faces before their edges.
+            shell.append(word.startswith("SHE") or (word.startswith("TRI") and points.shape[1] == 3))
             groups[name] = start + np.arange(len(block.nodes))
             start += len(block.nodes)
             blocks.append(block)
         return MeshData(
-            _points(variables), blocks, groups,
-            _sets(file, "num_side_sets", "ss", "side_set", "elem_ss"),
+            points, blocks, groups, _sides(file, blocks, shell),
             _sets(file, "num_node_sets", "ns", "node_set", "node_ns"),
         )  # fmt: skip
 
@@ -80,6 +89,36 @@ def _sets(file: Any, dimension: str, short: str, word: str, variable: str) -> di
     for number, name in _listed(file, dimension, short, word):
         if f"{variable}{number}" in file.variables:
             found[name] = np.unique(np.asarray(file.variables[f"{variable}{number}"][:]).astype(np.int64) - 1)
+    return found
+
+
+def _sides(file: Any, blocks: list[Block], shell: list[bool]) -> dict[str, GlobalIndex]:
+    """Return the side sets by name: cells from 0 on and places of facets (n, 2).
+
+    Raises
+    ------
+    CaseError
+        A side is none of its element.
+    """
+    starts = np.cumsum([0, *(len(block.nodes) for block in blocks)])
+    found = {}
+    for number, name in _listed(file, "num_side_sets", "ss", "side_set"):
+        if f"elem_ss{number}" not in file.variables:
+            continue
+        cells = np.asarray(file.variables[f"elem_ss{number}"][:]).astype(np.int64) - 1
+        places = np.full(len(cells), -1)
+        if f"side_ss{number}" in file.variables:
+            sides = np.asarray(file.variables[f"side_ss{number}"][:]).astype(np.int64)
+            if sides.shape != cells.shape:
+                raise CaseError(f"side set {name!r} has {len(cells)} elements and {len(sides)} sides")
+            for block, start, is_shell in zip(blocks, starts, shell, strict=False):
+                mine = np.flatnonzero((cells >= start) & (cells < start + len(block.nodes)))
+                known = np.array([-1, -1] * is_shell + _SIDES[block.kind], dtype=np.int64)
+                wrong = mine[(sides[mine] < 1) | (sides[mine] > len(known))]
+                if len(wrong):
+                    raise CaseError(f"side set {name!r} has side {sides[wrong[0]]} of a {block.kind}")
+                places[mine] = known[sides[mine] - 1]
+        found[name] = np.unique(np.stack([cells, places], axis=1), axis=0)
     return found
 
 

@@ -6,9 +6,9 @@ Every rank reads the whole file and keeps its own part of the particles.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +21,13 @@ from pdpetsc.declare.cells import (
     edge_lengths,
     facet_keys,
     facets,
+    flat_parts,
     having,
-    owners,
+    on_sides,
     parts_of_facets,
     shares_of_nodes,
     volumes_and_moments,
+    with_corners_in,
 )
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.cracks import Crack
@@ -74,6 +76,11 @@ class TextFile(Particles):
         """Return part ``part`` of ``parts`` of the file."""
         return self._arrays().chunk(part, parts)
 
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles do not fill the cells of a lattice."""
+        return self._arrays().irregular
+
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return what Arrays of the same particles return."""
         return self._arrays().faces(part, parts, normal)
@@ -121,6 +128,8 @@ class Mesh(Particles):
     - node sets: the cells with any of these nodes, unnamed ones as ``node_set_n``; ``name nodes`` where cells or facets
       have the name.
 
+    For loads on the surface the names of side sets, of boundary lines and faces and of node sets are those of facets.
+
     Parameters
     ----------
     path : str or Path
@@ -155,6 +164,12 @@ class Mesh(Particles):
         volume *= self._depth(points)
         return Arrays(x, volume, _sets(mesh, points, blocks), self.thickness).chunk(part, parts)
 
+    @property
+    def irregular(self) -> bool:
+        """Return whether the cells, or the nodes with theirs, are not those of a lattice."""
+        whole = self.chunk(0, 1)
+        return Arrays(whole.x, whole.volume, thickness=self.thickness).irregular
+
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
         count, found = _whole_surface(self, _version(Path(self.path)))
@@ -166,7 +181,8 @@ class Mesh(Particles):
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that belong to one cell only, or that a crack frees.
 
-        Groups of boundary lines and faces are their tags.
+        Their tags are groups of boundary lines and faces, side sets, and node sets: the facets with all corners in
+        these. They have the names of the sets of particles; where cells have the name too it stands for the facets.
         """
         count, found = self._facets(cracks) if cracks else _whole_surface(self, _version(Path(self.path)))
         return found.of_particles(part * count // parts, (part + 1) * count // parts)
@@ -183,9 +199,11 @@ class Mesh(Particles):
             for crack in cracks:
                 cut |= crack.cuts(x[found.cell[one]], x[found.cell[other]])
             free[one[cut]] = free[other[cut]] = True
-        tags = {name: flags[free] for name, flags in _tags(mesh, found, points.shape[1]).items()}
+        at = np.flatnonzero(free)
+        x, area, facet = flat_parts(points, found.corners[at], found.centre[at], found.area[at])
+        tags = {name: flags[at[facet]] for name, flags in _tags(mesh, found, blocks).items()}
         count = sum(len(block.nodes) for block in blocks)
-        return count, Facets(found.centre[free], found.area[free] * self._depth(points), found.cell[free], tags)
+        return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags)
 
     def _cells(self) -> tuple[MeshData, Float, list[Block]]:
         """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
@@ -211,9 +229,8 @@ class MeshNodes(Mesh):
 
     - cell sets, element blocks and physical groups: the corners of their cells, those on a common border in both;
     - groups of boundary lines and faces: the corners of these, as ``name facets`` where cells have the name;
+    - side sets, surfaces: the corners of their facets, as for these groups;
     - node sets; ``name nodes`` where cells or facets have the name.
-
-    Side sets that a file gives by cells and sides are not known.
 
     Parameters
     ----------
@@ -231,7 +248,7 @@ class MeshNodes(Mesh):
         mesh, points, blocks = self._cells()
         _volumes_and_centroids(Path(self.path), points, blocks)  # refuses cells without volume
         nodes, volume = shares_of_nodes(points, blocks)
-        sets = _node_sets(mesh, points, nodes)
+        sets = _node_sets(mesh, points, blocks, nodes)
         found = Arrays(points[nodes], volume * self._depth(points), sets, self.thickness).chunk(part, parts)
         rows = slice(part * len(nodes) // parts, (part + 1) * len(nodes) // parts)
         return replace(found, spacing=edge_lengths(points, blocks)[nodes][rows])
@@ -251,7 +268,7 @@ class MeshNodes(Mesh):
         free = np.flatnonzero(found.free)
         node, x, area, facet = parts_of_facets(points, found.corners[free], found.area[free])
         nodes, _ = shares_of_nodes(points, blocks)
-        tags = {name: flags[free[facet]] for name, flags in _tags(mesh, found, points.shape[1]).items()}
+        tags = {name: flags[free[facet]] for name, flags in _tags(mesh, found, blocks).items()}
         return len(nodes), Facets(x, area * self._depth(points), np.searchsorted(nodes, node), tags)
 
 
@@ -360,91 +377,108 @@ def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tu
     return np.concatenate(volumes), np.concatenate(centroids)
 
 
-def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]:
-    """Return the sets of particles: by cells, by facets and by nodes."""
-    number = _particles(mesh, blocks)
-    count, dim = int(number.max()) + 1, points.shape[1]
-    sets: dict[str, Mask] = {}
+@dataclass(frozen=True)
+class _Named:
+    """What a mesh names, by the names that it has for regions.
 
-    def add(name: str, particles: GlobalIndex) -> None:
-        if len(particles):
-            flags = np.zeros(count, dtype=bool)
-            flags[particles] = True
-            sets[name] = sets.get(name, False) | flags
+    Attributes
+    ----------
+    cells : dict of str to (n,) int64
+        Particles.
+    behind : dict of str to (n,) int64
+        Particles that facets belong to.
+    facets : dict of str to (n_facets,) bool
+        These facets.
+    nodes : dict of str to (n,) int64
+        Rows of the points.
+    """
 
-    for name, cells in mesh.cell_sets.items():
-        add(name, number[cells][number[cells] >= 0])
-    by_cells = set(sets)
+    cells: dict[str, GlobalIndex]
+    behind: dict[str, GlobalIndex]
+    facets: dict[str, Mask]
+    nodes: dict[str, GlobalIndex]
 
-    def add_facets(name: str, particles: GlobalIndex) -> None:
-        add(f"{name} facets" if name in by_cells else name, particles)
 
-    surface = None
+def _named(mesh: MeshData, blocks: list[Block], surface: Callable[[], CellFacets]) -> _Named:
+    """Return what a mesh names; ``surface`` gives all facets of its cells, where there are names of some."""
+    number, dim = _particles(mesh, blocks), blocks[0].dim
     starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
-    nodes_of: dict[str, list[GlobalIndex]] = {name: [nodes] for name, nodes in mesh.node_sets.items()}
-    for name, cells in mesh.cell_sets.items():
+    cells, behind, flags = dict[str, GlobalIndex](), dict[str, GlobalIndex](), dict[str, Mask]()
+    nodes: dict[str, list[GlobalIndex]] = {name: [members] for name, members in mesh.node_sets.items()}
+    for name, members in mesh.cell_sets.items():
+        own = number[members][number[members] >= 0]
+        if len(own):
+            cells[name] = own
+
+    def add(name: str, particles: GlobalIndex, on: Mask) -> None:
+        label = f"{name} facets" if name in cells else name
+        behind[label] = np.concatenate([behind.get(label, particles[:0]), particles])
+        flags[label] = flags.get(label, False) | on
+
+    for name, members in mesh.cell_sets.items():
         for block, start in zip(mesh.blocks, starts, strict=False):
-            mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
-            if not len(mine) or block.dim == dim:
-                continue
-            if block.dim < dim - 1:
-                nodes_of.setdefault(name, []).append(np.ravel(block.nodes[mine]))
-                continue
-            surface = surface or facets(points, blocks)
-            add_facets(name, owners(facet_keys(block.corners[mine]), surface))
-    for name, cells in mesh.side_sets.items():
-        add_facets(name, number[cells][number[cells] >= 0])
-    if not by_cells:
+            mine = members[(members >= start) & (members < start + len(block.nodes))] - start
+            if len(mine) and block.dim == dim - 1:
+                on = having(facet_keys(block.corners[mine]), surface())
+                add(name, surface().cell[on], on)
+            elif len(mine) and block.dim < dim - 1:
+                nodes.setdefault(name, []).append(np.ravel(block.nodes[mine]))
+    for name, sides in mesh.side_sets.items():
+        particle, place = number[sides[:, 0]], sides[:, 1]
+        mine = particle >= 0
+        add(name, particle[mine], on_sides(particle[mine], place[mine], surface()))
+    if not cells:
         belongs = np.repeat(np.arange(len(blocks)), [len(block.nodes) for block in blocks])
         for b in range(len(blocks)):
-            if f"group_{b + 1}" not in sets:
-                add(f"group_{b + 1}", np.flatnonzero(belongs == b))
-    taken = set(sets)
-    for name, members in nodes_of.items():
+            if f"group_{b + 1}" not in behind:
+                cells[f"group_{b + 1}"] = np.flatnonzero(belongs == b)
+    taken = {name for name, particles in (cells | behind).items() if len(particles)}
+    labels = {name: f"{name} nodes" if name in taken else name for name in nodes}
+    return _Named(cells, behind, flags, {labels[name]: np.concatenate(parts) for name, parts in nodes.items()})
+
+
+def _sets(mesh: MeshData, points: Float, blocks: list[Block]) -> dict[str, Mask]:
+    """Return the sets of particles: by cells, by facets and by nodes."""
+    count = sum(len(block.nodes) for block in blocks)
+    named = _named(mesh, blocks, cache(lambda: facets(points, blocks)))
+    members = dict(named.cells | named.behind)
+    for name, nodes in named.nodes.items():
         inside = np.zeros(len(points), dtype=bool)
-        inside[np.concatenate(members)] = True
-        touched = np.concatenate([inside[block.nodes].any(axis=1) for block in blocks])
-        add(f"{name} nodes" if name in taken else name, np.flatnonzero(touched))
-    return sets
+        inside[nodes] = True
+        members[name] = np.flatnonzero(np.concatenate([inside[block.nodes].any(axis=1) for block in blocks]))
+    return {name: _flags(count, particles) for name, particles in members.items() if len(particles)}
 
 
-def _tags(mesh: MeshData, found: CellFacets, dim: int) -> dict[str, Mask]:
-    """Return which facets belong to the named groups of boundary cells of a mesh."""
-    tags: dict[str, Mask] = {}
-    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
-    for name, cells in mesh.cell_sets.items():
-        for block, start in zip(mesh.blocks, starts, strict=False):
-            mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
-            if len(mine) and block.dim == dim - 1:
-                flags = having(facet_keys(block.corners[mine]), found)
-                tags[name] = tags.get(name, np.zeros(len(flags), dtype=bool)) | flags
-    return tags
+def _tags(mesh: MeshData, found: CellFacets, blocks: list[Block]) -> dict[str, Mask]:
+    """Return which facets of cells have the names of facets and nodes of a mesh."""
+    named = _named(mesh, blocks, lambda: found)
+    tags = {name: with_corners_in(nodes, found) for name, nodes in named.nodes.items()}
+    return tags | {name.removesuffix(" facets"): flags for name, flags in named.facets.items()} | named.facets
 
 
-def _node_sets(mesh: MeshData, points: Float, nodes: GlobalIndex) -> dict[str, Mask]:
-    """Return which of the corner nodes belong to the sets of cells, of boundary facets and of nodes of a mesh."""
-    dim = points.shape[1]
-    sets: dict[str, Mask] = {}
+def _node_sets(mesh: MeshData, points: Float, blocks: list[Block], nodes: GlobalIndex) -> dict[str, Mask]:
+    """Return which of the corner nodes belong to the sets of cells, of facets and of nodes of a mesh."""
+    surface = cache(lambda: facets(points, blocks))
+    named = _named(mesh, blocks, surface)
+    starts = np.cumsum([0, *(len(block.nodes) for block in blocks)])
+    members = dict(named.nodes)
+    for name, cells in named.cells.items():
+        parts = [
+            np.ravel(block.corners[cells[(cells >= start) & (cells < start + len(block.nodes))] - start])
+            for block, start in zip(blocks, starts, strict=False)
+        ]
+        members[name] = np.concatenate(parts)
+    for name, flags in named.facets.items():
+        corners = np.ravel(surface().corners[flags])
+        members[name] = corners[corners >= 0]
+    found = {name: _flags(len(points), of)[nodes] for name, of in members.items()}
+    return {name: flags for name, flags in found.items() if flags.any()}
 
-    def add(name: str, members: GlobalIndex) -> None:
-        flags = np.zeros(len(points), dtype=bool)
-        flags[members] = True
-        if flags[nodes].any():
-            sets[name] = sets.get(name, False) | flags[nodes]
 
-    starts = np.cumsum([0, *(len(block.nodes) for block in mesh.blocks)])
-    of_cells: set[str] = set()
-    for of_boundary in (False, True):
-        for name, cells in mesh.cell_sets.items():
-            for block, start in zip(mesh.blocks, starts, strict=False):
-                mine = cells[(cells >= start) & (cells < start + len(block.nodes))] - start
-                if len(mine) and (block.dim < dim) == of_boundary:
-                    add(f"{name} facets" if of_boundary and name in of_cells else name, np.ravel(block.corners[mine]))
-        of_cells = of_cells or set(sets)
-    taken = set(sets)
-    for name, members in mesh.node_sets.items():
-        add(f"{name} nodes" if name in taken else name, members)
-    return sets
+def _flags(count: int, members: GlobalIndex) -> Mask:
+    flags = np.zeros(count, dtype=bool)
+    flags[members] = True
+    return flags
 
 
 def _particles(mesh: MeshData, blocks: list[Block]) -> GlobalIndex:

@@ -148,7 +148,8 @@ def _check(mesh: MeshData) -> None:
             raise CaseError(f"{len(bad)} cells of kind {block.kind} have corners that are not numbers")
     n_cells = sum(len(block.nodes) for block in mesh.blocks)
     for sets, most, what in (
-        (mesh.cell_sets, n_cells, "cells"), (mesh.side_sets, n_cells, "cells"), (mesh.node_sets, len(points), "nodes"),
+        (mesh.cell_sets, n_cells, "cells"), (mesh.node_sets, len(points), "nodes"),
+        ({name: sides[:, 0] for name, sides in mesh.side_sets.items()}, n_cells, "cells"),
     ):  # fmt: skip
         for name, members in sets.items():
             if len(members) and (members.min() < 0 or members.max() >= most):

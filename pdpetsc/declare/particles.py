@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -41,6 +42,17 @@ class Particles(Declared, ABC):
 
     thickness: float
 
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles are known to be no lattice of equal cells: standard weights do not converge.
+
+        Raises
+        ------
+        CaseError
+            The source is missing or malformed.
+        """
+        return False
+
     def surface(self, part: int, parts: int, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that nothing lies behind, particles counted from its first one.
 
@@ -58,7 +70,8 @@ class Particles(Declared, ABC):
         """
         raise CaseError(
             f"Particles of {type(self).__name__} have no known surface, which conforming weights and tractions on a "
-            f"surface need; take a Lattice or a Mesh, or give Arrays(..., facets=pd.Facets(...))."
+            f"surface need; take a Lattice or a Mesh, give Arrays(..., facets=pd.Facets(...)), or take pd.Standard() "
+            f"weights and tractions with a normal and an area."
         )
 
     @abstractmethod
@@ -238,6 +251,115 @@ class Lattice(Particles):
 
 
 @dataclass(frozen=True)
+class LatticeNodes(Particles):
+    """A line, rectangle or box with particles at the corners of equal cells, some on the boundary itself.
+
+    Every cell gives each of its corners the same share of its volume, ``1 / 2^dim``: particles on a side have half, on
+    an edge a quarter of a cell. Prescribed displacements then act on the boundary, where the outermost particles of a
+    ``Lattice`` are half a cell inside. The surface is that of the cells, divided among the corners alike.
+
+    Parameters
+    ----------
+    low, high, spacing, thickness
+        As for ``Lattice``.
+    cut : Region, optional
+        Cells to leave out, by their centres.
+    keep : Region, optional
+        Cells to take; all others are left out.
+
+    Examples
+    --------
+    A beam that is held at its end, not half a cell inside:
+
+    >>> import pdpetsc as pd
+    >>> beam = pd.LatticeNodes((0.0, 0.0), (10.0, 2.0), 0.5)
+    >>> beam.estimate()
+    105
+    >>> clamped = pd.Displacement(pd.region.Slab("x", high=1e-6), x=0.0, y=0.0)
+    """
+
+    low: float | Sequence[float]
+    high: float | Sequence[float]
+    spacing: float
+    thickness: float = 1.0
+    cut: Region | None = None
+    keep: Region | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._cells  # noqa: B018 - refuses what is no lattice
+
+    def estimate(self) -> int:
+        """Return the number of corners, of cells that are cut out or not."""
+        return math.prod(self._counts)
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""
+        x, _, filled = self._corners(part, parts)
+        cells = self._cells
+        cell = self.spacing**cells.dim * (self.thickness if cells.dim < 3 else 1.0)
+        return Chunk(x, filled.mean(axis=1) * cell, {}, np.full(len(x), float(self.spacing)))
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return the free faces of each particle of a part, seen along a normal."""
+        _, area, particle, _ = self.surface(part, parts).arrays
+        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
+        return np.bincount(particle, along, len(self._corners(part, parts)[0])).astype(float)
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return the shares that particles of a part have of the free faces of the cells, with tags ``-x``, ``+x``, ...
+
+        Raises
+        ------
+        CaseError
+            There are cracks: they cut bonds between corners, and free no face of a cell.
+        """
+        if cracks:
+            raise CaseError("Cracks need the faces between cells, which corners do not have; take a Lattice.")
+        x, offsets, filled = self._corners(part, parts)
+        dim = x.shape[1]
+        side = float(_cell_sides(np.full(dim, self.spacing), self.thickness)[0]) / 2.0 ** (dim - 1)
+        places, areas, particles, tags = [np.empty((0, dim))], [np.empty((0, dim))], [np.empty(0, np.int64)], []
+        for number, offset in enumerate(offsets):
+            for axis in range(dim):
+                across = np.flatnonzero((offsets == np.where(np.arange(dim) == axis, -offset, offset)).all(axis=1))[0]
+                found = np.flatnonzero(filled[:, number] & ~filled[:, across])
+                # The middle of the share of the face, which looks from the cell to the corner.
+                places.append(x[found] + 0.25 * self.spacing * np.where(np.arange(dim) == axis, 0.0, offset))
+                areas.append(np.tile(-side * offset[axis] * np.eye(dim)[axis], (len(found), 1)))
+                particles.append(found)
+                tags += [f"{'-' if offset[axis] > 0.0 else '+'}{'xyz'[axis]}"] * len(found)
+        looks = np.array(tags, dtype="U2")
+        named = {f"{sign}{axis}": looks == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
+        return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), named)
+
+    @property
+    def _cells(self) -> Lattice:
+        return Lattice(self.low, self.high, self.spacing, self.thickness, cut=self.cut, keep=self.keep)
+
+    @property
+    def _counts(self) -> list[int]:
+        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        return [round(n) + 1 for n in ((high - low) / self.spacing).tolist()]
+
+    def _corners(self, part: int, parts: int) -> tuple[Float, Float, Mask]:
+        """Return the corners of a part (n, dim), the directions of the cells around (2^dim, dim), and which are there.
+
+        The third is (n, 2^dim).
+        """
+        cells, counts = self._cells, self._counts
+        total = math.prod(counts)
+        index = np.arange(part * total // parts, (part + 1) * total // parts)
+        low = np.atleast_1d(np.asarray(self.low, float))
+        node = np.stack(np.unravel_index(index, counts), axis=1)
+        offsets = np.array(list(itertools.product((-1.0, 1.0), repeat=cells.dim)))
+        # The same numbers from every corner, so that all agree on a cell at the edge of a region.
+        filled = np.stack([cells._has(low + (node + 0.5 * offset) * self.spacing) for offset in offsets], axis=1)
+        taken = filled.any(axis=1)
+        return (low + node * self.spacing)[taken], offsets, filled[taken]
+
+
+@dataclass(frozen=True)
 class Arrays(Particles):
     """Particles from numpy arrays.
 
@@ -286,6 +408,15 @@ class Arrays(Particles):
                     f"The facets of Arrays have {places.shape[1]} coordinates and particles up to "
                     f"{particle.max(initial=0)}; there are {len(x)} particles of {x.shape[1]} coordinates."
                 )
+
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles do not fill the cells of a lattice."""
+        try:
+            self._lattice()
+        except CaseError:
+            return True
+        return False
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets that were given, or those of the lattice whose cells the particles fill.

@@ -25,6 +25,10 @@ ON_SIDE = 1e-9
 NEAR_FACET = 1e-6
 # A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8
+# A bond goes straight through a facet where the cosine between it and the normal is above this.
+ACROSS = 0.8
+# A linear function is fitted to particles where the least eigenvalue of their moments is above this, in horizons.
+EXTENT = 1e-3
 # A facet lies on a mirror plane where it is this near to it, as a share of the horizon.
 ON_MIRROR = 1e-6
 
@@ -68,6 +72,62 @@ class Surface:
     def interpolated(self, values: Float) -> Float:
         """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` (n_local,) with ghosts (not collective)."""
         return np.asarray(np.bincount(self._facet_of, self.N * values[self.members], len(self.x)))
+
+    def extrapolated(self, cloud: Cloud, families: Families, values: Float, sign: Float | None = None) -> Float:
+        """Return a field of the own particles (n_owned,) at the facets (n_facets,), without the layer behind these.
+
+        The gradients of the particles that own a facet, whose families the surface cuts most, are wrong by a share of
+        a spacing times the next derivative, those of the others hardly. A linear function is fitted to the others in
+        every family; a facet takes the mean of those around its particle, by the least eigenvalue of the moments that
+        each was fitted with. It is linear-exact. Where a body is so thin that there are no others it is
+        ``interpolated``.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            Particles of this rank.
+        families : Families
+            Their bonds.
+        values : (n_owned,) float64
+            The field.
+        sign : (n_ghosts,) float64, optional
+            What multiplies it in images behind mirror planes [-].
+
+        Notes
+        -----
+        Collective.
+        """
+        n, dim = cloud.n_owned, cloud.dim
+        field = np.zeros((cloud.n_local, 2))
+        field[:n, 0], field[:n, 1] = values, 1.0
+        field[self.owner, 1] = 0.0
+        cloud.halo.forward(field)
+        if sign is not None:
+            field[n:, 0] *= sign
+        value, inner = field.T
+        of = np.concatenate([np.arange(n), families.centres])
+        members = np.concatenate([np.arange(n), families.neighbours])
+        phi = np.concatenate([np.ones((len(of), 1)), (cloud.x[members] - cloud.x[of]) / cloud.horizon], axis=1)
+        taken = inner[members]
+        moments, sums = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1))
+        for a in range(dim + 1):
+            sums[:, a] = np.bincount(of, taken * phi[:, a] * value[members], n)
+            for b in range(dim + 1):
+                moments[:, a, b] = np.bincount(of, taken * phi[:, a] * phi[:, b], n)
+        least = np.linalg.eigvalsh(moments / np.maximum(moments[:, :1, :1], 1.0))[:, 0]
+        good = (least > EXTENT) & (inner[:n] > 0.0)
+        fitted = np.zeros((cloud.n_local, dim + 2))
+        fitted[:n][good, :-1] = np.linalg.solve(moments[good], sums[good, :, None])[:, :, 0]
+        fitted[:n, -1] = np.where(good, least, 0.0)
+        cloud.halo.forward(fitted)
+        if sign is not None:
+            fitted[n:, :-1] *= sign[:, None]
+            fitted[n:, 1:-1] *= cloud.sign
+        apart = (self.x[self._facet_of] - cloud.x[self.members]) / cloud.horizon
+        there = fitted[self.members, 0] + np.einsum("em,em->e", fitted[self.members, 1:-1], apart)
+        weight = fitted[self.members, -1]
+        above, below = (np.bincount(self._facet_of, w, len(self.x)) for w in (weight * there, weight))
+        return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), self.interpolated(value))
 
     @cached_property
     def _facet_of(self) -> GlobalIndex:
@@ -130,15 +190,30 @@ def surface_of(cloud: Cloud, families: Families, created: Facets) -> Surface:
     rows = np.arange(len(owner)) - np.repeat(first, count) + np.repeat(start, count)
     packed = fetch(comm, np.repeat(creator, count), rows, packed)
     x, area = packed[:, :dim], packed[:, dim : 2 * dim]
-    kept = ~_before_images(cloud, x, area)
+    kept = ~_before_images(cloud, families, x, area, owner)
     x, area, owner = np.ascontiguousarray(x[kept]), np.ascontiguousarray(area[kept]), owner[kept]
     tagged = {name: packed[kept, 2 * dim + n] > 0.5 for n, name in enumerate(names)}
     _refuse_open(cloud, x, area)
+    _refuse_far(cloud, x, owner)
     return Surface(x, area, owner, tagged, *_interpolated(cloud, families, x, area, owner))
 
 
-def _before_images(cloud: Cloud, x: Float, area: Float) -> Mask:
+def _refuse_far(cloud: Cloud, x: Float, owner: GlobalIndex) -> None:
+    """Raise on all ranks where a facet is further than a horizon from the particle whose cell it bounds."""
+    apart = np.linalg.norm(x - cloud.x[owner], axis=1)
+    with agreed(cloud.comm):
+        far = np.flatnonzero(apart > cloud.horizon * (1.0 + ON_MIRROR))
+        if len(far):
+            raise CaseError(
+                f"A facet at {x[far[0]]} is given to the particle at {cloud.x[owner[far[0]]]}, more than one horizon "
+                f"away; give each facet the number of the particle whose cell it bounds, in the order of creation."
+            )
+
+
+def _before_images(cloud: Cloud, families: Families, x: Float, area: Float, owner: GlobalIndex) -> Mask:
     """Return which facets have images behind them: on a mirror plane, or on the back of another one a period away.
+
+    A crack along the plane or the side of the cell cuts the bond through the facet, which is one of the surface then.
 
     Notes
     -----
@@ -148,14 +223,18 @@ def _before_images(cloud: Cloud, x: Float, area: Float) -> Mask:
     size = np.linalg.norm(area, axis=1)
     for axis, at in cloud.places.planes.items():
         across = np.abs(area[:, axis]) >= (1.0 - ON_MIRROR) * size
-        found |= across & (np.abs(x[:, axis] - at) <= ON_MIRROR * cloud.horizon)
+        on = np.flatnonzero(across & (np.abs(x[:, axis] - at) <= ON_MIRROR * cloud.horizon))
+        image = cloud.x[owner[on]]
+        image[:, axis] = 2.0 * at - image[:, axis]
+        found[on[_bonded(cloud, families, owner[on], image)]] = True
     if cloud.images is None:
         return found
     comm, cell = cloud.comm, cloud.images.cell
     for axis in cell.periodic:
         across = np.flatnonzero(np.abs(area[:, axis]) >= (1.0 - ON_SIDE) * size)
         rank = np.full(len(across), comm.rank)
-        every, areas, ranks = (np.concatenate(comm.allgather(values)) for values in (x[across], area[across], rank))
+        here = x[across], area[across], cloud.x[owner[across]], rank
+        every, areas, owners, ranks = (np.concatenate(comm.allgather(values)) for values in here)
         # One period apart along this axis, and whole periods along others.
         boxes = np.where(np.isin(np.arange(cloud.dim), cell.periodic), cell.lengths, 0.0)
         places = every - np.asarray(cell.origin)
@@ -167,10 +246,67 @@ def _before_images(cloud: Cloud, x: Float, area: Float) -> Mask:
         largest = float(np.abs(areas).max(initial=0.0))
         opposite = np.abs(areas[pairs[:, 0]] + areas[pairs[:, 1]]).max(axis=1, initial=0.0) <= 2.0 * ON_SIDE * largest
         apart = np.abs(every[pairs[:, 0], axis] - every[pairs[:, 1], axis]) > 0.5 * boxes[axis]
-        taken = np.zeros(len(every), dtype=bool)
-        taken[np.ravel(pairs[opposite & apart])] = True
-        found[across] |= taken[ranks == comm.rank]
+        one, other = pairs[opposite & apart].T
+        one, other = np.concatenate([one, other]), np.concatenate([other, one])
+        mine = ranks[one] == comm.rank
+        one, other = one[mine], other[mine]
+        facet = across[one - np.searchsorted(ranks, comm.rank)]
+        # The particle behind the other facet, where it is seen from this one.
+        image = owners[other] + every[one] - every[other]
+        found[facet[_bonded(cloud, families, owner[facet], image)]] = True
     return found
+
+
+def _bonded(cloud: Cloud, families: Families, owner: GlobalIndex, places: Float) -> Mask:
+    """Return which own particles have a bond to the one at a place (n, dim), or are too far from it for one."""
+    count = np.diff(families.indptr)[owner]
+    of = np.repeat(np.arange(len(owner)), count)
+    bond = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + families.indptr[owner][of]
+    apart = np.linalg.norm(cloud.x[families.neighbours[bond]] - places[of], axis=1)
+    found = np.linalg.norm(cloud.x[owner] - places, axis=1) > cloud.horizon
+    found[of[apart <= ON_MIRROR * cloud.horizon]] = True
+    return np.asarray(found)
+
+
+def refuse_joined(cloud: Cloud, families: Families, surface: Surface, thickness: float) -> None:
+    """Raise on all ranks where a bond goes through the middle of a facet to a particle right behind it.
+
+    Such a facet is none of the surface: the cells of two parts of a mesh touch without common nodes, or the sides of a
+    periodic cell do not match. Weights would conform to a surface that the bonds do not know.
+
+    Parameters
+    ----------
+    thickness : float
+        Of a plane body [length].
+
+    Notes
+    -----
+    Collective.
+    """
+    dim, of = cloud.dim, surface._facet_of
+    size = np.linalg.norm(surface.area, axis=1)
+    normal = surface.area / size[:, None]
+    # Half the length of a facet, which is a point on a line.
+    half = 0.5 * {1: np.full(len(size), np.inf), 2: size / thickness, 3: np.sqrt(size)}[dim]
+    depth = np.einsum("fi,fi->f", surface.x - cloud.x[surface.owner], normal)
+    behind = np.einsum("ei,ei->e", cloud.x[surface.members] - surface.x[of], normal[of])
+    bond = cloud.x[surface.members] - cloud.x[surface.owner[of]]
+    straight = np.einsum("ei,ei->e", bond, normal[of]) > ACROSS * np.linalg.norm(bond, axis=1)
+    # Beyond twice the depth of the cell there may be the other side of a narrow gap; beside a rough surface others lie
+    # a little behind.
+    near = np.flatnonzero(straight & (behind > 0.3 * depth[of]) & (behind <= 2.0 * depth[of]))
+    f, k = of[near], surface.members[near]
+    share = (depth[f] / (depth[f] + behind[near]))[:, None]
+    through = (1.0 - share) * cloud.x[surface.owner[f]] + share * cloud.x[k]
+    found = np.unique(f[np.linalg.norm(through - surface.x[f], axis=1) < 0.5 * half[f]])
+    count = int(total(cloud.comm, len(found)))
+    where = [place for part in cloud.comm.allgather(surface.x[found[:1]].tolist()) for place in part]
+    if count:
+        raise CaseError(
+            f"{count} facets of the surface have a bonded particle right behind them, the first at {where[0]}: join "
+            f"the nodes of cells that touch there, let the facets on opposite sides of a periodic cell and those on a "
+            f"mirror plane match it, or declare a crack."
+        )
 
 
 def _refuse_open(cloud: Cloud, x: Float, area: Float) -> None:

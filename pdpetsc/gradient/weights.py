@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.surface import Surface
+from pdpetsc.errors import NoConformingWeights
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.gradient.conforming import SolveSystem, conforming
 
@@ -20,6 +21,11 @@ class Weights(Declared, ABC):
     @abstractmethod
     def conform(self) -> bool:
         """Return whether they need the surface of the body."""
+
+    @property
+    def required(self) -> bool:
+        """Return whether a body that cannot have them is refused."""
+        return self.conform
 
     @abstractmethod
     def of(
@@ -57,7 +63,8 @@ class Conforming(Weights):
 
     ``sum_p W_p g_pk = s_k`` for every particle, with ``s_k`` from the facets of the surface, and linear fields exact:
     see ``conforming``. Uniform tension is then exact with every scheme, bending converges with second order. It takes
-    particles that know their surface: a ``Lattice``, a ``Mesh``, or ``Arrays`` with facets.
+    particles that know their surface: a ``Lattice``, a ``Mesh``, or ``Arrays`` with facets. Where such particles are no
+    lattice a case has them by default.
 
     Examples
     --------
@@ -77,6 +84,39 @@ class Conforming(Weights):
         """Return the conforming gradient."""
         assert surface is not None
         return conforming(cloud, families, operator, surface, solve)
+
+
+@dataclass(frozen=True)
+class Suited(Conforming):
+    """Conforming weights where there are any, else those of the scheme: what an irregular cloud has by default."""
+
+    @property
+    def required(self) -> bool:
+        """Return False."""
+        return False
+
+    def of(
+        self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
+    ) -> GradientOperator:
+        """Return the conforming gradient, or the one of the scheme with a note that says why."""
+        try:
+            return super().of(operator, cloud, families, surface, solve)
+        except NoConformingWeights as error:
+            return Unsuited(str(error)).of(operator, cloud, families, surface, solve)
+
+
+@dataclass(frozen=True)
+class Unsuited(Standard):
+    """The weights of the scheme on an irregular cloud that cannot have conforming ones."""
+
+    why: str
+
+    def of(
+        self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
+    ) -> GradientOperator:
+        """Return the gradient as it is, with a note."""
+        note = f"standard weights on an irregular cloud, where they need not converge. {self.why}"
+        return replace(operator, note="; ".join(filter(None, [operator.note, note])))
 
 
 # The weights by the word that case files use.

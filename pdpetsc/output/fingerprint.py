@@ -47,7 +47,7 @@ def declared_parts(case: Any) -> dict[str, str]:
     parts = {f.name: getattr(case, f.name) for f in dataclasses.fields(case) if f.name not in MAY_DIFFER}
     parts["material"] = case.materials
     if not case.of_bonds:
-        parts["scheme"] = case.gradients
+        parts["scheme"], parts["weights"] = case.gradients, case.chosen_weights
     return {name: fingerprint(value) for name, value in parts.items()}
 
 

@@ -27,7 +27,8 @@ MULTIGRID = {
 FACTOR = {"weights_pc_type": "cholesky", "weights_pc_factor_mat_solver_type": "mumps"}
 # Largest number of particles for which the near matrix is factored, by dimension.
 DIRECT = {1: 10**7, 2: 250_000, 3: 6_000}
-MOST = 5000
+# Iterations at most; a system that takes more has hardly anything to solve for.
+MOST = 2000
 
 
 class ScalarSystem(Protocol):
@@ -37,7 +38,7 @@ class ScalarSystem(Protocol):
 
     @property
     def null_functions(self) -> Sequence[Float]:
-        """Return the functions on the own particles (n_owned,) that span its null space (not collective)."""
+        """Return the functions on the own particles (n_owned,) that span its null space (collective)."""
         ...
 
     def product(self, values: Float) -> Float:

@@ -13,7 +13,9 @@ import numpy as np
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.region import All, Nearest, Region
 from pdpetsc.declared import Declared, name_of, numbers_from, shown
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
 from pdpetsc.post.solution import (
     Field,
@@ -37,6 +39,8 @@ _LETTERS: dict[Field, int] = {
     **dict.fromkeys((displacement, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
+# Fields that next to a surface are as good as inside.
+_NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lost_bonds)
 
 
 class Quantity(Declared, ABC):
@@ -355,8 +359,13 @@ class Largest(Quantity):
 class OnSurface(Quantity):
     """A field component on facets of the surface: their mean by area, or the largest value.
 
-    Particles sit half a cell inside the body; ``sum_k N_f(x_k) v_k`` with the linear-exact weights of the facets is the
-    field at the surface itself, extrapolated from the particle behind each facet and its family.
+    Particles sit half a cell inside the body, and their gradients next to the surface have an error of a share of a
+    spacing times the next derivative. A stress, or any other field but those below, is therefore extrapolated linearly
+    from the particles around the one behind a facet that have no facet themselves: a linear field is exact, others
+    converge with first order or better. Where curvature over two horizons matters, as at small holes, refine.
+    Displacements, reactions, damage and lost bonds are not of gradients: they are interpolated,
+    ``sum_k N_f(x_k) v_k`` with the linear-exact weights of the facets, as everything is in bodies of so few layers that
+    every particle has a facet, or one layer in between.
 
     Parameters
     ----------
@@ -391,23 +400,44 @@ class OnSurface(Quantity):
         refuse_component("An OnSurface", self.field, self.component, dim)
         self.region.check(dim)
 
-    def evaluate(self, solution: Solution) -> float:
-        """Return the number."""
-        cloud, surface = solution.cloud, solution.problem.body.surface
+    def on_facets(self, solution: Solution) -> tuple[Float, Float, Float]:
+        """Return the centroids (n, dim) [length] and vector areas (n, dim) of this rank's facets, and the field there.
+
+        Collective.
+        """
+        body = solution.problem.body
+        cloud, surface = body.cloud, body.surface
         assert surface is not None
-        values = np.zeros(cloud.n_local)
-        values[: cloud.n_owned] = _component_of(solution, self.field, self.component)
-        cloud.halo.forward(values)
+        values = _component_of(solution, self.field, self.component)
+        sign = None
         if len(cloud.sign):
             # A component along the normal of a mirror plane changes its sign behind it.
-            values[cloud.n_owned :] *= cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
+            sign = cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
+        if any(self.field is known for known in _NOT_OF_GRADIENTS):
+            found = _interpolated(cloud, surface, values, sign)
+        else:
+            found = surface.extrapolated(cloud, body.families, values, sign)
         chosen = surface.select(cloud, self.region, "an OnSurface")
-        found = surface.interpolated(values)[chosen]
+        return surface.x[chosen], surface.area[chosen], found[chosen]
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the number."""
+        _, area, found = self.on_facets(solution)
         if self.take == "largest":
             return solution.largest(float(found.max(initial=-np.inf)))
-        size = np.linalg.norm(surface.area[chosen], axis=1)
-        moment, area = solution.sum([size @ found, size.sum()])
-        return float(moment / area)
+        size = np.linalg.norm(area, axis=1)
+        moment, whole = solution.sum([size @ found, size.sum()])
+        return float(moment / whole)
+
+
+def _interpolated(cloud: Cloud, surface: Surface, values: Float, sign: Float | None) -> Float:
+    """Return ``sum_k N_f(x_k) v_k`` (n_facets,) for ``values`` of the own particles (n_owned,) (collective)."""
+    local = np.zeros(cloud.n_local)
+    local[: cloud.n_owned] = values
+    cloud.halo.forward(local)
+    if sign is not None:
+        local[cloud.n_owned :] *= sign
+    return surface.interpolated(local)
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,11 @@ from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.lattice import Repeats, positions_on_lattice
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
-from pdpetsc.discrete.surface import surface_of
+from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.gradient.repeated import RepeatedOperator
+from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
 from pdpetsc.petsc.options import Options
@@ -95,7 +96,8 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
 
     On a lattice these are the ones within a horizon of the ends of its longest axis.
     """
-    least = repeated_share(case)
+    with agreed(comm):
+        least = repeated_share(case)
     on_lattice = least is not None and np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
     ends = np.array(
         comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf), not on_lattice)), object
@@ -109,7 +111,9 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
 
 def make_families(case: Case, cloud: Cloud) -> Families:
     """Return the families of a case; bonds are not listed where enough of them repeat (collective)."""
-    return find_families(cloud, case.cracks, repeated_share(case))
+    with agreed(cloud.comm):
+        repeated = repeated_share(case)
+    return find_families(cloud, case.cracks, repeated)
 
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
@@ -120,12 +124,29 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
             f"the cracks cut less."
         )
     materials, material_of, factor = _materials(case, cloud)
+    with agreed(cloud.comm):
+        weights = case.chosen_weights
     surface = None
-    if case.needs_surface:
-        with agreed(cloud.comm):
-            facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
-        surface = surface_of(cloud, families, facets)
-    return _problem(case, Body(cloud, families, surface), materials, material_of, factor, options)
+    if case.needs_surface or weights.conform:
+        try:
+            surface = _surface(case, cloud, families)
+        except CaseError as error:
+            if case.needs_surface:  # not by default only
+                raise
+            weights = Unsuited(str(error))
+    chosen = replace(case, weights=weights)
+    return _problem(chosen, Body(cloud, families, surface), materials, material_of, factor, options)
+
+
+def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
+    """Return the surface of the body (collective)."""
+    with agreed(cloud.comm):
+        facets = case.particles.surface(cloud.comm.rank, cloud.comm.size, case.cracks)
+    surface = surface_of(cloud, families, facets)
+    # Facets that a crack frees may have bonds beside its tip.
+    if case.chosen_weights.conform and not case.cracks:
+        refuse_joined(cloud, families, surface, case.particles.thickness)
+    return surface
 
 
 def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Filler] = Assembler) -> None:
@@ -152,9 +173,10 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 damage = None
                 if case.damage is not None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
-                bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=())
+                weights = case.chosen_weights
+                bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=(), weights=weights)
                 families = find_families(cloud, repeated=None if share is None else 0.0)
-                surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if case.weights.conform else None
+                surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
                 state = problem.state(np.zeros_like(x))
                 filling(problem).rehearse(state)
@@ -218,7 +240,7 @@ def repeated_share(case: Case) -> float | None:
         one = case.materials[0][1]
         alike = len(case.materials) == 1 and isinstance(one, BondMaterial) and one.of_family
         return LEAST_REPEATED if alike else None
-    if case.weights.conform or not case.gradients.of_family:
+    if case.chosen_weights.conform or not case.gradients.of_family:
         return None
     return LEAST_REPEATED if case.control is None or case.control.of_kappa else None
 
@@ -288,7 +310,7 @@ def _points(
 
     def weigh(operator: GradientOperator) -> GradientOperator:
         solve = partial(solve_scalar, options=options)
-        return case.weights.of(operator, body.cloud, body.families, body.surface, solve)
+        return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None:
         alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in continuum]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -187,11 +188,13 @@ def prepare(
         cloud = make_cloud(ranks, case)
         with agreed(ranks):
             check_declared(case, cloud.dim)
+            # Files of particles are read once for it.
+            weighed = replace(case, weights=case.chosen_weights)
     with phases.timed("kernels"):
-        rehearse(ranks, case, cloud.dim)
+        rehearse(ranks, weighed, cloud.dim)
     with phases.timed("families"):
         families = make_families(case, cloud)
     with phases.timed("model"):
-        problem = make_problem(case, cloud, families, chosen)
+        problem = make_problem(weighed, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)
     return Prepared(case, problem, chosen, phases)

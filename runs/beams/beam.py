@@ -32,7 +32,7 @@ def load_norm(ny):
     return PRESSURE * THICKNESS / ny * (25 * ny) ** 0.5
 
 
-def half_beam(support, ny, horizon, scheme, steps, supports, control):
+def half_beam(support, ny, horizon, scheme, steps, supports, control, weights="standard"):
     """Return the case of half a beam with the given supports at its fictitious end.
 
     The lattice has 25 ny columns of real particles and ``int(horizon)`` fictitious ones at x < 0; the last real column
@@ -56,6 +56,7 @@ def half_beam(support, ny, horizon, scheme, steps, supports, control):
         horizon=horizon * dx,
         material=pd.Hencky(E=E, nu=NU, plane="strain"),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
         control=control,
         conditions=[
             *supports(dx),

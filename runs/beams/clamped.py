@@ -9,7 +9,10 @@ import beam
 import pdpetsc as pd
 
 
-def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control="", G_printed=0.0, unit=beam.UNIT):
+def case(
+    ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control="", G_printed=0.0, unit=beam.UNIT,
+    weights="standard",
+):  # fmt: skip
     held = pd.region.Named("fictitious -x")
 
     def supports(dx):
@@ -17,4 +20,4 @@ def case(ny=3, horizon=1.015, G=0.0, scheme="correspondence", steps=10, control=
         return [pd.Displacement(held, x=0.0), pd.Displacement(middle, y=0.0)]
 
     control = beam.control_of(G, control, G_printed, unit)
-    return beam.half_beam("clamped", ny, horizon, scheme, steps, supports, control)
+    return beam.half_beam("clamped", ny, horizon, scheme, steps, supports, control, weights)

@@ -25,7 +25,7 @@ REPEATS = 3
 FAR = 1.5
 STUDIES = (
     ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"],
-    ["conforming.py", "300000", "{folder}/conforming"],
+    ["conforming.py", "300000", "{folder}/conforming"], ["fronts.py", "{folder}/fronts"],
     ["kernels.py"], ["robustness.py"], ["performance_model.py"], ["footprint.py"], ["scaling.py", "{folder}/scaling"],
     ["../beams/speed.py", "{folder}/speed"],
 )  # fmt: skip

@@ -18,10 +18,11 @@ import common  # noqa: E402
 import rings  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
+from pdpetsc.declare.cells import Block  # noqa: E402
 
 E, NU, PULL = 1.0, 0.3, 1e-3
 OUTER = 6.0
-ERRORS = ("error_u", "error_stress", "error_surface")
+ERRORS = ("error_u", "error_stress", "error_surface_stress")
 # How triangles grow with the distance from the middle.
 MESHES = {"uniform": lambda r: np.ones_like(r), "graded": lambda r: r}
 
@@ -76,9 +77,9 @@ def triangles(n, mesh, shake, seed):
     cells = Delaunay(points).simplices
     # Those of three nodes of the inner circle fill the hole.
     cells = cells[(cells >= inside).any(axis=1)]
-    area, _ = common.centres(points[cells])
+    area, _ = common.centres(points, Block("triangle", cells))
     cells[area < 0.0] = cells[area < 0.0][:, ::-1]
-    return common.of_cells(points, cells.astype(np.int64))
+    return common.of_cells(points, Block("triangle", cells.astype(np.int64)))
 
 
 def case(
@@ -86,10 +87,6 @@ def case(
     smooth=False,
 ):  # fmt: skip
     particles = triangles(n, mesh, shake, seed)
-    around = 2.0 * np.pi * (np.arange(72) + 0.5) / 72
-    places = np.stack([np.cos(around), np.sin(around)], axis=1)
-    along = np.stack([-places[:, 1], places[:, 0]], axis=1)
-    hoop = PULL * (1.0 - 2.0 * np.cos(2.0 * around))
 
     def pulled(axis):
         return lambda x, t: t * np.einsum("nj,nj->n", stress(x, t)[:, axis], x / np.hypot(*x.T)[:, None])
@@ -98,7 +95,6 @@ def case(
         return horizon / n * MESHES[mesh](np.hypot(*x.T))
 
     outside = ~pd.region.Sphere((0.0, 0.0), 0.5 * (1.0 + OUTER))
-    surface = common.SurfaceStressError(places, along, hoop, 1.0 / n)
     words = common.common(scheme, weights, horizon, G, 1.0)
     return pd.Case(
         particles=particles,
@@ -108,7 +104,7 @@ def case(
             pd.Traction(outside, x=pulled(0), y=pulled(1)),
         ],
         **(words | {"horizon": by_place if smooth else pd.Horizon(horizon)}),
-        **common.errors(displacement, stress, surface=surface),
+        **common.errors(displacement, stress, surface=rings.HOLE),
     )
 
 

@@ -1,8 +1,8 @@
 """Thick ring under internal pressure, plane strain, against the solution of Lame.
 
 Radii 1 and 2, ``n`` particles across. ``mesh`` is ``quads`` (polar), ``triangles`` (irregular, their nodes moved by up
-to ``shake``) or ``lattice``, whose round surfaces are staircases: it loads and bounds a body with corners of one
-spacing. ``error_surface`` is that of the hoop stress at the inner surface.
+to ``shake``), the nodes of either, ``quad_nodes`` and ``nodes``, or ``lattice``, whose round surfaces are staircases:
+loads and boundary have corners of one spacing. ``error_surface_stress`` is that at the inner surface.
 """
 
 import common
@@ -36,5 +36,5 @@ def case(
         material=pd.LinearElastic(E=E, nu=NU),
         conditions=[*rings.supports(displacement), pd.Pressure(rings.HOLE, PRESSURE)],
         **common.common(scheme, weights, horizon, G, spacing),
-        **common.errors(displacement, stress, surface=rings.inner_surface(A + B, spacing)),
+        **common.errors(displacement, stress, surface=rings.HOLE),
     )

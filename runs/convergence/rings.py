@@ -5,6 +5,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 import pdpetsc as pd
+from pdpetsc.declare.cells import Block
 
 INNER, OUTER = 1.0, 2.0
 # The facets within are those of the inner surface.
@@ -26,13 +27,8 @@ def polar(n):
     return points, common.grid_cells(n, m, closed=True)
 
 
-def quads(n):
-    """Return the particles of the polar quadrilaterals."""
-    return common.of_cells(*polar(n))
-
-
 def triangles(n, shake, seed):
-    """Return triangles as large as the cells of the others, whose inner nodes are moved by up to ``shake`` sides."""
+    """Return nodes and triangles as large as cells n across, whose inner nodes are moved by up to ``shake`` sides."""
     # Equilateral triangles of area a have the height sqrt(sqrt(3) a).
     rings = max(round(n / 3.0**0.25), 2)
     random, points, inside = np.random.default_rng(seed), [], 0
@@ -50,14 +46,20 @@ def triangles(n, shake, seed):
     cells = Delaunay(points).simplices
     # Those of three nodes of the inner circle fill the hole.
     cells = cells[(cells >= inside).any(axis=1)]
-    area, _ = common.centres(points[cells])
+    area, _ = common.centres(points, Block("triangle", cells))
     cells[area < 0.0] = cells[area < 0.0][:, ::-1]
-    return common.of_cells(points, cells.astype(np.int64))
+    return points, Block("triangle", cells.astype(np.int64))
 
 
 def cloud(mesh, n, shake, seed):
     """Return the particles that a word of the command line stands for."""
-    known = {"lattice": lambda: lattice(n), "quads": lambda: quads(n), "triangles": lambda: triangles(n, shake, seed)}
+    known = {
+        "lattice": lambda: lattice(n),
+        "quads": lambda: common.of_cells(*polar(n)),
+        "quad_nodes": lambda: common.of_nodes(*polar(n)),
+        "triangles": lambda: common.of_cells(*triangles(n, shake, seed)),
+        "nodes": lambda: common.of_nodes(*triangles(2.0**0.5 * n, shake, seed)),
+    }
     return pd.choose("mesh", mesh, known)()
 
 
@@ -66,14 +68,6 @@ def radial(x, of_radius, around):
     e = x / np.linalg.norm(x, axis=1)[:, None]
     rr = np.einsum("ni,nj->nij", e, e)
     return of_radius[:, None, None] * rr + around[:, None, None] * (np.eye(2) - rr)
-
-
-def inner_surface(hoop, spacing, n=72):
-    """Return the error of the hoop stress at the inner surface, at n places."""
-    angle = 2.0 * np.pi * (np.arange(n) + 0.5) / n
-    c, s = np.cos(angle), np.sin(angle)
-    places = INNER * np.stack([c, s], axis=1)
-    return common.SurfaceStressError(places, np.stack([-s, c], axis=1), np.full(n, hoop), spacing)
 
 
 def supports(exact):

@@ -45,7 +45,10 @@ def write_mesh(path):
     os.replace(name, path)
 
 
-def case(mesh="out/dog_bone.vtu", horizon=2.45, strain=0.01, steps=4, scheme="correspondence", G=0.5):
+def case(
+    mesh="out/dog_bone.vtu", horizon=2.45, strain=0.01, steps=4, scheme="correspondence", G=0.5,
+    weights="standard",
+):  # fmt: skip
     """Return the case; the strain is the pull over the length of the bar."""
     path = Path(mesh)
     if not path.exists():
@@ -56,6 +59,7 @@ def case(mesh="out/dog_bone.vtu", horizon=2.45, strain=0.01, steps=4, scheme="co
         horizon=horizon,
         material=pd.Hencky(E=E, nu=NU),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
         control=pd.Silling(G) if G else None,
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0, z=0.0),

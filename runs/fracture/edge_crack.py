@@ -2,7 +2,9 @@
 
 Width 20, length 60, bond-based, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, a crack of length ``a`` from
 the left edge; the ends are pulled by uniform forces, which leave them free to turn. The event-driven solver follows the
-crack. Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)`` with
+crack. With a ``scheme``, and ``solver=path``, the material has deformation gradients, linear elastic with a Poisson
+ratio of 1/3, ``weights`` and Silling's control of strength ``G``.
+Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)`` with
 ``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris, Irwin); ``ratio`` of both;
 ``straightness``, the largest distance of a broken bond from the line of the crack over the horizon.
 """
@@ -37,7 +39,7 @@ def griffith(a=8.0):
     return np.sqrt(E * GC / (np.pi * a)) / F
 
 
-def case(n=20, horizon=3.015, a=8.0, solver="events"):
+def case(n=20, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5):
     dx = WIDTH / n
     low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=LENGTH - dx)
     ends = pd.region.Slab("y", high=3.0 * horizon * dx) | pd.region.Slab("y", low=LENGTH - 3.0 * horizon * dx)
@@ -56,10 +58,20 @@ def case(n=20, horizon=3.015, a=8.0, solver="events"):
         }
 
     force = MOST * exact * WIDTH
+    model, paths = {"material": pd.BondBased(E=E, plane="stress", calibration="family")}, {}
+    if scheme:
+        model = {
+            "material": pd.LinearElastic(E=E, nu=1.0 / 3.0, plane="stress"),
+            "scheme": pd.choose("scheme", scheme, pd.SCHEMES),
+            "weights": pd.choose("weights", weights, pd.WEIGHTS),
+            "control": pd.Silling(G) if G else None,
+        }
+        # The last bonds hold a piece that turns about them: nothing is left to follow there.
+        paths = {"path": pd.PathFollowing(until=0.1)}
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
         horizon=horizon * dx,
-        material=pd.BondBased(E=E, plane="stress", calibration="family"),
+        **model,
         cracks=[pd.Segment((-1.0, 0.5 * LENGTH), (a, 0.5 * LENGTH))],
         damage=pd.Brittle(pd.FractureEnergy(GC), protected=ends),
         conditions=[
@@ -68,7 +80,7 @@ def case(n=20, horizon=3.015, a=8.0, solver="events"):
             pd.Force(low, y=-force),
             pd.Force(high, y=force),
         ],
-        solver=pd.choose("solver", solver, pd.SOLVERS),
+        solver=pd.choose("solver", solver, {**pd.SOLVERS, **paths}),
         history={
             "opening": pd.Mean(pd.displacement, "y", high),
             "broken": pd.BrokenBonds(),

@@ -2,7 +2,8 @@
 
 500 x 500, legs 250 wide, 100 thick, held at the foot, E = 25.85 GPa, strength 2.7 MPa, fracture energy 0.065 N / mm
 (Winkler 2001; the tests reach some 7 kN at about 0.25 mm). Bond-based, plane stress, bilinear softening, followed by
-the displacement of the loaded point.
+the displacement of the loaded point. With a ``scheme`` the material has deformation gradients, linear elastic with a
+Poisson ratio of 0.18, ``weights`` and Silling's control of strength ``G``.
 With ``shake`` the particles inside leave the lattice by up to so many spacings, whose rows else lead the crack.
 Results: ``peak_load``, ``peak_displacement``, ``rise``, the angle of the crack with the horizontal [degrees] from the
 broken bonds, ``last_load`` over the peak.
@@ -16,7 +17,7 @@ import numpy as np
 import pdpetsc as pd
 
 SIDE, LEG, THICKNESS = 500.0, 250.0, 100.0
-E, STRENGTH, GF = 25.85e3, 2.7, 0.065
+E, NU, STRENGTH, GF = 25.85e3, 0.18, 2.7, 0.065
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def particles(dx, shake, seed):
     return pd.Arrays(x, np.full(len(x), dx**2 * THICKNESS), thickness=THICKNESS)
 
 
-def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1):
+def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1, scheme="", weights="standard", G=0.5):
     dx = LEG / n
     delta = horizon * dx
     foot = pd.region.Slab("y", high=delta)
@@ -58,10 +59,18 @@ def case(n=25, horizon=3.015, step=0.02, end=0.9, shake=0.0, seed=1):
             "broken_bonds": h["broken"][-1],
         }
 
+    model = {"material": pd.BondBased(E=E, plane="stress", calibration="family")}
+    if scheme:
+        model = {
+            "material": pd.LinearElastic(E=E, nu=NU, plane="stress"),
+            "scheme": pd.choose("scheme", scheme, pd.SCHEMES),
+            "weights": pd.choose("weights", weights, pd.WEIGHTS),
+            "control": pd.Silling(G) if G else None,
+        }
     return pd.Case(
         particles=particles(dx, shake, seed),
         horizon=delta,
-        material=pd.BondBased(E=E, plane="stress", calibration="family"),
+        **model,
         damage=concrete.bilinear(E, STRENGTH, GF, delta, protected=foot | around),
         conditions=[pd.Displacement(foot, x=0.0, y=0.0), pd.Force(loaded, y=load)],
         solver=pd.PathFollowing(pd.Opening("y", loaded, step=step, end=end), until=0.02),

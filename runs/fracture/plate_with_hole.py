@@ -3,9 +3,9 @@
 150 x 50 mm, hole of radius 10, E = 210 GPa, nu = 0.33, plane strain; bonds fade between the stretches ``s_min`` and
 ``s_cr``. Each end is moved by ``pull``. The published scheme is ``effect=present continuous=False``; ``G`` is that of
 Silling's control, or with ``unit`` the printed coefficient with that unit of length [mm]. Without ``grips`` bonds near
-the ends may fail. Results: ``first_damage_load``, ``peak_load``, ``max_damage``,
-``broken_bonds``, ``symmetry_error`` (first moments of the damage about the axes of the plate over its sum, in widths),
-``last_load``.
+the ends may fail. ``weights`` are those of the scheme, or conforming.
+Results: ``first_damage_load``, ``peak_load``, ``max_damage``, ``broken_bonds``, ``symmetry_error`` (first moments of
+the damage about the axes of the plate over its sum, in widths), ``last_load``.
 Reference: Hashim et al., section 4.5; the end displacement in the text is a misprint.
 """
 
@@ -31,7 +31,7 @@ class Asymmetry(pd.Quantity):
 
 def case(
     nx=30, horizon=3.015, s_cr=0.002, s_min=0.0015, pull=0.3, G=0.5, scheme="correspondence", law="smooth", steps=30,
-    unit=0.0, effect="largest", continuous=True, grips=True,
+    unit=0.0, effect="largest", continuous=True, grips=True, weights="standard",
 ):  # fmt: skip
     dx = LENGTH / nx
     layer = horizon * dx
@@ -72,6 +72,7 @@ def case(
         horizon=layer,
         material=pd.Hencky(E=210e3, nu=0.33),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
         control=control,
         damage=damage,
         conditions=[pd.Displacement(left, x=-pull, y=0.0), pd.Displacement(right, x=pull, y=0.0)],

@@ -11,10 +11,10 @@ def case(
 ):
     """Return the case: n^dim particles of unit spacing, held at one end and pulled at the other by a strain.
 
-    A crack halfway between the ends crosses a share ``crack`` of the body.
+    A crack between the particles halfway between the ends crosses a share ``crack`` of the body.
     """
     side = 1.0 * n
-    half, depth = 0.5 * side, crack * side
+    half, depth = float(n // 2), crack * side
     cut = {
         2: lambda: pd.Segment((half, 0.0), (half, depth)),
         3: lambda: pd.PolygonCrack([(half, 0.0, 0.0), (half, depth, 0.0), (half, depth, side), (half, 0.0, side)]),

@@ -274,6 +274,26 @@ def test_the_command_line_tunes_both_levels_and_refuses_what_is_wrong(tmp_path):
     assert wrong.returncode == 2 and "PETSc refused the solver options" in wrong.stderr
 
 
+def test_another_number_of_levels_is_refused(tmp_path):
+    with pytest.raises(pd.CaseError, match="has 2 levels, not the 3 of"):
+        pd.run(box(2, 10), tmp_path, options=FREE | {"pc_mg_levels": 3})
+
+
+def test_bodies_far_apart_have_a_grid(monkeypatch):
+    """So far that there would be more nodes between them than integers, of which there are few here."""
+    monkeypatch.setattr(background_grid, "MOST", 1e6)
+    one = np.stack(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = np.concatenate([one, one + 1e4])
+    ends = pd.region.Slab("x", high=0.5) | pd.region.Slab("x", low=1e4 - 0.5, high=1e4 + 0.5)
+    held = [pd.Displacement(ends, x=0.0, y=0.0, z=0.0)]
+    case = box(3, 4, m=2.015, particles=pd.Arrays(x, 1.0), material=pd.BondBased(E=1.0), conditions=held)
+    problem = pd.prepare(case).problem
+    grid = BackgroundGrid(problem)
+    assert np.prod(grid.cells.count + 1.0) <= background_grid.MOST
+    moved = grid.interpolate(np.ones((len(grid.numbers), 3)))
+    assert np.allclose(moved, ~problem.supports.fixed)
+
+
 RANKS = """
 import json, sys
 import numpy as np

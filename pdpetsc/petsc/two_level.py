@@ -7,6 +7,7 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
 from pdpetsc.kernels.point_blocks import definite
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.problem.background_grid import BackgroundGrid
@@ -98,7 +99,7 @@ class TwoLevel(Preconditioning):
         return TwoLevel(BackgroundGrid(self._problem), self._fixed, self._scale)
 
     def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
-        """Give multigrid its two levels."""
+        """Give multigrid its two levels; raises CaseError where options ask for another number of them."""
         pc = ksp.getPC()
         if pc.getType() != "mg":
             return
@@ -119,6 +120,11 @@ class TwoLevel(Preconditioning):
         smoother = pc.getMGSmoother(1)
         smoother.setOperators(tangent, self.mat)
         pc.setFromOptions()
+        if pc.getMGLevels() != 2:
+            raise CaseError(
+                f"The preconditioner of a tangent without a matrix has 2 levels, not the {pc.getMGLevels()} of "
+                f"-pc_mg_levels; more of them are GAMG's on the coarse one, -mg_coarse_pc_type gamg."
+            )
         nodes.setFromOptions()
         smoother.setFromOptions()
         self.bounded = smoother.getType() in BOUNDED

@@ -40,6 +40,8 @@ WEAK = 0.1
 # What every element resists besides, as a share of its modulus: rotations, and modes that no bond resists. Springs of
 # loose pieces are stiffer.
 FLOOR = 1e-9
+# Most nodes of a grid, whose numbers are to be integers: cells are wider where bodies are so far apart.
+MOST = 2.0**48
 # Elements whose stiffness is held at once.
 CHUNK = 4096
 
@@ -84,7 +86,10 @@ class Cells:
                 periodic[axis] = True
                 low[axis], high[axis] = cell.origin[axis], cell.origin[axis] + cell.lengths[axis]
         size = high - low
-        count = np.maximum(np.rint(size / wanted), 1).astype(np.int64)
+        count = np.maximum(np.rint(size / wanted), 1.0)
+        while np.prod(count + 1.0) > MOST:
+            count = np.maximum(np.floor(0.5 * count), 1.0)
+        count = count.astype(np.int64)
         width = np.where(periodic, size / count, np.maximum(size / count, THINNEST * wanted))
         spare = count * width - size
         low = low - np.where(bound[0], 0.0, np.where(bound[1], spare, 0.5 * spare))

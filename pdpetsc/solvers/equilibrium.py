@@ -245,12 +245,15 @@ def read_options(
 ) -> None:
     """Give solvers their options, then ``equip`` them (collective).
 
-    Where PETSc refuses an option, ``destroy`` and raise CaseError.
+    Where an option is refused, ``destroy`` and raise CaseError.
     """
     try:
         for solver in solvers:
             solver.setFromOptions()
         equip()
+    except CaseError:
+        destroy()
+        raise
     except PETSc.Error as error:
         destroy()
         raise CaseError(

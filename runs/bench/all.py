@@ -26,7 +26,8 @@ FAR = 1.5
 STUDIES = (
     ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"],
     ["conforming.py", "300000", "{folder}/conforming"], ["fronts.py", "{folder}/fronts"],
-    ["kernels.py"], ["robustness.py"], ["performance_model.py"], ["footprint.py"], ["scaling.py", "{folder}/scaling"],
+    ["levels.py", "1", "1", "{folder}/levels"], ["kernels.py"], ["robustness.py"], ["performance_model.py"],
+    ["footprint.py"], ["scaling.py", "{folder}/scaling"],
     ["../beams/speed.py", "{folder}/speed"],
 )  # fmt: skip
 
@@ -42,6 +43,8 @@ def quick(folder):
     solid = measure(folder, 1, dim=3, n=30, horizon=3.015, **common)
     two = measure(folder, 2, dim=3, n=30, horizon=3.015, **common)
     broken = measure(folder, 1, dim=2, n=100, horizon=3.015, broken=0.3)
+    crack = measure(folder, 1, dim=2, n=100, horizon=3.015, crack=0.6)
+    near = measure(folder, 1, ["-pc_type", "gamg"], dim=3, n=30, horizon=3.015, **common)
     applied = sub_horizons["seconds"]["operator"] / plane["seconds"]["operator"]
     growth = (solid["scratch"] / solid["particles"]) / (small["scratch"] / small["particles"])
     return {
@@ -52,12 +55,14 @@ def quick(folder):
         "2D 40401: set-up of the preconditioner / one iteration": plane["seconds"]["preconditioner"]
         * plane["linear_iterations"]
         / plane["seconds"]["iterations"],
-        "3D 27000, horizon 3.015: cycle / operator": solid["seconds"]["cycle"] / solid["seconds"]["operator"],
+        "3D 27000, horizon 3.015: nearest neighbours / two levels": near["scratch"] / solid["scratch"],
+        "3D 27000, horizon 3.015: preconditioner / operator": solid["seconds"]["cycle"] / solid["seconds"]["operator"],
         "3D, horizon 3.015: seconds a particle, 27000 / 4096": growth,
         "3D 27000, horizon 3.015: one rank / two ranks": solid["scratch"] / two["scratch"],
         "iterations, 2D 40401": plane["linear_iterations"],
         "iterations, 2D 40401 sub-horizons": sub_horizons["linear_iterations"],
         "iterations, 2D 10000 with 30 % broken bonds": broken["linear_iterations"],
+        "iterations, 2D 10000 with a crack across 60 %": crack["linear_iterations"],
         "iterations, 3D 27000": solid["linear_iterations"],
     }, {"2D 40401": plane["scratch"], "3D 27000": solid["scratch"], "3D 27000 on two ranks": two["scratch"]}
 

@@ -2,8 +2,9 @@
 
 A box of n^dim particles (n x n in the plane) of Hencky material, held at one end and pulled at the other, with the
 tangent at rest: pattern, assembly, preconditioner and iterations to a relative residual of 1e-8. Parameters and their
-defaults: dim=2 n=201 horizon=3.015 nu=0.3 scheme=correspondence G=0.5 broken=0 jacobian=matfree repeats=1 json=; broken
-is the share of bonds that have failed, json a file for what was measured.
+defaults: dim=2 n=201 horizon=3.015 nu=0.3 scheme=correspondence G=0.5 crack=0 broken=0 jacobian=matfree repeats=1
+json=; crack is the share of the width that a crack crosses, broken that of bonds that have failed, json a file for what
+was measured.
 """
 
 import json
@@ -119,7 +120,16 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
 
 def main():
     given = dict(word.split("=", 1) for word in words)
-    defaults = {"dim": 2, "n": 201, "horizon": 3.015, "nu": 0.3, "scheme": "correspondence", "G": 0.5, "broken": 0.0}
+    defaults = {
+        "dim": 2,
+        "n": 201,
+        "horizon": 3.015,
+        "nu": 0.3,
+        "scheme": "correspondence",
+        "G": 0.5,
+        "crack": 0.0,
+        "broken": 0.0,
+    }
     values = {name: type(value)(given.pop(name, value)) for name, value in defaults.items()}
     jacobian, repeats, out = given.pop("jacobian", "matfree"), int(given.pop("repeats", 1)), given.pop("json", "")
     if given:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.petsc import jacobian
 from pdpetsc.problem import background_grid
 from pdpetsc.problem.background_grid import BackgroundGrid
 from tests.commands import ROOT, run
@@ -272,6 +274,20 @@ def test_the_command_line_tunes_both_levels_and_refuses_what_is_wrong(tmp_path):
     assert "type is ADDITIVE" in tuned.stdout and "nothing used the option -mg" not in tuned.stdout + tuned.stderr
     wrong = run("runs/bench/box.py", *words, "-mg_coarse_pc_type", "nonsense", output=tmp_path / "b", ranks=2)
     assert wrong.returncode == 2 and "PETSc refused the solver options" in wrong.stderr
+
+
+def test_what_is_chosen_follows_size_damage_and_control_and_is_said(monkeypatch):
+    monkeypatch.setattr(jacobian, "DIRECT_UNKNOWNS", {2: 10})
+    law = pd.Brittle(pd.ConstantCritical(1.0))
+    held, loose = (body(2, control=control, horizon=3.015).problem for control in (pd.Silling(0.5), None))
+    chosen = jacobian.choose(held, {}, Newton())
+    assert chosen.matrix_free and chosen.levels == "additive" and "60 unknowns are more than 10" in chosen.why
+    assert "diagonal blocks" in jacobian.words(chosen, 0) and chosen.why in jacobian.words(chosen, 0)
+    assert jacobian.choose(held, {}, Newton(), pivots=True).direct
+    assert jacobian.choose(loose, {}, Newton()).direct
+    assert jacobian.choose(damaged_body(2, law, control=pd.Silling(0.5)).problem, {}, Newton()).direct
+    near = jacobian.choose(held, {"pc_type": "gamg"}, Newton())
+    assert near.matrix_free and not near.levels and "nearest neighbours" in jacobian.words(near, 0)
 
 
 def test_another_number_of_levels_is_refused(tmp_path):

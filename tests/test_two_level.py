@@ -158,8 +158,8 @@ QUARTER = {
     "conditions": [pd.Displacement(pd.region.Slab("x", low=29.0), x=0.3)],
 }
 KINDS = {
-    "plane": (box(2, 50), 20),
-    "solid": (box(3, 10), 22),
+    "plane": (box(2, 40), 20),
+    "solid": (box(3, 8), 22),
     "horizon of two": (box(2, 40, m=2.015), 20),
     "horizon of five": (box(2, 40, m=5.015), 20),
     "sub-horizons": (box(2, 40, scheme=pd.SubHorizons(), control=None), 32),
@@ -319,11 +319,11 @@ from tests.test_two_level import FREE, box, solved
 from pathlib import Path
 folder = Path(sys.argv[1])
 cases = {
-    "crack": box(2, 24, cracks=[pd.Segment((12.0, 0.0), (12.0, 15.0))]),
+    "crack": box(2, 20, cracks=[pd.Segment((10.0, 0.0), (10.0, 12.0))]),
     "cell": box(2, 12, cell=pd.Cell((0.0, 0.0), (12.0, 12.0)), conditions=[
         pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.MeanStress(xx=0.02)]),
-    "mirrored": box(2, 20, symmetry=[pd.Symmetry("y", at=0.0)]),
-    "solid": box(3, 7),
+    "mirrored": box(2, 14, symmetry=[pd.Symmetry("y", at=0.0)]),
+    "solid": box(3, 6),
 }
 for name, case in cases.items():
     u, iterations, _ = solved(case, folder / f"{name}_{MPI.COMM_WORLD.size}", FREE)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.declare.solvers import Newton
+from pdpetsc.petsc import jacobian
 from pdpetsc.problem import background_grid
 from pdpetsc.problem.background_grid import BackgroundGrid
 from tests.commands import ROOT, run
@@ -156,8 +158,8 @@ QUARTER = {
     "conditions": [pd.Displacement(pd.region.Slab("x", low=29.0), x=0.3)],
 }
 KINDS = {
-    "plane": (box(2, 50), 20),
-    "solid": (box(3, 10), 22),
+    "plane": (box(2, 40), 20),
+    "solid": (box(3, 8), 22),
     "horizon of two": (box(2, 40, m=2.015), 20),
     "horizon of five": (box(2, 40, m=5.015), 20),
     "sub-horizons": (box(2, 40, scheme=pd.SubHorizons(), control=None), 32),
@@ -274,6 +276,20 @@ def test_the_command_line_tunes_both_levels_and_refuses_what_is_wrong(tmp_path):
     assert wrong.returncode == 2 and "PETSc refused the solver options" in wrong.stderr
 
 
+def test_what_is_chosen_follows_size_damage_and_control_and_is_said(monkeypatch):
+    monkeypatch.setattr(jacobian, "DIRECT_UNKNOWNS", {2: 10})
+    law = pd.Brittle(pd.ConstantCritical(1.0))
+    held, loose = (body(2, control=control, horizon=3.015).problem for control in (pd.Silling(0.5), None))
+    chosen = jacobian.choose(held, {}, Newton())
+    assert chosen.matrix_free and chosen.levels == "additive" and "60 unknowns are more than 10" in chosen.why
+    assert "diagonal blocks" in jacobian.words(chosen, 0) and chosen.why in jacobian.words(chosen, 0)
+    assert jacobian.choose(held, {}, Newton(), pivots=True).direct
+    assert jacobian.choose(loose, {}, Newton()).direct
+    assert jacobian.choose(damaged_body(2, law, control=pd.Silling(0.5)).problem, {}, Newton()).direct
+    near = jacobian.choose(held, {"pc_type": "gamg"}, Newton())
+    assert near.matrix_free and not near.levels and "nearest neighbours" in jacobian.words(near, 0)
+
+
 def test_another_number_of_levels_is_refused(tmp_path):
     with pytest.raises(pd.CaseError, match="has 2 levels, not the 3 of"):
         pd.run(box(2, 10), tmp_path, options=FREE | {"pc_mg_levels": 3})
@@ -303,11 +319,11 @@ from tests.test_two_level import FREE, box, solved
 from pathlib import Path
 folder = Path(sys.argv[1])
 cases = {
-    "crack": box(2, 24, cracks=[pd.Segment((12.0, 0.0), (12.0, 15.0))]),
+    "crack": box(2, 20, cracks=[pd.Segment((10.0, 0.0), (10.0, 12.0))]),
     "cell": box(2, 12, cell=pd.Cell((0.0, 0.0), (12.0, 12.0)), conditions=[
         pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.MeanStress(xx=0.02)]),
-    "mirrored": box(2, 20, symmetry=[pd.Symmetry("y", at=0.0)]),
-    "solid": box(3, 7),
+    "mirrored": box(2, 14, symmetry=[pd.Symmetry("y", at=0.0)]),
+    "solid": box(3, 6),
 }
 for name, case in cases.items():
     u, iterations, _ = solved(case, folder / f"{name}_{MPI.COMM_WORLD.size}", FREE)

@@ -13,14 +13,16 @@ LOOSE = 1e-3
 def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) -> dict[str, object]:
     """Return pdpetsc's solver options for a problem; those of the case and the command line override each.
 
-    Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
-    algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
-    the step, which is right for the gradient of an energy; in slender bending ``bt`` fails because a good first step
-    raises the residual norm a thousandfold. Its secant steps cost residuals only: up to ten of them, against PETSc's
-    one, lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from 32 to 10.
-    Without a matrix GAMG smooths with the tangent itself (``-pc_use_amat``, PETSc's default), whose short waves are
-    softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds estimated with the
-    tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice the time each.
+    Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients: without a
+    matrix on two levels (``TwoLevel``), with one on algebraic multigrid with rigid-body near-null space.
+    The line search ``cp`` looks for a zero of the residual along the step, which is right for the gradient of an
+    energy; in slender bending ``bt`` fails because a good first step raises the residual norm a thousandfold. Its
+    secant steps cost residuals only: up to ten of them, against PETSc's one, lower the Newton iterations of the first
+    of ten steps of a cantilever under a large tip force from 32 to 10.
+    Where options ask for GAMG without a matrix it smooths with the tangent itself (``-pc_use_amat``, PETSc's default),
+    whose short waves are softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds
+    estimated with the tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice
+    the time each.
     GAMG keeps its aggregates while Newton goes on.
     Every absolute tolerance is zero: a number with a unit says nothing of how good an answer is. That of ``cp`` would
     end a solve as converged where force and step are small numbers, whatever the residual is.

@@ -12,7 +12,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 
-# What has been dissipated may have fallen by this share of the largest energy that the body has stored so far: gradients
+# The dissipated energy may have fallen by this share of the largest energy that the body has stored so far: gradients
 # of fewer bonds may store more at the same displacement. Where bonds of gradients soften, or heal, the forces have no
 # potential even between two changes of the damage, and what is stored is no more than an estimate.
 SHARE, SHARE_WITHOUT_POTENTIAL = 0.1, 1.0

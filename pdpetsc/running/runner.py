@@ -331,7 +331,7 @@ class _Run:
             with self.phases.timed("output"):
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
                 state.tangent_at = solver.tangent_at
-                keeper.write(state, converged.write_fields)
+                keeper.write(state, converged.write_fields, converged.work)
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)

@@ -71,6 +71,8 @@ class Converged:
         Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
     write_fields : bool
         Whether it is one of those whose fields are written.
+    work : float or None
+        External work since the step before, over the equilibria between them [energy]; None where there are none.
     """
 
     u: Float
@@ -81,6 +83,7 @@ class Converged:
     sweeps: int = 0
     resume: Mapping[str, float] = field(default_factory=dict)
     write_fields: bool = True
+    work: float | None = None
 
 
 @dataclass(frozen=True)

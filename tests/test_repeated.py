@@ -132,6 +132,18 @@ def test_bonds_repeat_too(dim, kinematics):
         assert found < ALIKE, calibration
 
 
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.usefixtures("few")
+def test_displacements_that_are_no_numbers_are_not_admissible(dim):
+    bonds = block(dim, scheme=None, control=None, material=pd.BondBased(10.0, kinematics="finite"))
+    for case in (bonds, block(dim)):
+        for problem in both(case):
+            u = rough(problem.body.cloud)
+            assert problem.admissible(problem.state(u))
+            u[len(u) // 2, -1] = np.nan
+            assert not problem.admissible(problem.state(u))
+
+
 @pytest.mark.usefixtures("few")
 def test_two_materials_grading_mirrors_cells_cracks_and_other_units_do_not_change_that():
     two = [(pd.region.Slab("x", high=6.0), pd.Hencky(10.0, 0.3)), (pd.region.Slab("x", low=6.0), pd.Hencky(30.0, 0.2))]

@@ -490,11 +490,11 @@ def rows_least_length_kernel(dim: int) -> Callable[..., Any]:
                     if dim > 2:
                         y2 = x2 + u2[o + i] - u2[s + i]
                         square += y2 * y2
-                    # Not a number counts as the least.
-                    found[i] = found[i] if found[i] <= square else square
+                    # Not a number counts as the least: what is compared with it later is not less.
+                    found[i] = square if square < found[i] or np.isnan(square) else found[i]
         shortest = np.inf
         for i in range(found.size):
-            if not shortest <= found[i]:
+            if found[i] < shortest or np.isnan(found[i]):
                 shortest = found[i]
         return np.sqrt(shortest)
 

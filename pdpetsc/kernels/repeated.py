@@ -427,7 +427,7 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
 
 @lru_cache
 def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
-    """Return ``sums(..., energy, moment)`` -> least current length of the bonds of particles in rows.
+    """Return ``sums(..., energy, moment)`` of the particles in rows.
 
     Writes ``1/2 sum_j k e^2`` (n_owned,) and ``sum_j t n (x) xi`` (n_owned, dim, dim) of those particles.
     """
@@ -437,7 +437,6 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
         starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energy, moment
     ):
         y = np.empty(dim)
-        least = np.inf
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
@@ -452,7 +451,6 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
                         square += y[m] * y[m]
                         elongation += eta * xi[e, m] / reference[e]
                     current = np.sqrt(square)
-                    least = min(least, current)
                     if finite:
                         elongation = current - reference[e]
                     energy[i] += 0.5 * k[e] * elongation * elongation
@@ -460,7 +458,6 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
                     for m in range(dim):
                         for o in range(dim):
                             moment[i, m, o] += factor * y[m] * xi[e, o]
-        return least
 
     return sums
 

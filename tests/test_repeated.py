@@ -132,6 +132,18 @@ def test_bonds_repeat_too(dim, kinematics):
         assert found < ALIKE, calibration
 
 
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.usefixtures("few")
+def test_displacements_that_are_no_numbers_are_not_admissible(dim):
+    bonds = block(dim, scheme=None, control=None, material=pd.BondBased(10.0, kinematics="finite"))
+    for case in (bonds, block(dim)):
+        for problem in both(case):
+            u = rough(problem.body.cloud)
+            assert problem.admissible(problem.state(u))
+            u[len(u) // 2, -1] = np.nan
+            assert not problem.admissible(problem.state(u))
+
+
 @pytest.mark.usefixtures("few")
 def test_two_materials_grading_mirrors_cells_cracks_and_other_units_do_not_change_that():
     two = [(pd.region.Slab("x", high=6.0), pd.Hencky(10.0, 0.3)), (pd.region.Slab("x", low=6.0), pd.Hencky(30.0, 0.2))]
@@ -236,6 +248,54 @@ def test_particles_in_any_order_repeat(rng):
         force[where[gid]] = problem.internal_force(problem.state(u[where][gid]))
         forces.append(force)
     assert np.abs(forces[0] - forces[1]).max() < ALIKE * np.abs(forces[0]).max()
+
+
+@pytest.mark.usefixtures("few")
+def test_points_of_bonds_keep_their_history_in_the_order_of_the_bonds(rng):
+    plastic = {"scheme": pd.BondAssociated(), "material": pd.J2(10.0, 0.3, yield_stress=0.01, hardening=0.1)}
+    whole, x = pd.Lattice([0.0, 0.0], LENGTHS[2], 1.0), block(2).particles.chunk(0, 1).x
+    mean = [pd.MeanStrain(xx=0.01, yy=0.0, xy=0.0), pd.Displacement(pd.region.Sphere((0.5, 0.5), 0.1), x=0.0, y=0.0)]
+    cell = block(2, particles=whole, cell=pd.Cell([0.0, 0.0], LENGTHS[2]), conditions=mean, **plastic)
+    shuffled = block(2, particles=pd.Arrays(x[rng.permutation(len(x))], 1.0), **plastic)
+    for case in (block(2, **plastic), cell, shuffled):
+        problems = both(case)
+        # Particles of any order list the members of their families in as many orders.
+        assert (problems[0].body.families.repeats is None) == (case is shuffled)
+        histories = []
+        for problem in problems:
+            problem.commit(problem.state(rough(problem.body.cloud)))
+            (array,) = problem.arrays().values()
+            histories.append(array.values)
+        assert np.abs(histories[0] - histories[1]).max() < ALIKE
+
+
+@pytest.mark.usefixtures("few")
+def test_a_bond_through_the_rim_of_a_crack_is_cut_from_both_of_its_ends():
+    x = 0.1 * (block(3, particles=pd.Lattice([0.0] * 3, [12.0] * 3, 1.0)).particles.chunk(0, 1).x)
+    square = pd.PolygonCrack([(0.3, 0.3, 0.6), (0.9, 0.3, 0.6), (0.9, 0.9, 0.6), (0.3, 0.9, 0.6)])
+    held = [pd.Displacement(pd.region.All(), x=0.0, y=0.0, z=0.0)]
+    case = block(3, particles=pd.Arrays(x, 1e-3), horizon=0.2015, cracks=[square], conditions=held)
+    problems = both(case)
+    assert problems[0].body.families.repeats is not None
+    for problem in problems:
+        families = problem.body.families
+        there = set(zip(families.centres.tolist(), families.neighbours.tolist(), strict=True))
+        assert there == {(j, i) for i, j in there}
+
+
+def test_rounding_of_positions_does_not_add_up_along_a_lattice():
+    x = 5.0 + 0.01 * (np.stack(np.meshgrid(np.arange(2000.0), np.arange(3.0), indexing="ij"), axis=-1).reshape(-1, 2))
+    spacing, index = lattice.positions_on_lattice(x, 0.03)
+    assert spacing == pytest.approx([0.01, 0.01], rel=1e-12)
+    assert np.array_equal(index.max(axis=0), [1999, 2])
+    assert lattice.positions_on_lattice(x + 1e-7 * np.sin(7.0 * x), 0.03) is None
+
+
+@pytest.mark.usefixtures("few")
+def test_flat_families_are_all_counted():
+    layer = block(3, particles=pd.Lattice([0.0] * 3, [20.0, 15.0, 1.0], 1.0))
+    with pytest.raises(pd.CaseError, match=r"^300 particles"):
+        pd.prepare(layer, comm=world())
 
 
 def test_memory_is_predicted_without_the_bonds_that_are_not_listed(monkeypatch):

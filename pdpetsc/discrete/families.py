@@ -139,7 +139,9 @@ class RepeatedFamilies(Families):
         return found
 
 
-def find_families(cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | None = None) -> Families:
+def find_families(
+    cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | None = None, in_order: bool = False
+) -> Families:
     """Find the neighbours of every own particle within its horizon, where no crack separates them.
 
     Where the horizon differs from particle to particle ``j`` is in the family of ``i`` if ``|xi| <= reach_i``; where
@@ -154,6 +156,8 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | 
     repeated : float, optional
         Bonds of particles that share one family are not listed where at least this share of all do; all are listed
         where absent.
+    in_order : bool
+        Whether particles share a family only where they list its members in the same order.
 
     Returns
     -------
@@ -170,7 +174,7 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | 
     """
     cutting = _Cutting(cloud, cracks)
     if repeated is not None and not cloud.varies:
-        repeats = find_repeats(cloud, cutting if cracks else None, repeated)
+        repeats = find_repeats(cloud, cutting if cracks else None, repeated, in_order)
         if repeats is not None:
             cutting.refuse_idle()
             return RepeatedFamilies(repeats)
@@ -236,6 +240,9 @@ class _Cutting:
         cut = np.zeros(len(pairs), dtype=bool)
         if not self._cracks or not len(pairs):
             return cut
+        # Both ends ask for the same bond, on any rank; rounding at the rim of a crack must answer both alike.
+        turned = cloud.gid[pairs[:, 0]] > cloud.gid[pairs[:, 1]]
+        pairs = np.where(turned[:, None], pairs[:, ::-1], pairs)
         a, b = cloud.x[pairs[:, 0]], cloud.x[pairs[:, 1]]
         for number, crack in enumerate(self._cracks):
             separated = np.zeros(len(pairs), dtype=bool)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.kernels.repeated import cells_with_any, families_of_cells, family_keys, onto_cells
+from pdpetsc.kernels.repeated import cells_with_any, families_of_cells, family_keys, onto_cells, order_keys
 from pdpetsc.kernels.sparsity import families_with_any
 
 Number = TypeVar("Number", bound=np.generic)
@@ -142,7 +142,11 @@ def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] 
         apart = np.diff(values)
         apart = apart[apart > SAME_LAYER * horizon]
         # A single layer has no member of a family beside it.
-        spacing[axis] = apart.min() if len(apart) else 3.0 * horizon
+        spacing[axis] = 3.0 * horizon
+        if len(apart):
+            # Rounding of the positions would add up from cell to cell, so the spacing is that of all cells together.
+            extent = values[-1] - values[0]
+            spacing[axis] = extent / np.rint(extent / apart.min())
         position = (x[:, axis] - values[0]) / spacing[axis]
         nearest = np.rint(position)
         if np.abs(position - nearest).max() > ON_LATTICE:
@@ -343,13 +347,18 @@ class Repeats:
         return Part(alone, rows, np.repeat(np.arange(self.n_patterns), [len(one.starts) for one in found]))
 
 
-def find_repeats(cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: float) -> Repeats | None:
+def find_repeats(
+    cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: float, in_order: bool = False
+) -> Repeats | None:
     """Return which families repeat; None on all ranks where fewer than a share ``least`` of the particles share one.
 
     Parameters
     ----------
     cut : callable, optional
         Tells which pairs of local particles (n, 2) are no bond.
+    in_order : bool
+        Whether particles share a family only where they list its members in the same order. Else what is listed for one
+        of them may be in another order than for the others, and on another rank count in a third.
 
     Notes
     -----
@@ -357,7 +366,7 @@ def find_repeats(cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: 
     """
     grid = find_grid(cloud)
     with agreed(cloud.comm):
-        found = np.empty(0, dtype=np.int64) if grid is None else _patterns(cloud, grid, cut)
+        found = np.empty(0, dtype=np.int64) if grid is None else _patterns(cloud, grid, cut, in_order)
     shared = int(np.count_nonzero(found >= 0))
     counts = total(cloud.comm, [shared, int(shared == 0)])
     if int(counts[1]) or counts[0] < least * cloud.n_global:
@@ -366,7 +375,9 @@ def find_repeats(cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: 
     return Repeats(cloud, grid, found, cut)
 
 
-def _patterns(cloud: Cloud, grid: Grid, cut: Callable[[LocalIndex], Mask] | None) -> GlobalIndex:
+def _patterns(
+    cloud: Cloud, grid: Grid, cut: Callable[[LocalIndex], Mask] | None, in_order: bool
+) -> GlobalIndex:  # fmt: skip
     """Return the pattern of each own particle (n_owned,), -1 where too few share it or they lie too far apart."""
     n = cloud.n_owned
     typical = float(np.median(cloud.volume[:n])) if n else 0.0
@@ -374,6 +385,8 @@ def _patterns(cloud: Cloud, grid: Grid, cut: Callable[[LocalIndex], Mask] | None
     of_steps = np.random.default_rng(1).integers(1, 2**63, len(grid.steps), dtype=np.uint64)
     key, usual = np.empty(n, dtype=np.uint64), np.empty(n, dtype=bool)
     family_keys(grid.cell, grid.at, grid.steps, of_steps, good, key, usual)
+    if in_order:
+        order_keys(grid.cell, grid.at, grid.steps, of_steps, cloud.order, key)
     for number, step in enumerate(grid.steps if cut is not None else ()):
         assert cut is not None
         other = grid.at[grid.cell[:n] + step]

@@ -12,7 +12,6 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
@@ -269,9 +268,12 @@ class Scheme(Declared, ABC):
     ----------
     of_family : bool
         Whether the weights follow from the bonds of the family alone, so that particles with the same bonds share them.
+    points_of_bonds : bool
+        Whether the points of a particle are those of its bonds, in the order in which its bonds are listed.
     """
 
     of_family: ClassVar[bool] = False
+    points_of_bonds: ClassVar[bool] = False
 
     def memory(self, dim: int, family: float) -> float:
         """Return the least memory per bond while the operator is built, in families of ``family`` bonds [bytes]."""
@@ -319,7 +321,7 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     Collective.
     """
     K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
-    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][flat(K)], name)
+    refuse_flat(cloud, np.flatnonzero(flat(K)), name)
     return K
 
 
@@ -369,12 +371,15 @@ def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
     return np.asarray(cloud.volume[owner] / count[owner])
 
 
-def refuse_flat(comm: Comm, gid: GlobalIndex, what: str) -> None:
-    """Raise FlatFamilies on all ranks if ``gid`` names a particle on any; ``what`` needs the gradient (collective)."""
-    count = int(total(comm, len(gid)))
+def refuse_flat(cloud: Cloud, own: GlobalIndex, what: str) -> None:
+    """Raise FlatFamilies on all ranks if ``own`` has own particles on any; ``what`` needs the gradient (collective)."""
+    bad = np.zeros(cloud.n_owned)
+    bad[own] = 1.0
+    count = cloud.counted(bad)
     if count == 0:
         return
-    ids = sorted(int(i) for part in comm.allgather(np.sort(gid)[:NAMED_IDS]) for i in part)[:NAMED_IDS]
+    gid = cloud.gid[own]
+    ids = sorted(int(i) for part in cloud.comm.allgather(np.sort(gid)[:NAMED_IDS]) for i in part)[:NAMED_IDS]
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
     raise FlatFamilies(
         f"{count} particles have a family too small or too flat for {what} (ids {listed}); widen the horizon or add "

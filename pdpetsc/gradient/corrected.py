@@ -76,5 +76,5 @@ class Corrected(Scheme):
             left = np.concatenate(remaining)
             lowered[left] += order > 1
         failed = np.concatenate([left, alone])
-        refuse_flat(cloud.comm, cloud.gid[failed], "a corrected gradient")
+        refuse_flat(cloud, failed, "a corrected gradient")
         return from_bond_weights(cloud, families, g, conditioning_note(cloud, worst, lowered))

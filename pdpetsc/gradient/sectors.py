@@ -37,7 +37,7 @@ def sector_operator(
         empty[:, a] = flat(whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x), THIN)
     lost = empty.all(axis=1)
     singular = lost & flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
-    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][singular], name)
+    refuse_flat(cloud, np.flatnonzero(singular), name)
     centres = families.centres
     share = np.einsum("ba,bac->bc", share, _merging(empty, distance)[centres])
     share[lost[centres], 0] = 1.0

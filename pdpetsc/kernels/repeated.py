@@ -31,6 +31,27 @@ def family_keys(cell, at, steps, keys_of_steps, good, key, usual):  # type: igno
 
 
 @compiled
+def order_keys(cell, at, steps, keys_of_steps, order, key):  # type: ignore[no-untyped-def]
+    """Change the number of every own particle by one that tells in which ``order`` the members of its family are."""
+    sorted_steps = np.empty(steps.size, np.int64)
+    for i in range(key.size):
+        filled = 0
+        for t in range(steps.size):
+            j = at[cell[i] + steps[t]]
+            if j >= 0:
+                s = filled - 1
+                while s >= 0 and order[at[cell[i] + steps[sorted_steps[s]]]] > order[j]:
+                    sorted_steps[s + 1] = sorted_steps[s]
+                    s -= 1
+                sorted_steps[s + 1] = t
+                filled += 1
+        found = np.uint64(0)
+        for s in range(filled):
+            found = found * np.uint64(6364136223846793005) + keys_of_steps[sorted_steps[s]]
+        key[i] ^= found
+
+
+@compiled
 def families_of_cells(particles, cell, at, steps, order):  # type: ignore[no-untyped-def]
     """Return the families of some particles in CSR form, each sorted by ``order``."""
     indptr = np.zeros(particles.size + 1, np.int64)
@@ -406,7 +427,7 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
 
 @lru_cache
 def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
-    """Return ``sums(..., energy, moment)`` -> least current length of the bonds of particles in rows.
+    """Return ``sums(..., energy, moment)`` of the particles in rows.
 
     Writes ``1/2 sum_j k e^2`` (n_owned,) and ``sum_j t n (x) xi`` (n_owned, dim, dim) of those particles.
     """
@@ -416,7 +437,6 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
         starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, energy, moment
     ):
         y = np.empty(dim)
-        least = np.inf
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
@@ -431,7 +451,6 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
                         square += y[m] * y[m]
                         elongation += eta * xi[e, m] / reference[e]
                     current = np.sqrt(square)
-                    least = min(least, current)
                     if finite:
                         elongation = current - reference[e]
                     energy[i] += 0.5 * k[e] * elongation * elongation
@@ -439,7 +458,6 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
                     for m in range(dim):
                         for o in range(dim):
                             moment[i, m, o] += factor * y[m] * xi[e, o]
-        return least
 
     return sums
 
@@ -469,11 +487,11 @@ def rows_least_length_kernel(dim: int) -> Callable[..., Any]:
                     if dim > 2:
                         y2 = x2 + u2[o + i] - u2[s + i]
                         square += y2 * y2
-                    # Not a number counts as the least.
-                    found[i] = found[i] if found[i] <= square else square
+                    # Not a number counts as the least: what is compared with it later is not less.
+                    found[i] = square if square < found[i] or np.isnan(square) else found[i]
         shortest = np.inf
         for i in range(found.size):
-            if not shortest <= found[i]:
+            if found[i] < shortest or np.isnan(found[i]):
                 shortest = found[i]
         return np.sqrt(shortest)
 

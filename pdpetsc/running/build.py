@@ -113,7 +113,7 @@ def make_families(case: Case, cloud: Cloud) -> Families:
     """Return the families of a case; bonds are not listed where enough of them repeat (collective)."""
     with agreed(cloud.comm):
         repeated = repeated_share(case)
-    return find_families(cloud, case.cracks, repeated)
+    return find_families(cloud, case.cracks, repeated, _in_order(case))
 
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
@@ -175,7 +175,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
                 weights = case.chosen_weights
                 bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=(), weights=weights)
-                families = find_families(cloud, repeated=None if share is None else 0.0)
+                families = find_families(cloud, repeated=None if share is None else 0.0, in_order=_in_order(case))
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
                 state = problem.state(np.zeros_like(x))
@@ -243,6 +243,17 @@ def repeated_share(case: Case) -> float | None:
     if case.chosen_weights.conform or not case.gradients.of_family:
         return None
     return LEAST_REPEATED if case.control is None or case.control.of_kappa else None
+
+
+def _in_order(case: Case) -> bool:
+    """Return whether particles share a family only where they list its members in the same order.
+
+    Points of bonds are in the order of the bonds, and the history of a point is kept by its place among those of its
+    particle: a run that goes on, on any rank count, must find it there.
+    """
+    if case.of_bonds or not case.gradients.points_of_bonds:
+        return False
+    return any(cast(Material, ungraded(material)).has_history for _, material in case.materials)
 
 
 def _repeated_points(

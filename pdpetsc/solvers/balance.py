@@ -25,8 +25,8 @@ class EnergyBalance:
     """External work less stored energy less what the laws of the bonds dissipate, of one step after the other.
 
     Work is that of the trapezoidal rule over the equilibria that a step passes through (``pass_by``), which is exact
-    where forces are linear between two of them. Where materials or softening bonds bend them, half of the product of the changes of forces and
-    displacements is what the rule may be wrong by.
+    where forces are linear between two of them. Where materials or softening bonds bend them, half of the product of
+    the changes of forces and displacements is what the rule may be wrong by.
 
     Parameters
     ----------

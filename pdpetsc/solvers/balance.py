@@ -25,8 +25,8 @@ class EnergyBalance:
     """External work less stored energy less what the laws of the bonds dissipate, of one step after the other.
 
     Work is that of the trapezoidal rule over the equilibria that a step passes through (``pass_by``), which is exact
-    where forces are linear between two of them. Where they bend, half of the product of the changes of forces and
-    displacements is what the rule may be wrong by.
+    where forces are linear between two of them. Where materials or softening bonds bend them, half of the product of
+    the changes of forces and displacements is what the rule may be wrong by.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class EnergyBalance:
         self.judges = problem.damage is not None and not silent
         estimated = problem.softens and problem.matter.dissipated_energy() is None
         self._share = SHARE_WITHOUT_POTENTIAL if estimated else SHARE
-        self._bends = self.judges and not problem.piecewise_linear
+        self._bends = self.judges and (problem.softens or not problem.piecewise_linear)
         self._u, self._force = start.u, self._acting(start)
         self._kept = self._u, self._force
         self._energy = self._found = self._held(start)

@@ -210,17 +210,10 @@ class Springs(pd.ExtraTerm):
         return Wrong(100.0 * body.cloud.volume[: body.cloud.n_owned], self.times)
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [
-        pd.Newton(),
-        pd.PathFollowing(pd.Opening("x", pd.region.Nearest((2.5,)), step=0.01, end=0.04)),
-    ],
-    ids=lambda solver: type(solver).__name__,
-)
 @pytest.mark.parametrize("times", [1.0, 3.0])
-def test_a_step_whose_energy_comes_from_nowhere_does_not_count(solver, times, tmp_path):
-    """The energy of a bed that stores three times the work put into it, in load steps and along a path."""
+def test_a_step_whose_energy_comes_from_nowhere_does_not_count(times, tmp_path):
+    """The energy of a bed that stores three times the work put into it along a path."""
+    solver = pd.PathFollowing(pd.Opening("x", pd.region.Nearest((2.5,)), step=0.01, end=0.04))
     case = dataclasses.replace(one_bond(3.0), solver=solver, terms=[Springs(times)], steps=pd.Steps(4, smallest=0.1))
     if times == 1.0:
         pd.run(case, output=tmp_path)

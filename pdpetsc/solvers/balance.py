@@ -1,8 +1,9 @@
-"""The energy balance of a step with damage: nothing may come out of the body that was not put in."""
+"""The energy balance of a step along a path with damage: nothing may come out of the body that was not put in."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
+from pdpetsc.solvers.protocol import StepResult
 
 # The dissipated energy may have fallen by this share of the largest energy that the body has stored so far: gradients
 # of fewer bonds may store more at the same displacement. Where bonds of gradients soften, or heal, the forces have no
@@ -21,12 +23,18 @@ SHARE, SHARE_WITHOUT_POTENTIAL = 0.1, 1.0
 LARGEST, FALLEN = "largest_energy", "fallen_energy"
 
 
+def judged(result: StepResult, wrong: str | None) -> StepResult:
+    """Return the outcome of a step, which has not converged where something is wrong with its energy."""
+    return result if wrong is None else replace(result, converged=False, reason=wrong)
+
+
 class EnergyBalance:
     """External work less stored energy less what the laws of the bonds dissipate, of one step after the other.
 
     Work is that of the trapezoidal rule over the equilibria that a step passes through (``pass_by``), which is exact
     where forces are linear between two of them. Where materials or softening bonds bend them, half of the product of
-    the changes of forces and displacements is what the rule may be wrong by.
+    the changes of forces and displacements is what the rule may be wrong by. A load step may pass a
+    peak of the load that neither of its ends shows, so load steps are not judged.
 
     Parameters
     ----------

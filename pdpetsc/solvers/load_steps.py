@@ -9,7 +9,6 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.problem.damage import Damage
-from pdpetsc.solvers.balance import EnergyBalance
 from pdpetsc.solvers.protocol import Converged, OnFailure, Start, StepResult, StepSolver
 
 # Step times that differ by less are the same.
@@ -85,7 +84,6 @@ def load_steps(
     u, t = start.u, start.t
     dt = min(start.resume.get(LOAD_STEP, steps.first), steps.largest)
     stops = steps.stops()
-    balance = EnergyBalance(solver.problem, solver.problem.state(u, t), start.resume)
     failures: list[StepResult] = []
     while t < 1.0 - SAME_TIME:
         ahead = next(s for s in stops if s > t + SAME_TIME)
@@ -102,20 +100,15 @@ def load_steps(
         if stop():
             solver.problem.revert()
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
-        if result.converged and balance.judges:
-            balance.pass_by(solver.state(attempt))
-            result = judged(result, balance.broken_by(solver.state(attempt)))
         if result.converged:
             u, t = attempt, target
-            balance.keep()
             solver.problem.commit(solver.state(u))
             if result.easy:
                 dt = min(dt * GROWTH, steps.largest)
-            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt, **balance.resume})
+            yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
             failures = []
             continue
         solver.problem.revert()
-        balance.go_back()
         failures.append(result)
         dt = 0.5 * (target - t)
         on_failure(t, dt, result)
@@ -125,11 +118,6 @@ def load_steps(
                 f"No convergence from step time {t:.6g} to {target:.6g}, the smallest step: {result.reason}, residual "
                 f"{last:.3e} against {result.reference:.3e} after {result.iterations} iterations; {solver.advice}."
             )
-
-
-def judged(result: StepResult, wrong: str | None) -> StepResult:
-    """Return the outcome of a step, which has not converged where something is wrong with its energy."""
-    return result if wrong is None else replace(result, converged=False, reason=wrong)
 
 
 def _unstable(pivots: int) -> str:

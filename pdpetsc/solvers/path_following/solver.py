@@ -15,9 +15,9 @@ from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, negative_pivots, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
-from pdpetsc.solvers.balance import EnergyBalance
+from pdpetsc.solvers.balance import EnergyBalance, judged
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
-from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, judged, settle
+from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.constraint import Constraint
 from pdpetsc.solvers.path_following.measures import BAND, measure_of

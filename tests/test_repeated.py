@@ -3,6 +3,7 @@
 import itertools
 import sys
 from dataclasses import replace
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.discrete import lattice, memory
 from pdpetsc.discrete.components import find_pieces
+from pdpetsc.kernels import repeated
 from pdpetsc.running import build
 from tests.commands import python_on
 from tests.scenes import study, world
@@ -305,6 +307,16 @@ def test_memory_is_predicted_without_the_bonds_that_are_not_listed(monkeypatch):
     for change in ({"control": pd.Springs(0.5)}, {"horizon": 20.0}):
         with pytest.raises(pd.CaseError, match="takes at least"):
             build.make_cloud(world(), replace(cube, **change))
+
+
+def test_no_loop_over_rows_closes_over_another():
+    """Numba's cache does not find such loops again: every run would compile them, and leave another file."""
+    makers = [make for name, make in vars(repeated).items() if name.startswith("rows_")]
+    assert len(makers) > 5
+    for make in makers:
+        constants = [2 if name == "dim" else 1 for name in signature(make).parameters]
+        for cell in make(*constants).py_func.__closure__ or ():
+            assert not callable(cell.cell_contents), make
 
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])

@@ -106,60 +106,55 @@ def add_from_cells(cell, on_cells, values):  # type: ignore[no-untyped-def]
             on_cells[m, cell[i]] = 0.0
 
 
-@lru_cache
-def row_gradient_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``gradient(s, n, first, last, plus, minus, gx, gy, gz, v, buffer)``: one component on one row of cells.
+@compiled
+def row_gradient(s, n, first, last, plus, minus, gx, gy, gz, v, dim, buffer):  # type: ignore[no-untyped-def]
+    """Write ``sum_e (v_+ - v_-) g_e`` of one component, for the n cells from s on, to the ``dim`` rows of ``buffer``.
 
-    Writes ``sum_e (v_+ - v_-) g_e`` over the entries from ``first`` to ``last`` to the first ``dim`` rows of
-    ``buffer``, for the n cells from s on; entry e reads the cells ``plus[e]`` and ``minus[e]`` away. With fewer
-    dimensions the last weights are not read.
+    The entries are those from ``first`` to ``last``; entry e reads the cells ``plus[e]`` and ``minus[e]`` away. With
+    fewer dimensions the last weights are not read. It is a function of the module: numba's cache does not find loops
+    again that close over other ones.
     """
-
-    @compiled
-    def gradient(s, n, first, last, plus, minus, gx, gy, gz, v, buffer):  # type: ignore[no-untyped-def]
-        a, b, c = buffer[0], buffer[1], buffer[2]
+    a, b, c = buffer[0], buffer[1], buffer[2]
+    for i in range(n):
+        a[i] = 0.0
+        b[i] = 0.0
+        c[i] = 0.0
+    e = first
+    while e + 4 <= last:
+        p0 = v[s + plus[e] : s + plus[e] + n]
+        m0 = v[s + minus[e] : s + minus[e] + n]
+        p1 = v[s + plus[e + 1] : s + plus[e + 1] + n]
+        m1 = v[s + minus[e + 1] : s + minus[e + 1] + n]
+        p2 = v[s + plus[e + 2] : s + plus[e + 2] + n]
+        m2 = v[s + minus[e + 2] : s + minus[e + 2] + n]
+        p3 = v[s + plus[e + 3] : s + plus[e + 3] + n]
+        m3 = v[s + minus[e + 3] : s + minus[e + 3] + n]
+        a0, a1, a2, a3 = gx[e], gx[e + 1], gx[e + 2], gx[e + 3]
+        b0, b1, b2, b3 = gy[e], gy[e + 1], gy[e + 2], gy[e + 3]
+        c0, c1, c2, c3 = gz[e], gz[e + 1], gz[e + 2], gz[e + 3]
         for i in range(n):
-            a[i] = 0.0
-            b[i] = 0.0
-            c[i] = 0.0
-        e = first
-        while e + 4 <= last:
-            p0 = v[s + plus[e] : s + plus[e] + n]
-            m0 = v[s + minus[e] : s + minus[e] + n]
-            p1 = v[s + plus[e + 1] : s + plus[e + 1] + n]
-            m1 = v[s + minus[e + 1] : s + minus[e + 1] + n]
-            p2 = v[s + plus[e + 2] : s + plus[e + 2] + n]
-            m2 = v[s + minus[e + 2] : s + minus[e + 2] + n]
-            p3 = v[s + plus[e + 3] : s + plus[e + 3] + n]
-            m3 = v[s + minus[e + 3] : s + minus[e + 3] + n]
-            a0, a1, a2, a3 = gx[e], gx[e + 1], gx[e + 2], gx[e + 3]
-            b0, b1, b2, b3 = gy[e], gy[e + 1], gy[e + 2], gy[e + 3]
-            c0, c1, c2, c3 = gz[e], gz[e + 1], gz[e + 2], gz[e + 3]
-            for i in range(n):
-                d0 = p0[i] - m0[i]
-                d1 = p1[i] - m1[i]
-                d2 = p2[i] - m2[i]
-                d3 = p3[i] - m3[i]
-                a[i] += d0 * a0 + d1 * a1 + d2 * a2 + d3 * a3
-                if dim > 1:
-                    b[i] += d0 * b0 + d1 * b1 + d2 * b2 + d3 * b3
-                if dim > 2:
-                    c[i] += d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
-            e += 4
-        while e < last:
-            p0 = v[s + plus[e] : s + plus[e] + n]
-            m0 = v[s + minus[e] : s + minus[e] + n]
-            a0, b0, c0 = gx[e], gy[e], gz[e]
-            for i in range(n):
-                d0 = p0[i] - m0[i]
-                a[i] += d0 * a0
-                if dim > 1:
-                    b[i] += d0 * b0
-                if dim > 2:
-                    c[i] += d0 * c0
-            e += 1
-
-    return gradient
+            d0 = p0[i] - m0[i]
+            d1 = p1[i] - m1[i]
+            d2 = p2[i] - m2[i]
+            d3 = p3[i] - m3[i]
+            a[i] += d0 * a0 + d1 * a1 + d2 * a2 + d3 * a3
+            if dim > 1:
+                b[i] += d0 * b0 + d1 * b1 + d2 * b2 + d3 * b3
+            if dim > 2:
+                c[i] += d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3
+        e += 4
+    while e < last:
+        p0 = v[s + plus[e] : s + plus[e] + n]
+        m0 = v[s + minus[e] : s + minus[e] + n]
+        a0, b0, c0 = gx[e], gy[e], gz[e]
+        for i in range(n):
+            d0 = p0[i] - m0[i]
+            a[i] += d0 * a0
+            if dim > 1:
+                b[i] += d0 * b0
+            if dim > 2:
+                c[i] += d0 * c0
+        e += 1
 
 
 @lru_cache
@@ -169,7 +164,6 @@ def rows_gradient_kernel(dim: int) -> Callable[..., Any]:
     ``H_p = sum_e (u_+ - u_-) (x) g_e`` (n_points, dim, dim) of the points of the particles in the rows, for ``u``
     (dim, n_cells); ``lists`` are the points of each pattern, the entries of each point, and the two steps of each.
     """
-    of_row = row_gradient_kernel(dim)
 
     @compiled
     def gradient(starts, lengths, pattern, at, first_point, lists, gx, gy, gz, u, H):  # type: ignore[no-untyped-def]
@@ -180,7 +174,7 @@ def rows_gradient_kernel(dim: int) -> Callable[..., Any]:
             first = list_ptr[pattern[q]]
             for k in range(first, list_ptr[pattern[q] + 1]):
                 for m in range(dim):
-                    of_row(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, u[m], buffer)
+                    row_gradient(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, u[m], dim, buffer)
                     for i in range(n):
                         p = first_point[at[s + i]] + k - first
                         for o in range(dim):
@@ -199,7 +193,6 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
     cells, one point after the other: gradient, stress, and its forces on the members, while they are in cache. u and f
     are (dim, n_cells).
     """
-    of_row = row_gradient_kernel(dim)
 
     @compiled
     def force(  # type: ignore[no-untyped-def]
@@ -224,7 +217,7 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
                 first, last = entry_ptr[k], entry_ptr[k + 1]
                 if moduli or controlled:
                     for m in range(dim):
-                        of_row(s, n, first, last, plus, minus, gx, gy, gz, u[m], buffer)
+                        row_gradient(s, n, first, last, plus, minus, gx, gy, gz, u[m], dim, buffer)
                         for o in range(dim):
                             H[dim * m + o, :n] = buffer[o, :n]
                 for i in range(n):
@@ -296,7 +289,6 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
 @lru_cache
 def rows_energy_kernel(dim: int) -> Callable[..., Any]:
     """Return ``energy(...)``: ``1/2 sum_i c_i (sum_j w_ij |eta_ij|^2 - H_i K : H_i)`` over the particles in rows."""
-    of_row = row_gradient_kernel(dim)
 
     @compiled
     def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u):  # type: ignore[no-untyped-def]
@@ -308,7 +300,7 @@ def rows_energy_kernel(dim: int) -> Callable[..., Any]:
             k = list_ptr[pattern[q]]
             for m in range(dim):
                 v = u[m]
-                of_row(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, v, buffer)
+                row_gradient(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, v, dim, buffer)
                 for i in range(n):
                     value = 0.0
                     for e in range(entry_ptr[k], entry_ptr[k + 1]):

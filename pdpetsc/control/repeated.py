@@ -36,6 +36,9 @@ class RepeatedControl(Control):
         self._repeats, self._edge, self._scale, self._make = repeats, edge, scale, listed
         self._all: Control | None = None
         own = repeats.edge
+        # The forces of particles that stand for a pattern are those of its rows.
+        stiffness = np.where(np.arange(len(edge.stiffness)) < own.indptr[own.n], edge.stiffness, 0.0)
+        self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, edge.K_inverse)
         K_inverse = edge.K_inverse[own.n :]
         self._K = np.linalg.inv(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
         self._stiffness, points = [], []
@@ -74,28 +77,17 @@ class RepeatedControl(Control):
         """Return what a loop over the gradient of the scheme needs where it is that of the control."""
         if not isinstance(operator, RepeatedOperator):
             return None
-        edge, own = self._edge.of_gradient(operator.edge), self._repeats.edge
-        if edge is None:
-            return None
-        alone = np.arange(len(edge.K)) < own.n
-        of_bonds = np.arange(len(edge.stiffness)) < own.indptr[own.n]
-        edge = BondGradient(np.where(of_bonds, edge.stiffness, 0.0), np.where(alone[:, None, None], edge.K, 0.0))
-        return self._of(operator.weights, edge)
+        edge = self._edge.of_gradient(operator.edge)
+        return None if edge is None else self._of(operator.weights, BondGradient(self._alone.stiffness, edge.K))
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
         repeats, dim, same, weights = self._repeats, blocks.shape[-1], self._same, self._weights
-        part, grid, own = repeats.whole, repeats.grid, repeats.edge
-        alone = np.arange(len(self._edge.stiffness)) < own.indptr[own.n]
-        stiffness = np.where(alone, self._edge.stiffness, 0.0)
-        of_edge = np.zeros((len(own.local), dim, dim))
-        families = Families(own.indptr, own.neighbours)
-        NonUniform(own.cloud, families, stiffness, self._edge.K_inverse).add_point_blocks(of_edge)
-        blocks[own.local] += of_edge
+        part, grid = repeats.whole, repeats.grid
+        repeats.edge.add(blocks, self._alone.add_point_blocks)
         diagonal, sums = np.zeros((1, len(grid.at))), np.zeros((len(blocks), 1))
-        rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
         data = weights.arrays[0], weights.g, weights.centre, same.weight, same.scale, same.K
-        rows_control_blocks_kernel(dim)(*rows, *data, diagonal)
+        rows_control_blocks_kernel(dim)(*part.loop, grid.at, *data, diagonal)
         add_from_cells(grid.cell, diagonal, sums)
         blocks += sums[:, :, None] * np.eye(dim)
         return True
@@ -103,17 +95,14 @@ class RepeatedControl(Control):
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""
         repeats, dim, same = self._repeats, u.shape[1], self._same
-        part, local = repeats.part(particles), repeats.edge.local
+        part, own = repeats.part(particles), repeats.edge
         energy = 0.0
         if len(part.alone):
-            forces = np.zeros((len(local), dim))
-            energy = self._edge.force(u[local], forces, part.alone)
-            f[local] += forces
+            energy = own.add(f, lambda forces: self._edge.force(u[own.local], forces, part.alone))
         if part.rows.count:
-            rows = part.rows.starts, part.rows.lengths, part.pattern
             control = same.weight, same.scale, same.K
             data = repeats.grid.at, *self._weights.arrays, *control, repeats.grid.onto(u)
-            energy += float(rows_energy_kernel(dim)(*rows, *data))
+            energy += float(rows_energy_kernel(dim)(*part.loop, *data))
             add_row_forces(repeats, part, self._weights, None, same, u, f)
         return energy
 

@@ -18,6 +18,7 @@ from pdpetsc.kernels.repeated import cells_with_any, families_of_cells, family_k
 from pdpetsc.kernels.sparsity import families_with_any
 
 Number = TypeVar("Number", bound=np.generic)
+Answer = TypeVar("Answer")
 
 # Positions are on a lattice, and volumes alike, up to this share of the spacing and of the volume.
 ON_LATTICE = 1e-10
@@ -96,12 +97,6 @@ def rows_of(cells: GlobalIndex) -> Rows:
     return Rows(starts, np.minimum(lengths - LONGEST_ROW * number, LONGEST_ROW))
 
 
-def cells_of(rows: Rows) -> GlobalIndex:
-    """Return the cells of rows one after the other."""
-    before = np.cumsum(rows.lengths) - rows.lengths
-    return np.asarray(np.repeat(rows.starts - before, rows.lengths) + np.arange(rows.count))
-
-
 def find_grid(cloud: Cloud) -> Grid | None:
     """Return the lattice that the local particles are on; None where they are on none (not collective)."""
     x, dim = cloud.x, cloud.dim
@@ -178,6 +173,13 @@ class Edge:
     neighbours: LocalIndex
     n: int
 
+    def add(self, onto: Float, work: Callable[[Float], Answer]) -> Answer:
+        """Add to values of all local particles (n_local, ...) what ``work`` adds to those of this body (n, ...)."""
+        part = np.zeros((len(self.local), *onto.shape[1:]))
+        answer = work(part)
+        onto[self.local] += part
+        return answer
+
 
 @dataclass(frozen=True)
 class Part:
@@ -196,6 +198,11 @@ class Part:
     alone: LocalIndex
     rows: Rows
     pattern: GlobalIndex
+
+    @property
+    def loop(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
+        """Return starts, lengths and patterns of the rows, as loops over rows take them."""
+        return self.rows.starts, self.rows.lengths, self.pattern
 
 
 class Repeats:

@@ -188,22 +188,18 @@ class RepeatedOperator(GradientOperator):
         part = repeats.whole
         H = np.empty((self.n_points, dim, dim))
         H[self.alone] = self.edge.gradient(u[repeats.edge.local])[: len(self.alone)]
-        rows = part.rows.starts, part.rows.lengths, part.pattern
         data = repeats.grid.at, self.points_of, *self.weights.arrays, repeats.grid.onto(u)
-        rows_gradient_kernel(dim)(*rows, *data, H)
+        rows_gradient_kernel(dim)(*part.loop, *data, H)
         return H
 
     def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
-        local, points = self.repeats.edge.local, self.row_points(P)
-        forces = np.zeros((len(local), f.shape[1]))
-        control, u, of_edge = None, f, None
+        own, control, u, of_edge = self.repeats.edge, None, None, None
         if same is not None and isinstance(same.control, RepeatedGradient):
             control, u = same.control, same.u
-            of_edge = ControlledGradient(control.edge, self.of_edge(same.H), u[local])
-        self.edge.divergence(self.of_edge(P), forces, of_edge)
-        f[local] += forces
-        add_row_forces(self.repeats, self.repeats.whole, self.weights, points, control, u, f)
+            of_edge = ControlledGradient(control.edge, self.of_edge(same.H), u[own.local])
+        own.add(f, lambda forces: self.edge.divergence(self.of_edge(P), forces, of_edge))
+        add_row_forces(self.repeats, self.repeats.whole, self.weights, self.row_points(P), control, u, f)
 
     def adds_together(self, same: SameGradient | None) -> bool:
         """Return whether a control repeats as the weights do."""
@@ -318,38 +314,33 @@ class RepeatedProduct(Product):
 
     def absorb(self, same: SameGradient | None) -> bool:
         """Add the forces of a control that uses the same gradient from now on; return whether it can."""
-        if self._same is not None or not isinstance(same, RepeatedGradient):
+        if self._same is not None or not isinstance(same, RepeatedGradient) or not self._alone.absorb(same.edge):
             return False
         self._same = same
-        return self._alone.absorb(same.edge)
+        return True
 
     def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
         """Add the forces of the points of some own particles for displacements (n_local, dim)."""
         operator, repeats = self._operator, self._operator.repeats
-        part, local = repeats.part(particles), repeats.edge.local
+        part, own = repeats.part(particles), repeats.edge
         if len(part.alone):
-            forces = np.zeros((len(local), u.shape[1]))
-            self._alone.add(part.alone, u[local], forces)
-            f[local] += forces
+            own.add(f, lambda forces: self._alone.add(part.alone, u[own.local], forces))
         add_row_forces(repeats, part, operator.weights, self._points, self._same, u, f)
 
     def add_point_blocks(self, blocks: Float) -> None:
         """Add ``sum_p W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
         operator, repeats, dim = self._operator, self._operator.repeats, blocks.shape[-1]
         part, grid, weights = repeats.whole, repeats.grid, operator.weights
-        of_edge = np.zeros((len(repeats.edge.local), dim, dim))
-        self._alone.add_point_blocks(of_edge)
-        blocks[repeats.edge.local] += of_edge
+        repeats.edge.add(blocks, self._alone.add_point_blocks)
         on_cells, points = np.zeros((dim * dim, len(grid.at))), self._points
-        rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
         data = weights.arrays[0], weights.g, weights.centre, points.volume, points.stress, points.of
-        rows_blocks_kernel(dim)(*rows, points.first, *data, on_cells)
+        rows_blocks_kernel(dim)(*part.loop, grid.at, points.first, *data, on_cells)
         add_from_cells(grid.cell, on_cells, blocks.reshape(-1, dim * dim))
 
 
 def add_row_forces(
-    repeats: Repeats, part: Part, weights: Weights, points: RowPoints | None, same: RepeatedGradient | None, u: Float,
-    f: Float,
+    repeats: Repeats, part: Part, weights: Weights, points: RowPoints | None, same: RepeatedGradient | None,
+    u: Float | None, f: Float,
 ) -> None:  # fmt: skip
     """Add the forces of points whose weights repeat, and of a control on their gradient, to ``f`` (n_local, dim).
 
@@ -359,19 +350,19 @@ def add_row_forces(
         What gives their stress; none where absent.
     same : RepeatedGradient, optional
         The control.
-    u : (n_local, dim) float64
-        Displacements [length].
+    u : (n_local, dim) float64, optional
+        Displacements [length]; not read where stresses are given and there is no control.
     """
     if not part.rows.count:
         return
-    dim, grid, forces = u.shape[1], repeats.grid, repeats.forces_on_cells
+    dim, grid, forces = f.shape[1], repeats.grid, repeats.forces_on_cells
     if points is None:
         points = RowPoints(
             np.zeros(repeats.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS, NO_SETS
         )
     control = NO_CONTROL if same is None else (same.weight, same.scale, same.K)
     rows_force_kernel(dim, int(points.stress.ndim == 3), int(same is not None))(
-        part.rows.starts, part.rows.lengths, part.pattern, grid.at, points.first, *weights.arrays, weights.centre,
-        points.volume, points.stress, points.of, *control, grid.onto(u), forces,
+        *part.loop, grid.at, points.first, *weights.arrays, weights.centre, points.volume, points.stress, points.of,
+        *control, np.empty((dim, 0)) if u is None else grid.onto(u), forces,
     )  # fmt: skip
     add_from_cells(grid.cell, forces, f)

@@ -89,29 +89,26 @@ class RepeatedBonds(BondForces):
 
     def add_force(self, state: State, f: Float) -> None:
         """Add the forces of bonds under tension."""
-        local, u = self._repeats.edge.local, state.u_local
-        forces = np.zeros((len(local), self.body.dim))
-        self._edge.add_force(self.edge_state(state), forces)
-        f[local] += forces
-        self.add_row_forces(self._repeats.whole, u, None, f)
+        edge = self.edge_state(state)
+        self._repeats.edge.add(f, lambda forces: self._edge.add_force(edge, forces))
+        self.add_row_forces(self._repeats.whole, state.u_local, None, f)
 
     def add_row_forces(self, part: Part, u: Float, du: Float | None, f: Float) -> None:
         """Add the forces of bonds that repeat at ``u``, or their change with ``du``, to ``f``, all (n_local, dim)."""
         if not part.rows.count:
             return
         grid, forces, (ptr, steps, xi, length, k) = self._repeats.grid, self._repeats.forces_on_cells, self._patterns
-        rows = part.rows.starts, part.rows.lengths, part.pattern
         u_cells = grid.onto(u)
         du_cells = u_cells if du is None else grid.onto(du)
         kernel = rows_bonds_kernel(self.body.dim, int(self.finite), int(du is not None))
-        kernel(*rows, ptr, steps, xi, length, k, u_cells, du_cells, forces)
+        kernel(*part.loop, ptr, steps, xi, length, k, u_cells, du_cells, forces)
         add_from_cells(grid.cell, forces, f)
 
     def add_row_blocks(self, u: Float, blocks: Float) -> None:
         """Add what couples each local particle to itself in bonds that repeat, at ``u`` (n_local, dim)."""
         part, grid = self._repeats.whole, self._repeats.grid
-        rows = part.rows.starts, part.rows.lengths, part.pattern, grid.at
-        rows_bond_blocks_kernel(self.body.dim, int(self.finite))(*rows, *self._patterns, grid.onto(u), blocks)
+        kernel = rows_bond_blocks_kernel(self.body.dim, int(self.finite))
+        kernel(*part.loop, grid.at, *self._patterns, grid.onto(u), blocks)
 
     def edge_state(self, state: State) -> State:
         """Return the state of the particles whose families do not repeat (collective the first time)."""
@@ -128,9 +125,7 @@ class RepeatedBonds(BondForces):
             return True
         part, (ptr, steps, xi, _, _) = self._repeats.whole, self._patterns
         u_cells = self._repeats.grid.onto(state.u_local)
-        least = rows_least_length_kernel(self.body.dim)(
-            part.rows.starts, part.rows.lengths, part.pattern, ptr, steps, xi, u_cells
-        )
+        least = rows_least_length_kernel(self.body.dim)(*part.loop, ptr, steps, xi, u_cells)
         return self._edge.admissible(self.edge_state(state)) and bool(least > 0.0)
 
     def linearised(self, state: State) -> LinearisedTerm:
@@ -142,9 +137,8 @@ class RepeatedBonds(BondForces):
         own, part = self._repeats.edge, self._repeats.whole
         D = np.empty((self.body.cloud.n_owned, *(self.body.dim,) * 4))
         D[own.local[: own.n]] = BondTangent(self._edge, self.edge_state(state)).stiffness()[: own.n]
-        rows = part.rows.starts, part.rows.lengths, part.pattern, self._repeats.grid.at
         kernel = rows_bond_moduli_kernel(self.body.dim, int(self.finite))
-        kernel(*rows, *self._patterns, self._repeats.grid.onto(state.u_local), D)
+        kernel(*part.loop, self._repeats.grid.at, *self._patterns, self._repeats.grid.onto(state.u_local), D)
         return D
 
     def _sums(self, state: State) -> tuple[Float, Float]:
@@ -158,9 +152,8 @@ class RepeatedBonds(BondForces):
             V = own.cloud.volume[: own.n]
             energy[own.local[: own.n]] = self._edge.energy_density(edge)[: own.n] * V
             moment[own.local[: own.n]] = self._edge.first_piola_stress(edge)[: own.n] * V[:, None, None]
-            rows = part.rows.starts, part.rows.lengths, part.pattern, self._repeats.grid.at
             kernel = rows_bond_sums_kernel(dim, int(self.finite))
-            kernel(*rows, *self._patterns, self._repeats.grid.onto(u_local), energy, moment)
+            kernel(*part.loop, self._repeats.grid.at, *self._patterns, self._repeats.grid.onto(u_local), energy, moment)
             return energy, moment
 
         return state.kept(("sums", id(self)), make)
@@ -206,11 +199,9 @@ class RepeatedTangent(LinearisedTerm):
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of all bonds of the particles."""
-        part, local = self._repeats.part(particles), self._repeats.edge.local
+        part, own = self._repeats.part(particles), self._repeats.edge
         if len(part.alone):
-            forces = np.zeros((len(local), du.shape[1]))
-            self._edge.add_product(du[local], forces, part.alone)
-            f[local] += forces
+            own.add(f, lambda forces: self._edge.add_product(du[own.local], forces, part.alone))
         self._term.add_row_forces(part, self._u, du, f)
 
     def stiffness(self) -> Float:
@@ -219,10 +210,7 @@ class RepeatedTangent(LinearisedTerm):
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add those of all bonds to the blocks of local particles (n_local, dim, dim)."""
-        repeats = self._repeats
-        of_edge = np.zeros((len(repeats.edge.local), *blocks.shape[1:]))
-        self._edge.add_point_blocks(of_edge)
-        blocks[repeats.edge.local] += of_edge
+        self._repeats.edge.add(blocks, self._edge.add_point_blocks)
         self._term.add_row_blocks(self._u, blocks)
         return True
 

@@ -21,18 +21,24 @@ def root(parent, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def join(parent, i, j):  # type: ignore[no-untyped-def]
+    """Let ``i`` and ``j`` have one representative, the lesser of theirs."""
+    one = root(parent, i)
+    two = root(parent, j)
+    if one < two:
+        parent[two] = one
+    else:
+        parent[one] = two
+
+
+@compiled
 def join_within_cells(indptr, neighbours, kept, cell, parent):  # type: ignore[no-untyped-def]
     """Join the ends of kept bonds in one cell in ``parent`` (n_local,); all are kept where ``kept`` is empty."""
     for i in range(indptr.size - 1):
         for b in range(indptr[i], indptr[i + 1]):
             j = neighbours[b]
             if cell[j] == cell[i] and parent[i] != parent[j] and (kept.size == 0 or kept[b]):
-                one = root(parent, i)
-                two = root(parent, j)
-                if one < two:
-                    parent[two] = one
-                else:
-                    parent[one] = two
+                join(parent, i, j)
     for i in range(parent.size):
         parent[i] = root(parent, i)
 
@@ -57,12 +63,7 @@ def join_corners(indptr, neighbours, kept, order, element, nodes, parent):  # ty
             for p in range(corners):
                 for q in range(corners):
                     if nodes[here, p] == nodes[there, q]:
-                        one = root(parent, here * corners + p)
-                        two = root(parent, there * corners + q)
-                        if one < two:
-                            parent[two] = one
-                        else:
-                            parent[one] = two
+                        join(parent, here * corners + p, there * corners + q)
     for c in range(parent.size):
         parent[c] = root(parent, c)
 

@@ -417,6 +417,27 @@ def rows_bonds_kernel(dim: int, finite: int, tangent: int) -> Callable[..., Any]
     return bonds
 
 
+@compiled
+def stretched(e, cell, steps, xi, u, finite, y):  # type: ignore[no-untyped-def]
+    """Write ``y = xi + eta`` of entry e of a cell, ``xi`` alone where not ``finite``; return ``|y|^2``."""
+    square = 0.0
+    for m in range(y.size):
+        y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
+        square += y[m] * y[m]
+    return square
+
+
+@compiled
+def bond_block(e, cell, steps, xi, reference, k, u, finite, y, block):  # type: ignore[no-untyped-def]
+    """Write ``k n n + t / |xi + eta| (I - n n)`` of entry e of a cell, the last term only where ``finite``."""
+    square = stretched(e, cell, steps, xi, u, finite, y)
+    turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
+    for m in range(y.size):
+        for o in range(y.size):
+            block[m, o] = (k[e] - turning) * y[m] * y[o] / square
+        block[m, m] += turning
+
+
 @lru_cache
 def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``sums(..., energy, moment)`` of the particles in rows.
@@ -435,16 +456,12 @@ def rows_bond_sums_kernel(dim: int, finite: int) -> Callable[..., Any]:
                 energy[i] = 0.0
                 moment[i] = 0.0
                 for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
-                    square = 0.0
-                    elongation = 0.0
-                    for m in range(dim):
-                        eta = u[m, cell + steps[e]] - u[m, cell]
-                        y[m] = xi[e, m] + finite * eta
-                        square += y[m] * y[m]
-                        elongation += eta * xi[e, m] / reference[e]
-                    current = np.sqrt(square)
-                    if finite:
-                        elongation = current - reference[e]
+                    current = np.sqrt(stretched(e, cell, steps, xi, u, finite, y))
+                    elongation = current - reference[e]
+                    if not finite:
+                        elongation = 0.0
+                        for m in range(dim):
+                            elongation += (u[m, cell + steps[e]] - u[m, cell]) * xi[e, m] / reference[e]
                     energy[i] += 0.5 * k[e] * elongation * elongation
                     factor = k[e] * elongation / current
                     for m in range(dim):
@@ -496,25 +513,18 @@ def rows_bond_moduli_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def moduli(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, D):  # type: ignore[no-untyped-def]
-        y = np.empty(dim)
+        y, block = np.empty(dim), np.empty((dim, dim))
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
                 D[i] = 0.0
                 for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
-                    square = 0.0
-                    for m in range(dim):
-                        y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
-                        square += y[m] * y[m]
-                    turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
+                    bond_block(e, cell, steps, xi, reference, k, u, finite, y, block)
                     for m in range(dim):
                         for a in range(dim):
-                            value = (k[e] - turning) * y[m] * y[a] / square
-                            if m == a:
-                                value += turning
                             for o in range(dim):
                                 for p in range(dim):
-                                    D[i, m, o, a, p] += value * xi[e, o] * xi[e, p]
+                                    D[i, m, o, a, p] += block[m, a] * xi[e, o] * xi[e, p]
 
     return moduli
 
@@ -619,23 +629,16 @@ def rows_bond_blocks_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
     @compiled
     def add(starts, lengths, pattern, at, entry_ptr, steps, xi, reference, k, u, blocks):  # type: ignore[no-untyped-def]
-        y = np.empty(dim)
+        y, block = np.empty(dim), np.empty((dim, dim))
         for q in range(starts.size):
             for cell in range(starts[q], starts[q] + lengths[q]):
                 i = at[cell]
                 for e in range(entry_ptr[pattern[q]], entry_ptr[pattern[q] + 1]):
                     j = at[cell + steps[e]]
-                    square = 0.0
-                    for m in range(dim):
-                        y[m] = xi[e, m] + finite * (u[m, cell + steps[e]] - u[m, cell])
-                        square += y[m] * y[m]
-                    turning = finite * k[e] * (1.0 - reference[e] / np.sqrt(square))
+                    bond_block(e, cell, steps, xi, reference, k, u, finite, y, block)
                     for m in range(dim):
                         for o in range(dim):
-                            value = (k[e] - turning) * y[m] * y[o] / square
-                            if m == o:
-                                value += turning
-                            blocks[i, m, o] += value
-                            blocks[j, m, o] += value
+                            blocks[i, m, o] += block[m, o]
+                            blocks[j, m, o] += block[m, o]
 
     return add

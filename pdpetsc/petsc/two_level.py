@@ -194,16 +194,10 @@ def _block_diagonal(problem: Problem) -> PETSc.Mat:
 def _blocks_of_virtual(tangent: Tangent) -> Float:
     """Return what couples each row of virtual unknowns to itself (n_virtual, dim, dim) (collective)."""
     cloud, dim = tangent.body.cloud, tangent.body.dim
-    n = cloud.n_owned
     blocks = np.zeros((cloud.n_virtual, dim, dim))
-    for v in range(cloud.n_virtual_global):
-        for c in range(dim):
-            unit = np.zeros((cloud.n_rows, dim))
-            if cloud.n_virtual:
-                unit[n + v, c] = 1.0
-            column = tangent(unit)
-            if cloud.n_virtual:
-                blocks[v, :, c] = column[n + v]
+    for v, c, column in tangent.columns_of_virtual():
+        if cloud.n_virtual:
+            blocks[v, :, c] = column[cloud.n_owned + v]
     return blocks
 
 

@@ -108,21 +108,16 @@ class Assembler(Filler):
         values, ptr = (diag, rows.diag_ptr) if cloud.n_virtual else (off, rows.off_ptr)
         n_blocks = np.diff(ptr)[border.particles]
         start = dim * dim * ptr[border.particles] + dim * (n_blocks - cloud.n_virtual_global)
-        for v in range(cloud.n_virtual_global):
-            for c in range(dim):
-                unit = np.zeros((cloud.n_rows, dim))
-                if cloud.n_virtual:
-                    unit[n + v, c] = 1.0
-                column = tangent(unit)
-                for i in range(dim):
-                    values[start + i * dim * n_blocks + dim * v + c] = column[border.particles, i]
-                arrived = border.gather(np.ascontiguousarray(column[border.particles]))
-                if cloud.n_virtual:
-                    row = np.concatenate([arrived, column[n:]])[order].ravel()
-                    here = dim * dim * rows.diag_ptr[n + v] + c * n_here
-                    diag[here : here + n_here] = row[:n_here]
-                    there = dim * dim * rows.off_ptr[n + v] + c * (len(row) - n_here)
-                    off[there : there + len(row) - n_here] = row[n_here:]
+        for v, c, column in tangent.columns_of_virtual():
+            for i in range(dim):
+                values[start + i * dim * n_blocks + dim * v + c] = column[border.particles, i]
+            arrived = border.gather(np.ascontiguousarray(column[border.particles]))
+            if cloud.n_virtual:
+                row = np.concatenate([arrived, column[n:]])[order].ravel()
+                here = dim * dim * rows.diag_ptr[n + v] + c * n_here
+                diag[here : here + n_here] = row[:n_here]
+                there = dim * dim * rows.off_ptr[n + v] + c * (len(row) - n_here)
+                off[there : there + len(row) - n_here] = row[n_here:]
 
 
 def _stencils(problem: Problem) -> tuple[GlobalIndex, LocalIndex]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -263,6 +263,16 @@ class Tangent:
         """Add the forces of the families of some own particles (not collective): all arrays (n_local, dim)."""
         for part in self._passes:
             part.add_product(du, f, particles)
+
+    def columns_of_virtual(self) -> Iterator[tuple[int, int, Float]]:
+        """Yield virtual row, component and column (n_rows, dim) of each virtual unknown; the next may overwrite it."""
+        cloud = self.body.cloud
+        for v in range(cloud.n_virtual_global):
+            for c in range(cloud.dim):
+                unit = np.zeros((cloud.n_rows, cloud.dim))
+                if cloud.n_virtual:
+                    unit[cloud.n_owned + v, c] = 1.0
+                yield v, c, self(unit)
 
     def stiffness(self) -> Float:
         """Return ``sum_p W_p dP/dF`` of every own particle (n_owned, dim, dim, dim, dim) [energy] (not collective)."""

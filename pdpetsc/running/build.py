@@ -96,15 +96,15 @@ def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> flo
 
     On a lattice these are the ones within a horizon of the ends of its longest axis.
     """
+    on_lattice = np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
+    if int(total(comm, int(not on_lattice))):
+        return 1.0
     with agreed(comm):
         least = repeated_share(case)
-    on_lattice = least is not None and np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
-    ends = np.array(
-        comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf), not on_lattice)), object
-    )
-    if least is None or ends[:, 2].any():
+    if least is None:
         return 1.0
-    longest = float((np.max(list(ends[:, 1]), axis=0) - np.min(list(ends[:, 0]), axis=0)).max())
+    ends = np.array(comm.allgather((x.min(axis=0), x.max(axis=0))))
+    longest = float((ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)).max())
     listed = min(1.0, 2.0 * float(reach) / longest) if longest > 0.0 else 1.0
     return listed if 1.0 - listed >= least else 1.0
 

@@ -193,7 +193,7 @@ def prepare(
     with phases.timed("kernels"):
         rehearse(ranks, weighed, cloud.dim)
     with phases.timed("families"):
-        families = make_families(case, cloud)
+        families = make_families(weighed, cloud)
     with phases.timed("model"):
         problem = make_problem(weighed, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)

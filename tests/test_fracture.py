@@ -100,7 +100,13 @@ HEALING = ("effect=present", "steps=8", "pull=0.1")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "several", "least"), [(("steps=15",), (2, 3, 4), 60), (SNAPPING, (3,), 20), (HEALING, (2,), 60)]
+    ("arguments", "several", "least"),
+    [
+        (("steps=8",), (3,), 60),
+        (SNAPPING, (3,), 20),
+        (HEALING, (2,), 60),
+        pytest.param(("steps=15",), (2, 3, 4), 60, marks=pytest.mark.long),
+    ],
 )
 def test_any_number_of_ranks_breaks_the_same_bonds(arguments, several, least, tmp_path):
     """Bonds past their stretch; in the second some that gradients on another rank tear, in the third some that heal."""

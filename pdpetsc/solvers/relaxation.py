@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import DynamicRelaxation
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, smallest, total
+from pdpetsc.kernels.relaxation import SUMS, advance, compare
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances
 from pdpetsc.solvers.load_steps import LoadStepSolver
@@ -66,7 +68,7 @@ class RelaxationSolver(LoadStepSolver):
         self._free = ~problem.supports.fixed
         cloud = problem.body.cloud
         whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
-        self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])[:, None]
+        self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])
         self._courant = _courant_step(problem)
         self._largest = 0.0
 
@@ -97,8 +99,9 @@ class RelaxationSolver(LoadStepSolver):
             return moved, StepResult(False, "det F <= 0 at the start of the step: the prescribed step is too long")
         velocity = np.zeros_like(moved)
         norms = [self._norm(residual)]
+        sums, size = np.zeros(SUMS + 1), norms[0]
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
-        density = self._norm(residual / self._mass)
+        density = self._norm(residual / self._mass[:, None])
         self._largest = max(self._largest, reference)
         if norms[0] <= self._options.tolerance * max(reference, UNLOADED * self._largest):
             # It is in equilibrium already: the first residual is too small to be the reference of the others.
@@ -106,46 +109,34 @@ class RelaxationSolver(LoadStepSolver):
         for iteration in range(1, self._options.most + 1):
             if iteration % RENEWED == 0:
                 dt = self._time_step(moved)
-            acceleration = residual / self._mass
-            if iteration == 1:
-                velocity = 0.5 * dt * acceleration
-            else:
-                velocity = ((2.0 - damping * dt) * velocity + 2.0 * dt * acceleration) / (2.0 + damping * dt)
-            change = dt * velocity
-            moved = moved + change
-            old = residual
-            residual, reference = self._residual(moved)
-            if residual is None:
+            u, moved = moved, np.empty_like(moved)
+            sums[SUMS] = advance(residual, self._mass, dt, damping, iteration == 1, u, velocity, moved)
+            state = self.state(moved)
+            force = self.problem.internal_force(state)
+            if force is None:
                 return moved, StepResult(False, "det F <= 0 in the motion", norms, reference, iteration)
-            softness = np.where(velocity != 0.0, -(residual - old) / np.where(change != 0.0, change, 1.0), 0.0)
-            travelled = moved - start
-            sums = total(
-                self._comm,
-                [
-                    (softness * travelled**2).sum(),
-                    (self._mass * travelled**2).sum(),
-                    (residual**2).sum(),
-                    (change**2).sum(),
-                    ((residual / self._mass) ** 2).sum(),
-                ],
-            )
-            rayleigh = sums[0] / sums[1] if sums[1] > 0.0 else 0.0
-            damping = min(2.0 * np.sqrt(max(rayleigh, 0.0)), 1.9 / dt)
-            moving = np.sqrt(sums[3])
+            external = self.problem.external_force(state)
+            compare(force, external, self._free, self._mass, velocity, dt, start, moved, residual, sums)
+            all_sums = total(self._comm, sums)
+            stiff, heavy, reference, reaction, size, dense, moving = (float(one) for one in all_sums)
+            reference = math.sqrt(max(reference, reaction))
+            size, dense, moving = math.sqrt(size), math.sqrt(dense), math.sqrt(moving)
+            rayleigh = stiff / heavy if heavy > 0.0 else 0.0
+            damping = min(2.0 * math.sqrt(max(rayleigh, 0.0)), 1.9 / dt)
             first_change = first_change or moving
             if iteration % KEPT == 0:
-                norms.append(float(np.sqrt(sums[2])))
+                norms.append(size)
                 if self.stop():
                     return moved, StepResult(False, "a signal asked the run to stop", norms, reference, iteration)
-            if not np.isfinite(sums[2]):
+            if not math.isfinite(size):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
             tolerance = self._options.tolerance
             self._largest = max(self._largest, reference)
-            balanced = np.sqrt(sums[2]) <= tolerance * max(reference, UNLOADED * self._largest)
-            if balanced and np.sqrt(sums[4]) <= tolerance * density and moving <= tolerance * first_change:
-                norms.append(float(np.sqrt(sums[2])))
+            balanced = size <= tolerance * max(reference, UNLOADED * self._largest)
+            if balanced and dense <= tolerance * density and moving <= tolerance * first_change:
+                norms.append(size)
                 return moved, StepResult(True, "at rest", norms, reference, iteration)
-        norms.append(float(np.sqrt(sums[2])))
+        norms.append(size)
         return moved, StepResult(False, "too many time steps", norms, reference, self._options.most)
 
     def _residual(self, u: Float) -> tuple[Float | None, float]:
@@ -172,7 +163,7 @@ class RelaxationSolver(LoadStepSolver):
         square = 0.0
         for _ in range(POWER_ITERATIONS):
             v = v / max(self._norm(v), np.finfo(float).tiny)
-            v = np.where(self._free, tangent(v) / self._mass, 0.0)
+            v = np.where(self._free, tangent(v) / self._mass[:, None], 0.0)
             square = self._norm(v)
         # Power iterations approach the largest frequency from below.
         critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf

@@ -1,6 +1,13 @@
 """Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
-from pdpetsc.material.base import ElasticMaterial, HistoryKernels, HistoryMaterial, Material, PointKernels
+from pdpetsc.material.base import (
+    ElasticMaterial,
+    HistoryKernels,
+    HistoryMaterial,
+    IsotropicMaterial,
+    Material,
+    PointKernels,
+)
 from pdpetsc.material.graded import Graded
 from pdpetsc.material.hencky import Hencky
 from pdpetsc.material.j2 import J2
@@ -15,6 +22,7 @@ __all__ = [
     "Hencky",
     "HistoryKernels",
     "HistoryMaterial",
+    "IsotropicMaterial",
     "LinearElastic",
     "Material",
     "NeoHookean",

@@ -10,8 +10,10 @@ from pdpetsc.material.base import (
 )
 from pdpetsc.material.graded import Graded
 from pdpetsc.material.hencky import Hencky
+from pdpetsc.material.hyperelastic import Hyperelastic
 from pdpetsc.material.j2 import J2
 from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.material.named_laws import HolzapfelGasserOgden, MooneyRivlin, Ogden, Yeoh
 from pdpetsc.material.neo_hookean import NeoHookean
 from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
 
@@ -22,10 +24,15 @@ __all__ = [
     "Hencky",
     "HistoryKernels",
     "HistoryMaterial",
+    "HolzapfelGasserOgden",
+    "Hyperelastic",
     "IsotropicMaterial",
     "LinearElastic",
     "Material",
+    "MooneyRivlin",
     "NeoHookean",
+    "Ogden",
     "PointKernels",
     "SaintVenantKirchhoff",
+    "Yeoh",
 ]

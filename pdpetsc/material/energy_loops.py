@@ -30,7 +30,7 @@ DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
 # Equal stretches across the body that F does not show.
 HIDDEN: dict[Kind, int] = {"solid": 0, "strain": 1, "stress": 1, "bar": 2}
 # Newton's method for a hidden stretch: largest number of steps, longest step and last one in its logarithm.
-STEPS, LONGEST, LAST = 100, 0.4, 1e-11
+STEPS, LONGEST, LAST = 100, 0.4, 1e-9
 
 _b = sympy.Symbol("b", positive=True)
 _i1 = sympy.Symbol("i1", positive=True)
@@ -247,18 +247,24 @@ def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any
     """Write the function that finds the hidden stretch: ``r(b) = 0`` by Newton's method in ``ln b``, NaN if it fails.
 
     The residual of ``ln b`` is ``b r`` with the slope ``b r + b^2 r'``. Where that is not positive, the energy has no
-    minimum nearby, and a step goes down the energy.
+    minimum nearby, and a step goes down the energy. The start is that of the linear law, whose ratio of the logarithms
+    of b and of the determinant of the shown part of F is the last constant.
     """
-    text.add("", "", "@compiled", f"def lateral({', '.join(arguments)}, start, constants):")
+    text.add("", "", "@compiled", f"def lateral({', '.join(arguments)}, logarithm, constants):")
     text.constants()
-    text.add("s = start", f"for _ in range({STEPS}):", "b = numpy.exp(s)", *known)
-    text.values({"residual": _b * r, "bend": _b**2 * slope})
+    text.add(
+        f"s = constants[{len(text.energy.names)}] * logarithm", f"for _ in range({STEPS}):", "b = numpy.exp(s)", *known
+    )
+    # One logarithm and one exponential less in every step: ln J is known, and so is exp of the small last change.
+    text.add(f"log_J = logarithm + {text.hidden + 0.0} * s")
+    log_J = {sympy.log(SYMBOLS["J"]): sympy.Symbol("log_J", real=True)}
+    text.values({"residual": (_b * r).subs(log_J), "bend": (_b**2 * slope).subs(log_J)})
     text.add("rise = residual + bend", "change = residual / rise")
     text.add(f"if not (rise > 0.0 and abs(change) < {LONGEST}):")
     text.add(f"change = {LONGEST} if residual > 0.0 else -{LONGEST}")
     text.back()
     text.add("s -= change", f"if abs(change) < {LAST}:")
-    text.add("return numpy.exp(s)")
+    text.add("return b * (1.0 - change)")
     text.back(2)
     text.add("return numpy.nan")
     text.back()
@@ -332,7 +338,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             text.add(f"h{number}[i] = value")
             text.back()
         if free:
-            text.add(f"b = lateral({', '.join(['i1', 'j', *fibres])}, -numpy.log(j) / {text.dim + 0.0}, constants)")
+            text.add(f"b = lateral({', '.join(['i1', 'j', *fibres])}, numpy.log(j), constants)")
         text.add(*known)
 
     vectors = [f"f{number}" for number in with_fibres]
@@ -390,7 +396,11 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
         text.back()
         text.add("B[i, k] = value")
         text.back(2)
+    # Where a scalar stands beside itself alone, the product needs no array.
+    alone = [name for name in of_h if [n for m, n in pairs if m == name] == [name]]
     for name in of_h:
+        if name in alone:
+            continue
         text.over("i", "m")
         beside = [(min(name, n), max(name, n), n) for m, n in pairs if m == name]
         text.add(f"E{name}[i, m] = " + " + ".join(f"h{m}{n} * {tensor(o, 'i', 'm')}" for m, n, o in beside))
@@ -410,16 +420,18 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             five = f"gI{5 + 2 * number}"
             one.append(f"{five} * ({a_other} * c{number}[m] + {a} * c{number}[n])")
             other.append(f"+ {five} * f{number}[m] * f{number}[n]")
-    text.over("m", "n")
-    if one:
-        text.add("T[m, n] = " + " + ".join(one))
-    if other:
-        text.add("U[m, n] = 0.0 " + " ".join(other))
-    if not one and not other:
-        text.add("pass")
-    text.back(2)
+    diagonal = one == ["(gI1 if m == n else 0.0)"]
+    if other or (one and not diagonal):
+        text.over("m", "n")
+        text.add("T[m, n] = " + (" + ".join(one) or "0.0"), "U[m, n] = 0.0 " + " ".join(other))
+        text.back(2)
     text.over("i", "m", "k", "n")
-    terms = [f"{tensor(name, 'i', 'm')} * E{name}[k, n]" for name in of_h]
+    terms = [
+        f"h{name}{name} * {tensor(name, 'i', 'm')} * {tensor(name, 'k', 'n')}"
+        if name in alone
+        else f"{tensor(name, 'i', 'm')} * E{name}[k, n]"
+        for name in of_h
+    ]
     if "J" in names:
         terms.append("(-gJ) * G[n, i] * G[m, k]")
     if second:
@@ -431,7 +443,10 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             f"+ B[i, k] * {a} * {a_other})"
         )
     text.add("value = " + (" + ".join(terms) or "0.0"))
-    if one:
+    if diagonal:
+        text.add("if i == k and m == n:", "value += gI1")
+        text.back()
+    elif one:
         text.add("if i == k:", "value += T[m, n]")
         text.back()
     if other:
@@ -476,9 +491,7 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
         text.add(f"principal_axes(F[p], {dim}, C, stretch, N, n)")
         text.add(*(f"{name} = stretch[{a}]" for a, name in enumerate(stretches)))
         if free:
-            text.add(
-                f"b = lateral({', '.join(stretches)}, -numpy.log({' * '.join(stretches)}) / {dim + 0.0}, constants)"
-            )
+            text.add(f"b = lateral({', '.join(stretches)}, numpy.log({' * '.join(stretches)}), constants)")
         elif hidden:
             text.add("b = 1.0")
 

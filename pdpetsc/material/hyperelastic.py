@@ -88,8 +88,13 @@ class EnergyMaterial(Material):
         return self._loops(dim).kernels
 
     def constants(self, dim: int) -> Float:
-        """Return the constants in the order in which they were given."""
-        return np.array([float(value) for value in self.declared_energy()[1].values()])
+        """Return the constants in the order in which they were given, and the lateral ratio of the linear law."""
+        lam, mu = _isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
+        ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
+        return np.array([*self._values(), ratio[self._kind(dim)]])
+
+    def _values(self) -> tuple[float, ...]:
+        return tuple(float(value) for value in self.declared_energy()[1].values())
 
     def history_at(self, dim: int, x: Float) -> Float:
         """Return the fibre directions of points of particles at ``x``, one after the other (n, n_fibres dim)."""
@@ -159,7 +164,7 @@ class EnergyMaterial(Material):
         return _condensed(solid, self._kind(dim))
 
     def _solid_moduli(self, directions: Sequence[Float]) -> Float:
-        moduli: Float = _undeformed(self._energy, tuple(self.constants(3)), tuple(map(tuple, directions)))[1]
+        moduli: Float = _undeformed(self._energy, self._values(), tuple(map(tuple, directions)))[1]
         return moduli
 
     def young_modulus(self) -> float:
@@ -179,7 +184,7 @@ class EnergyMaterial(Material):
         given = self.directions()
         fixed = all(not callable(one) for one in given)
         axes = [np.append(_unit(one, name), np.zeros(3))[:3] if fixed else np.eye(3)[0] for one in given]
-        stress, moduli = _undeformed(self._energy, tuple(self.constants(3)), tuple(map(tuple, axes)))
+        stress, moduli = _undeformed(self._energy, self._values(), tuple(map(tuple, axes)))
         size = float(np.abs(moduli).max())
         if not (np.isfinite(size) and np.isfinite(stress).all()):
             raise CaseError(f"The energy of {name} has no finite stress and tangent at F = I.")

@@ -163,6 +163,11 @@ class EnergyMaterial(Material):
             solid = self._solid_moduli([np.append(_unit(one, ""), np.zeros(3))[:3] for one in given])
         return _condensed(solid, self._kind(dim))
 
+    def bulk_like_modulus(self, dim: int) -> float:
+        """Return that of the isotropic mean [stress]: the same however directions are given."""
+        mean = isotropic_moduli(*_isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
+        return float(np.einsum("iikk", _condensed(mean, self._kind(dim)))) / dim**2
+
     def _solid_moduli(self, directions: Sequence[Float]) -> Float:
         moduli: Float = _undeformed(self._energy, self._values(), tuple(map(tuple, directions)))[1]
         return moduli
@@ -347,7 +352,7 @@ class Hyperelastic(EnergyMaterial):
     plane: Literal["strain", "stress"]
     fibre: Direction | None
     second_fibre: Direction | None
-    values: Mapping[str, float]
+    values: Mapping[str, Any]
 
     def __init__(
         self,

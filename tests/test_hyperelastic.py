@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, run
+from tests.commands import ROOT, python_on, results
 from tests.scenes import rotation
 from tests.test_material import Law, derivative, gradients
 
@@ -74,7 +74,7 @@ def test_a_law_written_by_hand_is_the_same(name, dim, plane, rng):
 def test_stress_and_tangent_are_derivatives_and_turn_with_the_body(name, dim, plane, rng):
     material = dataclasses.replace(LAWS[name](dim), plane=plane)
     F = gradients(dim, rng)
-    if name == "gasser":  # fibres begin to bear where they are neither stretched nor shortened
+    if name in ("fibres", "gasser"):  # fibres begin to bear where they are neither stretched nor shortened
         F = F[:-3]
     law = Law(material, dim, len(F))
     P, tangent, energy = law.stress(F), law.tangent(F), law.energy(F)
@@ -211,7 +211,7 @@ def test_what_is_no_energy_is_refused(message):
 
 @pytest.mark.parametrize("fibre", [(1.0, 1.0), (0.0, 0.0), "x", 1.0, (np.nan, 0.0), [[1.0, 0.0]]])
 def test_a_direction_that_is_no_unit_vector_is_refused(fibre):
-    with pytest.raises(pd.CaseError, match="unit vector|as fibre"):
+    with pytest.raises(pd.CaseError, match=r"unit vector|as fibre"):
         pd.Hyperelastic(f"{NEO} + mu*(I4 - 1)**2", mu=1.0, lam=1.0, fibre=fibre)
 
 
@@ -307,4 +307,42 @@ def test_machine_code_is_kept_and_not_needed(tmp_path):
     assert child("/proc/nowhere") == first
 
 
-RUBBER = ROOT / "runs/solids/rubber.py"
+ONE_RANK_ALONE = """
+import json, sys
+import pdpetsc as pd
+from tests.test_hyperelastic import reinforced, strip, turning
+
+def wrong(x):
+    a = turning(x)
+    a[x[:, 0] > 7.0] *= 2.0
+    return a
+
+try:
+    pd.prepare(strip(reinforced(wrong)))
+except pd.CaseError as error:
+    print("refused:", error)
+found = pd.run(strip(reinforced(turning)), output=sys.argv[1])
+print("force:", found["force"])
+"""
+
+
+def test_ranks_agree_on_fibres_by_place_and_on_what_is_wrong_on_one(tmp_path):
+    alone = pd.run(strip(reinforced(turning)), output=tmp_path / "alone")["force"]
+    done = python_on(2, "-c", ONE_RANK_ALONE, str(tmp_path / "two"))
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    refused = [line for line in lines if line.startswith("refused:")]
+    assert len(refused) == 2 and len(set(refused)) == 1 and "of length 2; it must be a unit vector." in refused[0]
+    forces = [float(line.split()[1]) for line in lines if line.startswith("force:")]
+    assert forces == pytest.approx([alone, alone], rel=1e-9)
+
+
+@pytest.mark.parametrize("test", ["uniaxial", "equibiaxial"])
+def test_rubber_has_the_stress_of_the_incompressible_law(test, tmp_path):
+    """A sheet at stretch 5; the error of a finite bulk modulus falls as one over it."""
+    words = (f"test={test}", "dim=2", "steps=10")
+    soft, hard = (
+        results("runs/solids/rubber.py", *words, f"kappa={k}", output=tmp_path / k)["results"] for k in ("1e4", "1e5")
+    )
+    assert hard["error"] < {"uniaxial": 5e-5, "equibiaxial": 2e-4}[test]
+    assert soft["error"] / hard["error"] == pytest.approx(10.0, rel=0.02)

@@ -53,6 +53,8 @@ VALID = [
     pd.Hyperelastic("mu/2*(I1 - 3 - 2*log(J)) + lam/2*log(J)**2 + k*(I4 - 1)**2", fibre=(1.0,), mu=1.0, lam=1.0, k=1.0),
     pd.MooneyRivlin(0.3, 0.1, 5.0), pd.Yeoh(0.3, 0.1, 0.1, 5.0), pd.Ogden((0.6, 0.1), (1.3, 5.0), 5.0),
     pd.HolzapfelGasserOgden(1.0, 1.0, 1.0, 5.0, (1.0, 0.0), dispersion=0.1),
+    pd.Orthotropic((3.0, 2.0, 1.0), (0.1, 0.1, 0.1), (1.0, 1.0, 1.0), 0.3),
+    pd.AnisotropicElastic(np.eye(6).tolist(), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
     pd.LinearElastic(1.0), pd.J2(1.0, 0.3, yield_stress=0.1), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2),
     CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),

@@ -1,5 +1,6 @@
 """Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
+from pdpetsc.material.anisotropic import AnisotropicElastic, Orthotropic
 from pdpetsc.material.base import (
     ElasticMaterial,
     HistoryKernels,
@@ -19,6 +20,7 @@ from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
 
 __all__ = [
     "J2",
+    "AnisotropicElastic",
     "ElasticMaterial",
     "Graded",
     "Hencky",
@@ -32,6 +34,7 @@ __all__ = [
     "MooneyRivlin",
     "NeoHookean",
     "Ogden",
+    "Orthotropic",
     "PointKernels",
     "SaintVenantKirchhoff",
     "Yeoh",

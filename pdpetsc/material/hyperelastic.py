@@ -89,7 +89,7 @@ class EnergyMaterial(Material):
 
     def constants(self, dim: int) -> Float:
         """Return the constants in the order in which they were given, and the lateral ratio of the linear law."""
-        lam, mu = _isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
+        lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
         ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
         return np.array([*self._values(), ratio[self._kind(dim)]])
 
@@ -157,7 +157,7 @@ class EnergyMaterial(Material):
         """Return ``dP/dF`` at F = I; where directions are functions of place, its isotropic mean."""
         given = self.directions()
         if any(callable(direction) for direction in given):
-            lam, mu = _isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(given)))
+            lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(given)))
             solid = isotropic_moduli(lam, mu, 3)
         else:
             solid = self._solid_moduli([np.append(_unit(one, ""), np.zeros(3))[:3] for one in given])
@@ -165,7 +165,7 @@ class EnergyMaterial(Material):
 
     def bulk_like_modulus(self, dim: int) -> float:
         """Return that of the isotropic mean [stress]: the same however directions are given."""
-        mean = isotropic_moduli(*_isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
+        mean = isotropic_moduli(*isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
         return float(np.einsum("iikk", _condensed(mean, self._kind(dim)))) / dim**2
 
     def _solid_moduli(self, directions: Sequence[Float]) -> Float:
@@ -175,7 +175,7 @@ class EnergyMaterial(Material):
     def young_modulus(self) -> float:
         """Return ``mu (3 lambda + 2 mu) / (lambda + mu)`` of the law at small strain."""
         moduli = self._solid_moduli([np.eye(3)[0]] * len(self.directions()))
-        lam, mu = _isotropic_mean(moduli)
+        lam, mu = isotropic_mean(moduli)
         if np.abs(moduli - isotropic_moduli(lam, mu, 3)).max() > NEARLY_ZERO * np.abs(moduli).max():
             raise CaseError(
                 f"{type(self).__name__} has another Young's modulus in every direction; damage of bonds takes "
@@ -279,7 +279,7 @@ def _voigt(moduli: Float) -> Float:
     )
 
 
-def _isotropic_mean(moduli: Float) -> tuple[float, float]:
+def isotropic_mean(moduli: Float) -> tuple[float, float]:
     """Return ``lambda, mu`` of the isotropic stiffness nearest to moduli (3, 3, 3, 3)."""
     bulk = float(np.einsum("iikk", moduli))
     full = float(np.einsum("ikik", moduli) + np.einsum("ikki", moduli)) / 2.0

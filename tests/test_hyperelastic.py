@@ -242,6 +242,42 @@ def turning(x):
     return np.stack([np.cos(0.3 * x[:, 0]), np.sin(0.3 * x[:, 0])], axis=1)
 
 
+def test_a_body_of_the_law_by_hand_is_the_same(tmp_path):
+    """Newton takes the same iterations to the same force, in plane stress with a strain that is not uniform."""
+    hand, text = (
+        pd.run(strip(material, steps=pd.Steps(2)), output=tmp_path / name)
+        for name, material in (
+            ("hand", pd.NeoHookean(E, NU, "stress")),
+            ("text", pd.Hyperelastic(NEO, "stress", mu=MU, lam=LAM)),
+        )
+    )
+    assert text["force"] == pytest.approx(hand["force"], rel=1e-10)
+    summaries = [json.loads((tmp_path / name / "summary.json").read_text()) for name in ("hand", "text")]
+    one, other = ([step["newton_iterations"] for step in summary["steps"]] for summary in summaries)
+    assert one == other and max(one) > 1
+
+
+def test_fibres_beyond_a_mirror_plane_are_mirrored(tmp_path):
+    """Half a strip with its mirror plane is the whole strip with mirrored fibres."""
+    whole = strip(reinforced(lambda x: np.stack([np.full(len(x), 0.6), np.where(x[:, 0] < 4.0, -0.8, 0.8)], axis=1)))
+    low, high = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=7.0)
+    ends = [pd.Displacement(low, x=-0.4, y=0.0), pd.Displacement(high, x=0.4, y=0.0)]
+    history = {"force": pd.Reaction("x", high), "shift": pd.Largest(pd.displacement, "y")}
+    found = {"results": lambda h: {name: h[name][-1] for name in ("force", "shift")}, "history": history}
+    whole = dataclasses.replace(whole, conditions=ends, **found)
+    half = dataclasses.replace(
+        whole,
+        particles=pd.Lattice((4.0, 0.0), (8.0, 4.0), 1.0),
+        material=reinforced((0.6, 0.8)),
+        conditions=ends[1:],
+        symmetry=[pd.Symmetry("x", at=4.0)],
+    )
+    one, other = pd.run(whole, output=tmp_path / "whole"), pd.run(half, output=tmp_path / "half")
+    assert other["force"] == pytest.approx(one["force"], rel=1e-8)
+    assert other["shift"] == pytest.approx(one["shift"], rel=1e-8)
+    assert one["shift"] > 1e-3
+
+
 def test_fibres_may_follow_a_function_of_place(tmp_path):
     constant = pd.run(strip(reinforced((0.6, 0.8))), output=tmp_path / "a")
     same = pd.run(strip(reinforced(lambda x: np.tile((0.6, 0.8), (len(x), 1)))), output=tmp_path / "b")

@@ -70,6 +70,8 @@ class AnisotropicLinear(Material):
     def _rotations(self, values: Float | None, n: int, given: object) -> Float:
         """Return axes in columns (n, 3, 3) from ``n`` angles or matrices, or one."""
         name = type(self).__name__
+        if values is not None and not np.isfinite(values).all():
+            raise CaseError(f"The orientation of {name} must be finite numbers.")
         if values is not None and values.shape in ((), (n,)):
             c, s = np.cos(values), np.sin(values)
             R = np.zeros((n, 3, 3))
@@ -121,8 +123,7 @@ class AnisotropicLinear(Material):
 
     def _reduced(self, dim: int, x: Float) -> Float:
         """Return ``C`` (dim^4) and what gives stress or strain across the body (dim^2), one row per position."""
-        rows = [_of_body(solid, dim, self.plane) for solid in self._solids(dim, x)]
-        return np.array(rows) if rows else np.empty((0, dim**4 + dim**2))
+        return _of_body(self._solids(dim, x), dim, self.plane)
 
     def _across(self, F: Float, history: Float) -> Float:
         dim = F.shape[-1]
@@ -150,15 +151,16 @@ class AnisotropicLinear(Material):
     def moduli(self, dim: int) -> Float:
         """Return the stiffness; its isotropic mean where the orientation is a function of place."""
         if callable(self.orientation):
-            solid = isotropic_moduli(*isotropic_mean(_tensor(self.in_own_axes())), 3)
-        else:
-            solid = self._solids(dim, np.zeros((1, dim)))[0]
-        return _of_body(solid, dim, self.plane)[: dim**4].reshape((dim,) * 4)
+            return self._mean(dim)
+        return _of_body(self._solids(dim, np.zeros((1, dim))), dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
+
+    def _mean(self, dim: int) -> Float:
+        mean = isotropic_moduli(*isotropic_mean(_tensor(self.in_own_axes())), 3)
+        return _of_body(mean[None], dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
 
     def bulk_like_modulus(self, dim: int) -> float:
         """Return that of the isotropic mean [stress]: the same however the orientation is given."""
-        mean = isotropic_moduli(*isotropic_mean(_tensor(self.in_own_axes())), 3)
-        return float(np.einsum("iikk", _of_body(mean, dim, self.plane)[: dim**4].reshape((dim,) * 4))) / dim**2
+        return float(np.einsum("iikk", self._mean(dim))) / dim**2
 
     def young_modulus(self) -> float:
         """Raise CaseError."""
@@ -181,28 +183,31 @@ def _tensor(C: Float) -> Float:
     return found
 
 
-def _of_body(solid: Float, dim: int, plane: str) -> Float:
-    """Return the stiffness of a body of ``dim`` dimensions (dim^4), then what gives the answer across it (dim^2).
+def _of_body(solids: Float, dim: int, plane: str) -> Float:
+    """Return the stiffness of a body of ``dim`` dimensions, then what gives the answer across it (n, dim^4 + dim^2).
 
     That is the stress across the plane in plane strain, the strain there in plane stress, and the sum of both lateral
     strains of a bar. No other strains are free than those that make all hidden stresses vanish.
     """
-    C = np.array([[solid[i, j, k, l] for k, l in PAIRS] for i, j in PAIRS])
+    first, second = np.array(PAIRS).T
+    C = solids[:, first[:, None], second[:, None], first, second]
     here = SHOWN[dim]
-    across = np.zeros(len(here))
-    reduced = C[np.ix_(here, here)]
+    across = np.zeros((len(C), len(here)))
+    reduced = C[:, here][:, :, here]
     if dim == 2 and plane == "strain":
-        across = C[2, here]
+        across = C[:, 2, here]
     elif dim < 3:
         S = np.linalg.inv(C)
-        reduced = np.linalg.inv(S[np.ix_(here, here)])
-        across = (S[2, here] if dim == 2 else S[1, here] + S[2, here]) @ reduced
-    moduli, lateral = np.empty((dim,) * 4), np.empty((dim, dim))
+        reduced = np.linalg.inv(S[:, here][:, :, here])
+        lateral = S[:, 2, here] if dim == 2 else S[:, 1, here] + S[:, 2, here]
+        across = np.einsum("pa,pab->pb", lateral, reduced)
+    # The place in the vector of each entry of a symmetric tensor of the body.
+    place = np.empty((dim, dim), dtype=int)
     for a, (i, j) in enumerate(PAIRS[one] for one in here):
-        lateral[i, j] = lateral[j, i] = across[a]
-        for b, (k, l) in enumerate(PAIRS[one] for one in here):
-            moduli[i, j, k, l] = moduli[j, i, k, l] = moduli[i, j, l, k] = moduli[j, i, l, k] = reduced[a, b]
-    return np.concatenate([moduli.ravel(), lateral.ravel()])
+        place[i, j] = place[j, i] = a
+    flat = place.ravel()
+    moduli = reduced[:, flat][:, :, flat].reshape(len(C), dim**4)
+    return np.concatenate([moduli, across[:, flat]], axis=1)
 
 
 @lru_cache

@@ -295,7 +295,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             text.add(f"j = _inverse(F[p], {text.dim}, G)")
         else:
             text.add({1: "j = F[p, 0, 0]", 2: "j = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]",
-                      3: "j = _inverse(F[p], 3, G)"}[text.dim])  # fmt: skip
+                      3: "j = _inverse(F[p], 3, G)" if "J" in names else "j = 1.0"}[text.dim])  # fmt: skip
         text.add("i1 = 0.0", "square = 0.0")
         text.over("i", "m")
         text.add("i1 += F[p, i, m] * F[p, i, m]")

@@ -247,7 +247,11 @@ class _Reader:
                 right.is_Rational and abs(right) * _bits(left) <= MOST_BITS
             ):  # fmt: skip
                 raise self.refused("has a power of numbers that is no fraction or too large")
-            return left**right
+            power = left**right
+            exponent = power.exp if power.is_Pow else right
+            if exponent.is_number and not abs(float(exponent)) <= MOST_BITS:
+                raise self.refused(f"has an exponent beyond {MOST_BITS}")
+            return power
         raise self.refused("may have + - * / ** only; a power is **")
 
     def _called(self, node: ast.Call) -> Any:

@@ -243,6 +243,17 @@ _HEADER = (
 )
 
 
+@lru_cache
+def _called() -> str:
+    """Return a line that changes with the sources of the functions that loops call, whose machine code is in theirs."""
+    root = Path(__file__).parent.parent
+    digest = hashlib.blake2b(digest_size=8)
+    for name in ("kernels/compile.py", "kernels/eigen.py", "kernels/principal.py", "material/neo_hookean.py"):
+        with contextlib.suppress(OSError):  # no sources are installed
+            digest.update((root / name).read_bytes())
+    return f"# {digest.hexdigest()}"
+
+
 def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any, slope: Any) -> None:
     """Write the function that finds the hidden stretch: ``r(b) = 0`` by Newton's method in ``ln b``, NaN if it fails.
 
@@ -274,7 +285,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
     """Return the loops of an energy of invariants."""
     scalars = invariant_scalars(energy, kind)
     text = _Text(energy, kind)
-    text.add(*_HEADER)
+    text.add(_called(), *_HEADER)
     names = scalars.names
     free = kind in ("stress", "bar")
     fibres = [name for name in OF_FIBRES if name in names]
@@ -482,7 +493,7 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
         mixed = [sympy.diff(value, _b) for value in first]
         second = [[second[a][b] - mixed[a] * mixed[b] / slope for b in range(dim)] for a in range(dim)]
     text = _Text(energy, kind)
-    text.add(*_HEADER)
+    text.add(_called(), *_HEADER)
     stretches = [str(stretch) for stretch in shown]
     if free:
         _lateral(text, stretches, [], r, slope)

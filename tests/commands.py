@@ -106,4 +106,4 @@ def field(output, name, step=-1):
 def jacobian_ratios(text):
     """Return what -snes_test_jacobian printed: relative differences between the tangent and differences."""
     key = "||J - Jfd||_F/||J||_F = "
-    return [float(line.split(key)[1].split(",")[0]) for line in text.splitlines() if key in line]
+    return [float(line.split(key)[1].split(",")[0].rstrip(".")) for line in text.splitlines() if key in line]

@@ -177,13 +177,14 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
         damage = make_damage(law, whole, omega, k, True)
     if damage is None:
-        matter = MaterialPoints(whole, omega, scheme, materials, material_of)
+        matter = MaterialPoints(whole, scheme.build(cloud, families, omega), materials, material_of)
     else:
         matter = DamagedPoints(whole, omega, scheme, materials, material_of, None, damage)
     terms = []
     if control is not None:
         stiffness = stiffness_of(whole, materials, material_of, None)
-        terms = [ControlForces(whole, control, omega, stiffness, damage)]
+        built = control.build(cloud, families, omega, stiffness)
+        terms = [ControlForces(whole, type(control).__name__, built, damage)]
     return Small(Problem(whole, matter, terms, Supports(whole), damage))
 
 

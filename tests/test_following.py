@@ -12,6 +12,7 @@ from tests.test_events import history, one_bond
 
 sys.path.append(str(ROOT / "runs/fracture"))
 import centre_crack
+import edge_crack
 import plate_with_hole
 
 
@@ -163,3 +164,59 @@ def test_a_schedule_that_ends_with_the_load_steps_is_refused(tmp_path):
     ending = [dataclasses.replace(c, schedule=pd.Table([0.0, 1.0], [0.0, 1.0])) for c in case.conditions]
     with pytest.raises(pd.CaseError, match="proportional to the step time"):
         pd.run(dataclasses.replace(case, conditions=ending), output=tmp_path)
+
+
+def test_a_path_never_gives_back_what_was_dissipated(tmp_path):
+    """Edge crack, sub-horizons without control: breaking bonds there can set more stress free than they carried.
+
+    A run either follows the crack or ends with a sentence; it must not write down a body that does work on its loads.
+    """
+    case = edge_crack.case(n=10, scheme="sub_horizons", G=0.0, solver="path")
+    try:
+        pd.run(dataclasses.replace(case, fields=[], picture=None), output=tmp_path)
+    except pd.SolveError as error:
+        assert "the energy does not balance" in str(error)
+    h = history(tmp_path)
+    assert h["broken"][-1] > 20
+    fallen = np.maximum.accumulate(h["dissipated"]) - h["dissipated"]
+    assert fallen.max() < 0.1 * h["stored"].max()
+    assert h["opening"].min() >= 0.0
+    assert h["dissipated"].max() > 5.0 * fallen.max()
+
+
+class Wrong(pd.Term):
+    """A spring on the ground of every particle, which stores ``times`` the energy that it takes to stretch it."""
+
+    energy_of = "wrong"
+
+    def __init__(self, k, times):
+        self.k, self.times = k, times
+
+    def add_row_force(self, state, r):
+        r[: len(self.k)] += self.k[:, None] * state.own
+
+    def linearised(self, state):
+        return pd.PointTangent(self.k[:, None, None] * np.eye(state.own.shape[1]))
+
+    def energy(self, state):
+        return self.times * 0.5 * float((self.k[:, None] * state.own**2).sum())
+
+
+@dataclasses.dataclass(frozen=True)
+class Springs(pd.ExtraTerm):
+    times: float
+
+    def build(self, body):
+        return Wrong(100.0 * body.cloud.volume[: body.cloud.n_owned], self.times)
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_a_step_whose_energy_comes_from_nowhere_does_not_count(times, tmp_path):
+    """The energy of a bed that stores three times the work put into it along a path."""
+    solver = pd.PathFollowing(pd.Opening("x", pd.region.Nearest((2.5,)), step=0.01, end=0.04))
+    case = dataclasses.replace(one_bond(3.0), solver=solver, terms=[Springs(times)], steps=pd.Steps(4, smallest=0.1))
+    if times == 1.0:
+        pd.run(case, output=tmp_path)
+        return
+    with pytest.raises(pd.SolveError, match="energy does not balance"):
+        pd.run(case, output=tmp_path)

@@ -296,7 +296,7 @@ def test_errors_of_the_case_go_to_other_ranks_as_words():
 
 
 def test_a_defect_of_pdpetsc_leaves_its_traceback_in_the_folder(case, monkeypatch):
-    monkeypatch.setattr("pdpetsc.running.prepare.find_families", None)
+    monkeypatch.setattr("pdpetsc.running.prepare.make_families", None)
     folder = case.parent / "out"
     with pytest.raises(pd.RunError, match="defect of pdpetsc") as caught:
         pd.run(load_case(case)(), output=folder)

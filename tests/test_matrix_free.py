@@ -99,7 +99,7 @@ def test_results_are_those_of_the_assembled_tangent_on_1_and_2_ranks(name, tmp_p
     assert "tangent matrix" in assembled["allocated"]
     for ranks in (1, 2):
         free = results(case, *words, "-pd_jacobian", "matfree", ranks=ranks, output=tmp_path / f"free_{ranks}")
-        assert "matrix of nearest neighbours" in free["allocated"]
+        assert "matrix of the background grid" in free["allocated"]
         assert len(free["steps"]) == len(assembled["steps"])
         for key, value in assembled["results"].items():
             assert free["results"][key] == pytest.approx(value, rel=1e-6, abs=1e-7), key

@@ -37,7 +37,8 @@ def loaded(conditions, n=6, spacing=0.5, thickness=2.0, horizon=2.015, material=
     families = find_families(cloud)
     square = Body(cloud, families)
     materials, material_of = [material or pd.Hencky(10.0, 0.3)], np.zeros(cloud.n_owned, dtype=np.int32)
-    matter = MaterialPoints(square, np.ones(len(families.neighbours)), pd.Correspondence(), materials, material_of)
+    operator = pd.Correspondence().build(cloud, families, np.ones(len(families.neighbours)))
+    matter = MaterialPoints(square, operator, materials, material_of)
     supports, (loads,) = apply(square, matter, conditions, lattice)
     return supports, loads, Problem(square, matter, [loads], supports)
 

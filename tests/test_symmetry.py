@@ -420,9 +420,12 @@ def case_file(tmp_path_factory):
 def test_the_jacobian_beside_planes_is_correct(name, ranks, case_file, tmp_path):
     finished = run(case_file, f"name={name}", "-snes_test_jacobian", ranks=ranks, output=tmp_path)
     assert finished.returncode == 0, finished.stderr
-    # Laws of softening have kinks, at which differences are of both sides.
+    ratios = np.array(jacobian_ratios(finished.stdout))
+    # Laws of softening have kinks, at which differences are of both sides; and an attempt that fails may end so near to
+    # states without forces that differences reach them.
     kinks = name in ("softening", "gradients", "families")
-    assert max(jacobian_ratios(finished.stdout)) < (1e-5 if kinks else 1e-6)
+    assert np.isnan(ratios).sum() <= kinks
+    assert np.nanmax(ratios) < (1e-5 if kinks else 1e-6)
 
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])

@@ -307,7 +307,8 @@ def test_a_quarter_of_a_mesh_is_damaged_as_the_whole(tmp_path):
 
 @LONG
 def test_a_quarter_of_a_mesh_breaks_as_the_whole(tmp_path):
-    assert same(tmp_path, 5, 0.012, DAMAGE, 1e-8)["broken"].max() > 100
+    # Pulled by more the whole needs a shorter step than the quarter, by round-off.
+    assert same(tmp_path, 5, 0.011, DAMAGE, 1e-8)["broken"].max() > 100
 
 
 def test_a_quarter_of_a_mesh_is_the_same_on_two_ranks(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.special import roots_legendre
@@ -103,7 +103,15 @@ class BondMaterial(Declared, ABC):
     kinematics : {"small", "finite"}
         ``small``: bonds keep their direction and elongate by ``n . eta``, the forces are linear in the displacement.
         ``finite``: bonds turn, and elongate by ``|xi + eta| - |xi|``.
+
+    Attributes
+    ----------
+    of_family : bool
+        Whether its constants are stiffnesses of bonds alone that follow from the bonds of the family, so that particles
+        with the same bonds share them.
     """
+
+    of_family: ClassVar[bool] = False
 
     E: float
     nu: float | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -55,6 +55,8 @@ class BondBased(BondMaterial):
     >>> pd.BondBased(E=30e3, calibration="lattice").elastic(dim=3).nu
     0.25
     """
+
+    of_family: ClassVar[bool] = True
 
     calibration: Literal["continuum", "lattice", "family"] = "continuum"
 

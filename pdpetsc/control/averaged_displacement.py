@@ -126,3 +126,10 @@ class _Averaged(Control):
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
         data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
         return isotropic(sparsity, assemble_kernel(1), self._stencils, *data)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``sum_i c_i b_ik^2`` times the identity to the blocks of local particles (n_local, dim, dim)."""
+        ptr, members = self._stencils
+        each = np.bincount(members, np.repeat(self._c, np.diff(ptr)) * self._b**2, self._cloud.n_local)
+        blocks += each[:, None, None] * np.eye(self._cloud.dim)
+        return True

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.base import GradientOperator, SameGradient
 from pdpetsc.kernels.assembly import add_diagonal_kernel
 from pdpetsc.kernels.sparsity import transpose
 
@@ -168,8 +168,8 @@ class Control(ABC):
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add the forces of ``u`` (n_local, dim) in the families of some own particles; return the energy there."""
 
-    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness (n_bonds,) and shape tensors where it uses the gradient of ``operator``, else None.
+    def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces take in the loop over ``operator`` where its gradient is that one, else None.
 
         One pass over the families can then compute the forces of the material and of the control (not collective).
         """
@@ -178,6 +178,13 @@ class Control(ABC):
     @abstractmethod
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the matrix for ``sparsity`` (collective)."""
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add the blocks on the diagonal of the matrix to those of local particles (n_local, dim, dim).
+
+        Return False where the control does not know them without its matrix (not collective).
+        """
+        return False
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control with the stiffness of every bond times its integrity (n_bonds,).
@@ -216,7 +223,16 @@ class Control(ABC):
 
 @dataclass(frozen=True)
 class ZeroEnergyControl(Declared, ABC):
-    """A zero-energy control as a case declares it."""
+    """A zero-energy control as a case declares it.
+
+    Attributes
+    ----------
+    of_kappa : bool
+        Whether it is a ``NonUniform`` control in proportion to ``kappa`` of each particle, so that particles whose
+        families repeat share its bond stiffness.
+    """
+
+    of_kappa: ClassVar[bool] = False
 
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:

@@ -9,13 +9,14 @@ from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, f
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
-from pdpetsc.gradient.base import FLAT, GradientOperator, whole_families
+from pdpetsc.gradient.base import FLAT, BondGradient, GradientOperator, whole_families
 from pdpetsc.kernels.control import (
     directed_force_kernel,
     directed_matrix_kernel,
     non_uniform_force_kernel,
     non_uniform_matrix_kernel,
 )
+from pdpetsc.kernels.point_blocks import directed_blocks_kernel, non_uniform_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import same_gradient_kernel
 
@@ -48,6 +49,16 @@ class NonUniform(Control):
         self._forces = stiffness if integrity is None else stiffness * integrity
 
     @property
+    def stiffness(self) -> Float:
+        """Return ``s_ij`` (n_bonds,) [force / length]."""
+        return self._stiffness
+
+    @property
+    def K_inverse(self) -> Float:
+        """Return the inverse shape tensors (n_owned, dim, dim) [1 / (force length)]."""
+        return self._K_inverse
+
+    @property
     def stencils(self) -> Stencil:
         """Return the families with their centre first."""
         with_centre = whole_families(self._cloud, self._families, self._stiffness)
@@ -68,7 +79,13 @@ class NonUniform(Control):
         stencils = with_centre.point_ptr, with_centre.members
         return isotropic(sparsity, kernel, stencils, *data)
 
-    def of_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
+        family, kernel = self._families, non_uniform_blocks_kernel(self._cloud.dim)
+        kernel(family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x, blocks)
+        return True
+
+    def of_gradient(self, operator: GradientOperator) -> BondGradient | None:
         """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
         if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self._stiffness) + len(
             self._K_inverse
@@ -78,7 +95,7 @@ class NonUniform(Control):
         data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x
         if deviation(*data) > SAME:
             return None
-        return self._stiffness, np.linalg.inv(self._K_inverse)
+        return BondGradient(self._stiffness, np.linalg.inv(self._K_inverse))
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control with ``s_ij`` times the integrity; H is zero in directions without bonds left."""
@@ -140,3 +157,9 @@ class Directed(Control):
         np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
         data = self._S, self._g, T, cloud.x
         return BlockMatrix(*fill(sparsity, dim, directed_matrix_kernel(dim), self.stencils, *data))
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add to the blocks of local particles (n_local, dim, dim)."""
+        family, kernel = self._families, directed_blocks_kernel(self._cloud.dim)
+        kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, blocks)
+        return True

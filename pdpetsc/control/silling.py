@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -51,6 +52,8 @@ class Silling(ZeroEnergyControl):
     """
 
     G: float = 0.5
+
+    of_kappa: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,6 +102,8 @@ class SillingMicromodulus(ZeroEnergyControl):
 
     G: float
     unit_length: float
+
+    of_kappa: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -78,6 +78,8 @@ class Cloud:
         What the numbers mean.
     n_created : int
         How many particles this rank created.
+    stands_for : (n_owned,) float64 or None
+        How many particles each own one stands for where it does for others with the same family; 1 each where None.
     """
 
     comm: Comm
@@ -100,6 +102,16 @@ class Cloud:
     place: GlobalIndex
     places: Places
     n_created: int
+    stands_for: Float | None = None
+
+    def counted(self, numbers: NDArray[Any]) -> int:
+        """Return the sum of numbers of the own particles (n_owned,) over all ranks, and what they stand for.
+
+        Notes
+        -----
+        Collective.
+        """
+        return int(total(self.comm, float(numbers.sum() if self.stands_for is None else numbers @ self.stands_for)))
 
     @property
     def varies(self) -> bool:

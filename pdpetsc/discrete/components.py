@@ -23,7 +23,7 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
     -----
     Collective; at most as many exchanges as a piece crosses ranks.
     """
-    bonds = (families.centres, families.neighbours)
+    bonds = families.connecting()
     graph = coo_matrix((np.ones(len(bonds[0]), dtype=np.int8), bonds), shape=(cloud.n_local, cloud.n_local))
     count, local = connected_components(graph, directed=False)
     label = cloud.gid.copy()
@@ -67,9 +67,10 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
     held = np.where(fixed[:, :, None], modes, 0.0)
     gram = np.zeros((len(labels), n_modes, n_modes))
     np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
-    across = np.flatnonzero(cloud.places.behind(cloud.place[families.neighbours]))
-    torn = _torn_by_mirrors(cloud, families.neighbours[across])
-    np.add.at(gram, index[families.centres[across]], np.einsum("nia,nib->nab", torn, torn))
+    centres, members = families.connecting()
+    across = np.flatnonzero(cloud.places.behind(cloud.place[members]))
+    torn = _torn_by_mirrors(cloud, members[across])
+    np.add.at(gram, index[centres[across]], np.einsum("nia,nib->nab", torn, torn))
     sums: dict[int, Float] = {}
     for part in cloud.comm.allgather(dict(zip(labels.tolist(), gram, strict=True))):
         for piece, matrix in part.items():
@@ -97,18 +98,18 @@ def rigid_modes(cloud: Cloud) -> Float:
     -----
     Collective.
     """
-    return _rigid_at(cloud, cloud.x[: cloud.n_owned])
+    return rigid_at(cloud, cloud.x[: cloud.n_owned])
 
 
 def _torn_by_mirrors(cloud: Cloud, images: LocalIndex) -> Float:
     """Return by how much images of particles that move rigidly are off the same motion (n, dim, modes) (collective)."""
     place = cloud.place[images]
-    moved = _rigid_at(cloud, cloud.places.at_home(place, cloud.x[images]))
+    moved = rigid_at(cloud, cloud.places.at_home(place, cloud.x[images]))
     sign = cloud.places.sign[place + cloud.places.home]
-    return np.asarray(sign[:, :, None] * moved - _rigid_at(cloud, cloud.x[images]))
+    return np.asarray(sign[:, :, None] * moved - rigid_at(cloud, cloud.x[images]))
 
 
-def _rigid_at(cloud: Cloud, points: Float) -> Float:
+def rigid_at(cloud: Cloud, points: Float) -> Float:
     """Return the rigid motions at points (n, dim), of all ranks together (collective)."""
     x = cloud.x[: cloud.n_owned]
     n, dim = points.shape

@@ -13,8 +13,9 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.lattice import Repeats, find_repeats
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.sparsity import families_from_pairs
+from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,31 @@ class Families:
     indptr: GlobalIndex
     neighbours: LocalIndex
 
+    @property
+    def n_bonds(self) -> int:
+        """Return the number of bonds of the own particles."""
+        return len(self.neighbours)
+
+    def with_any(self, marked: Mask) -> Mask:
+        """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
+        found = np.empty(len(self.indptr) - 1, dtype=bool)
+        families_with_any(self.indptr, self.neighbours, marked, found)
+        return found
+
+    def connecting(self) -> tuple[LocalIndex, LocalIndex]:
+        """Return both particles of bonds (n,) that connect what all bonds together do."""
+        return self.centres, self.neighbours
+
+    @property
+    def connecting_families(self) -> Families:
+        """Return families with bonds that connect what all bonds together do: these, or fewer."""
+        return self
+
+    @property
+    def repeats(self) -> Repeats | None:
+        """Return which own particles share one family; None where each has its own."""
+        return None
+
     @cached_property
     def centres(self) -> LocalIndex:
         """Return the local index of ``i`` for every bond."""
@@ -47,7 +73,75 @@ class Families:
         return np.asarray(x[self.neighbours] - x[self.centres])
 
 
-def find_families(cloud: Cloud, cracks: Sequence[Crack] = ()) -> Families:
+class RepeatedFamilies(Families):
+    """Families of a body on a lattice, of which most are the same steps: bonds are listed when somebody asks for them.
+
+    Parameters
+    ----------
+    repeats : Repeats
+        Which own particles share one family.
+    """
+
+    def __init__(self, repeats: Repeats) -> None:
+        self.__dict__["_repeats"] = repeats
+
+    @property
+    def n_bonds(self) -> int:
+        """Return the number of bonds without listing them."""
+        return self._of.n_bonds
+
+    def with_any(self, marked: Mask) -> Mask:
+        """Return which own particles have a marked member in their family, without listing the bonds."""
+        return self._of.with_any(marked)
+
+    def connecting(self) -> tuple[LocalIndex, LocalIndex]:
+        """Return the bonds of families that do not repeat, and of the others those along the axes of the lattice.
+
+        A member that moves along the axes reach from the centre within the family is connected through other members.
+        """
+        return self._of.connecting()
+
+    @cached_property
+    def connecting_families(self) -> Families:
+        """Return families with the bonds of ``connecting``."""
+        centres, members = self._of.connecting()
+        order = np.argsort(centres, kind="stable")
+        count = np.bincount(centres, minlength=self._of.cloud.n_owned)
+        return Families(np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members[order])
+
+    @property
+    def repeats(self) -> Repeats:
+        """Return which own particles share one family."""
+        return self._of
+
+    @cached_property
+    def everyone(self) -> LocalIndex:
+        """Return the own particles (n_owned,)."""
+        return self._of.everyone
+
+    @cached_property
+    def indptr(self) -> GlobalIndex:
+        """Return where each family starts."""
+        return self._listed[0]
+
+    @cached_property
+    def neighbours(self) -> LocalIndex:
+        """Return the local index of ``j`` of every bond."""
+        return self._listed[1]
+
+    @cached_property
+    def _listed(self) -> tuple[GlobalIndex, LocalIndex]:
+        return self._of.families(self.everyone)
+
+    @property
+    def _of(self) -> Repeats:
+        found: Repeats = self.__dict__["_repeats"]
+        return found
+
+
+def find_families(
+    cloud: Cloud, cracks: Sequence[Crack] = (), repeated: float | None = None, in_order: bool = False
+) -> Families:
     """Find the neighbours of every own particle within its horizon, where no crack separates them.
 
     Where the horizon differs from particle to particle ``j`` is in the family of ``i`` if ``|xi| <= reach_i``; where
@@ -59,6 +153,11 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = ()) -> Families:
         Particles of this rank with their ghosts.
     cracks : sequence of Crack
         What cuts bonds from the start; their images in a periodic cell and behind mirror planes do too.
+    repeated : float, optional
+        Bonds of particles that share one family are not listed where at least this share of all do; all are listed
+        where absent.
+    in_order : bool
+        Whether particles share a family only where they list its members in the same order.
 
     Returns
     -------
@@ -73,8 +172,16 @@ def find_families(cloud: Cloud, cracks: Sequence[Crack] = ()) -> Families:
     -----
     Collective (the check); the search itself is local.
     """
+    cutting = _Cutting(cloud, cracks)
+    if repeated is not None and not cloud.varies:
+        repeats = find_repeats(cloud, cutting if cracks else None, repeated, in_order)
+        if repeats is not None:
+            cutting.refuse_idle()
+            return RepeatedFamilies(repeats)
     pairs = _pairs(cloud)
-    pairs = pairs[~_cut(cloud, pairs, cracks)]
+    with agreed(cloud.comm):
+        pairs = pairs[~cutting(pairs)]
+    cutting.refuse_idle()
     directed = cloud.varies and not cloud.mutual
     indptr, neighbours = families_from_pairs(pairs, directed, cloud.order, cloud.n_owned)
     families = Families(indptr, neighbours)
@@ -117,22 +224,39 @@ def _pairs(cloud: Cloud) -> LocalIndex:
     return np.asarray(pairs)
 
 
-def _cut(cloud: Cloud, pairs: LocalIndex, cracks: Sequence[Crack]) -> Mask:
-    """Return which pairs a crack separates (n_pairs,) (collective)."""
-    cut = np.zeros(len(pairs), dtype=bool)
-    a, b = cloud.x[pairs[:, 0]], cloud.x[pairs[:, 1]]
-    home = np.zeros_like(cloud.x)
-    if cloud.images is not None:
-        home[cloud.n_owned :] = cloud.offset
-    for number, crack in enumerate(cracks):
-        with agreed(cloud.comm):
+class _Cutting:
+    """Tells which pairs of particles cracks separate, and remembers which cracks have cut any."""
+
+    def __init__(self, cloud: Cloud, cracks: Sequence[Crack]) -> None:
+        self._cloud, self._cracks = cloud, cracks
+        self._count = np.zeros(len(cracks))
+        self._home = np.zeros_like(cloud.x)
+        if cloud.images is not None:
+            self._home[cloud.n_owned :] = cloud.offset
+
+    def __call__(self, pairs: LocalIndex) -> Mask:
+        """Return which pairs a crack separates (n_pairs,) (not collective)."""
+        cloud = self._cloud
+        cut = np.zeros(len(pairs), dtype=bool)
+        if not self._cracks or not len(pairs):
+            return cut
+        # Both ends ask for the same bond, on any rank; rounding at the rim of a crack must answer both alike.
+        turned = cloud.gid[pairs[:, 0]] > cloud.gid[pairs[:, 1]]
+        pairs = np.where(turned[:, None], pairs[:, ::-1], pairs)
+        a, b = cloud.x[pairs[:, 0]], cloud.x[pairs[:, 1]]
+        for number, crack in enumerate(self._cracks):
             separated = np.zeros(len(pairs), dtype=bool)
             for sign, to in zip(*cloud.places.mirrors, strict=True):
                 separated |= crack.cuts(sign * a + to, sign * b + to)
                 for end in (0, 1) if cloud.images is not None else ():
-                    shift = home[pairs[:, end]]
+                    shift = self._home[pairs[:, end]]
                     separated |= crack.cuts(sign * (a - shift) + to, sign * (b - shift) + to)
-        if int(total(cloud.comm, np.count_nonzero(separated))) == 0:
-            raise CaseError(f"Crack {number + 1} cuts no bond: {crack}.")
-        cut |= separated
-    return cut
+            self._count[number] += np.count_nonzero(separated)
+            cut |= separated
+        return cut
+
+    def refuse_idle(self) -> None:
+        """Raise CaseError on all ranks where a crack has cut nothing (collective)."""
+        for number, count in enumerate(total(self._cloud.comm, self._count) if self._cracks else ()):
+            if not count:
+                raise CaseError(f"Crack {number + 1} cuts no bond: {self._cracks[number]}.")

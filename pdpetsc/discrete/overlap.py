@@ -11,7 +11,6 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.halo import Finish
-from pdpetsc.kernels.sparsity import families_with_ghosts
 
 # Adds the forces of the families of some own particles: displacements (n_local, dim), forces (n_local, dim), particles.
 Work: TypeAlias = Callable[[Float, Float, LocalIndex], None]
@@ -35,8 +34,10 @@ class Overlap:
 
     def __init__(self, cloud: Cloud, families: Families) -> None:
         self._cloud = cloud
-        with_ghosts = np.empty(cloud.n_owned, dtype=bool)
-        families_with_ghosts(families.indptr, families.neighbours, cloud.n_owned, with_ghosts)
+        with_ghosts = families.with_any(np.arange(cloud.n_local) >= cloud.n_owned)
+        if cloud.comm.size == 1:
+            # There is nothing to hide the work behind, and in one piece it is quicker.
+            with_ghosts[:] = True
         inside = np.flatnonzero(~with_ghosts).astype(np.int32)
         self._first, self._last = inside[: len(inside) // 2], inside[len(inside) // 2 :]
         self._border = np.flatnonzero(with_ghosts).astype(np.int32)

@@ -221,6 +221,16 @@ def build_sparsity(cloud: Cloud, point_ptr: GlobalIndex, members: LocalIndex) ->
     return Sparsity(cloud, owned, ghost, held, other_columns, locals_of_columns, arrivals, border)
 
 
+def positions_of_own_blocks(rows: Rows, n_own: int, dim: int) -> GlobalIndex:
+    """Return where the values of the diagonal block of each row are (n_rows, dim, dim)."""
+    row = np.repeat(np.arange(len(rows.diag_ptr) - 1), np.diff(rows.diag_ptr))
+    block = np.flatnonzero(rows.columns[rows.columns < n_own] == row)
+    width = np.diff(rows.diag_ptr)
+    start = dim * dim * rows.diag_ptr[:-1] + dim * (block - rows.diag_ptr[:-1])
+    i, k = np.arange(dim)[:, None], np.arange(dim)[None, :]
+    return np.asarray(start[:, None, None] + (dim * width)[:, None, None] * i + k)
+
+
 def _one_of_each(cloud: Cloud) -> LocalIndex:
     """Return for every local particle the first local one with the same row: images share the columns of a particle."""
     _, first, inverse = np.unique(cloud.row, return_index=True, return_inverse=True)

@@ -5,16 +5,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import Comm, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
+from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
+from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
 FLAT = 1e-6
@@ -94,9 +96,21 @@ class GradientOperator:
         gradient_kernel(dim)(self.point_ptr, self.members, self.g, u, H)
         return H
 
-    def divergence(self, P: Float, f: Float) -> None:
-        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses."""
-        divergence_kernel(f.shape[1])(self.point_ptr, self.members, self.g, self.volume, P, f)
+    def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim): the transpose of ``gradient`` on weighted stresses.
+
+        The forces of a control that uses the same gradient are added where it is given; it is of a kind that
+        ``adds_together`` takes.
+        """
+        add_divergence(self, self.g, P, f, same)
+
+    def adds_together(self, same: SameGradient | None) -> bool:
+        """Return whether ``divergence`` can add the forces of a control with those of stresses."""
+        return isinstance(same, BondGradient)
+
+    def product(self, A: Moduli, h: Float | None = None) -> Product:
+        """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces where they are not g."""
+        return ListedProduct(self, A.listed, h)
 
     def sum_over_points(self, values: Float) -> Float:
         """Return the sum over the points of each particle, (n_owned, ...)."""
@@ -113,8 +127,153 @@ class GradientOperator:
 
 
 @dataclass(frozen=True)
+class Moduli:
+    """Moduli ``A_p = dP/dF`` of gradient points, kept once for points that have the same.
+
+    Attributes
+    ----------
+    values : (n_sets, dim, dim, dim, dim) float64
+        Different moduli [stress].
+    of : (n_points,) int32 or None
+        Which of them each point has; each its own where None.
+    """
+
+    values: Float
+    of: LocalIndex | None = None
+
+    def at(self, points: GlobalIndex) -> Float:
+        """Return the moduli of some points (n, dim, dim, dim, dim) [stress]."""
+        return self.values[points if self.of is None else self.of[points]]
+
+    @cached_property
+    def listed(self) -> Float:
+        """Return the moduli of all points (n_points, dim, dim, dim, dim) [stress]."""
+        return self.values if self.of is None else self.values[self.of]
+
+
+class SameGradient:
+    """What a control needs to add its forces while the gradient that it shares with the material is at hand."""
+
+
+@dataclass(frozen=True)
+class BondGradient(SameGradient):
+    """The energy ``1/2 sum_ij s_ij |eta_ij - H_i xi_ij|^2`` with ``g_ij = s_ij K_i^-1 xi_ij``.
+
+    Attributes
+    ----------
+    stiffness : (n_bonds,) float64
+        ``s_ij`` [force / length].
+    K : (n_owned, dim, dim) float64
+        ``sum_j s_ij xi (x) xi`` [force length].
+    """
+
+    stiffness: Float
+    K: Float
+
+
+@dataclass(frozen=True)
+class ControlledGradient:
+    """A control on the gradient of an operator, at a displacement.
+
+    Attributes
+    ----------
+    control : SameGradient
+        What its forces take.
+    H : (n_points, dim, dim) float64
+        Gradient of the displacement [-].
+    u : (n_local, dim) float64
+        The displacement [length].
+    """
+
+    control: SameGradient
+    H: Float
+    u: Float
+
+
+def add_divergence(
+    operator: GradientOperator, h: Float, P: Float, f: Float, same: ControlledGradient | None = None
+) -> None:
+    """Add ``sum_p W_p P_p h_pk`` to ``f`` (n_local, dim), and the forces of a control on the gradient."""
+    dim, listed = f.shape[1], None if same is None else same.control
+    data = operator.point_ptr, operator.members, h, operator.volume, P, f
+    if same is None or not isinstance(listed, BondGradient):
+        divergence_kernel(dim)(*data, *NO_CONTROL, P, f)
+    else:
+        divergence_kernel(dim, 1)(*data, listed.stiffness, listed.K, same.H, same.u)
+
+
+class Product(ABC):
+    """``H^T (W A) G``, applied particle by particle."""
+
+    @abstractmethod
+    def absorb(self, same: SameGradient | None) -> bool:
+        """Add the forces of a control that uses the same gradient from now on; return whether it can."""
+
+    @abstractmethod
+    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+        """Add the forces of the points of some own particles for displacements (n_local, dim) (not collective)."""
+
+    @abstractmethod
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add what couples each local particle to itself (n_local, dim, dim), without that of the control."""
+
+
+class ListedProduct(Product):
+    """The product of an operator whose weights are listed, in one pass over its points.
+
+    Parameters
+    ----------
+    operator : GradientOperator
+        The gradient.
+    A : (n_points, dim, dim, dim, dim) float64
+        Moduli [stress].
+    h : (n_entries, dim) float64, optional
+        Weights with which points put forces on particles [1 / length]; those of the gradient where absent.
+    """
+
+    def __init__(self, operator: GradientOperator, A: Float, h: Float | None) -> None:
+        self._operator, self._A, self._h = operator, A, h
+        self._same: BondGradient | None = None
+
+    def absorb(self, same: SameGradient | None) -> bool:
+        """Take a control whose bonds are listed, if it is the first and forces have the weights of the gradient."""
+        if self._same is not None or self._h is not None or not isinstance(same, BondGradient):
+            return False
+        self._same = same
+        return True
+
+    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+        """Add the forces of the points of some own particles."""
+        operator, h = self._operator, self._operator.g if self._h is None else self._h
+        loop = NO_CONTROL if self._same is None else (self._same.stiffness, self._same.K)
+        gradient_times_kernel(u.shape[1], int(self._same is not None))(
+            particles, operator.points_of, operator.point_ptr, operator.members, operator.g, h, operator.volume,
+            self._A, *loop, u, f,
+        )  # fmt: skip
+
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
+        operator, dim, h = self._operator, blocks.shape[-1], self._operator.g if self._h is None else self._h
+        gradient_blocks_kernel(dim, int(self._h is None))(
+            operator.point_ptr, operator.members, h, operator.g, operator.volume, self._A,
+            blocks.reshape(-1, dim * dim),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Scheme(Declared, ABC):
-    """A correspondence scheme: where deformation gradients are evaluated, and with which weights."""
+    """A correspondence scheme: where deformation gradients are evaluated, and with which weights.
+
+    Attributes
+    ----------
+    of_family : bool
+        Whether the weights follow from the bonds of the family alone, so that particles with the same bonds share them.
+    points_of_bonds : bool
+        Whether the points of a particle are those of its bonds, in the order in which its bonds are listed.
+    """
+
+    of_family: ClassVar[bool] = False
+    points_of_bonds: ClassVar[bool] = False
 
     def memory(self, dim: int, family: float) -> float:
         """Return the least memory per bond while the operator is built, in families of ``family`` bonds [bytes]."""
@@ -162,7 +321,7 @@ def regular_shape_tensors(cloud: Cloud, families: Families, weight: Float, name:
     Collective.
     """
     K = whole_families(cloud, families, weight).shape_tensors(cloud.x)
-    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][flat(K)], name)
+    refuse_flat(cloud, np.flatnonzero(flat(K)), name)
     return K
 
 
@@ -212,12 +371,15 @@ def shared_volume(cloud: Cloud, owner: LocalIndex) -> Float:
     return np.asarray(cloud.volume[owner] / count[owner])
 
 
-def refuse_flat(comm: Comm, gid: GlobalIndex, what: str) -> None:
-    """Raise FlatFamilies on all ranks if ``gid`` names a particle on any; ``what`` needs the gradient (collective)."""
-    count = int(total(comm, len(gid)))
+def refuse_flat(cloud: Cloud, own: GlobalIndex, what: str) -> None:
+    """Raise FlatFamilies on all ranks if ``own`` has own particles on any; ``what`` needs the gradient (collective)."""
+    bad = np.zeros(cloud.n_owned)
+    bad[own] = 1.0
+    count = cloud.counted(bad)
     if count == 0:
         return
-    ids = sorted(int(i) for part in comm.allgather(np.sort(gid)[:NAMED_IDS]) for i in part)[:NAMED_IDS]
+    gid = cloud.gid[own]
+    ids = sorted(int(i) for part in cloud.comm.allgather(np.sort(gid)[:NAMED_IDS]) for i in part)[:NAMED_IDS]
     listed = ", ".join(str(i) for i in ids) + (", ..." if count > len(ids) else "")
     raise FlatFamilies(
         f"{count} particles have a family too small or too flat for {what} (ids {listed}); widen the horizon or add "

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
-from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import (
@@ -53,6 +53,9 @@ class BondAssociated(Scheme):
     BondAssociated(radius=1.25)
     """
 
+    of_family: ClassVar[bool] = True
+    points_of_bonds: ClassVar[bool] = True
+
     radius: float = 1.0
 
     def __post_init__(self) -> None:
@@ -70,7 +73,7 @@ class BondAssociated(Scheme):
         regular_shape_tensors(cloud, families, weight, "bond-associated gradients")
         centres = families.centres
         radius = self.radius * cloud.reach[centres] * (1.0 + HORIZON_TOLERANCE)
-        wider = 0
+        wider = np.zeros(cloud.n_owned)
         for factor, following in zip(GROWTH, (*GROWTH[1:], None), strict=True):
             size = np.empty(len(centres), dtype=np.int64)
             bond_family_sizes_kernel(cloud.dim)(families.indptr, families.neighbours, cloud.x, radius, size)
@@ -83,10 +86,10 @@ class BondAssociated(Scheme):
                 break
             bad = flat(stencils.shape_tensors(cloud.x), THIN)
             if factor == 1.0:
-                wider = int(bad.sum())
+                wider = np.bincount(centres[bad], minlength=cloud.n_owned).astype(float)
             if not bad.any():
                 break
             radius[bad] *= following / factor
-        number, every = total(cloud.comm, [wider, len(centres)])
-        note = f"{int(number)} of {int(every)} bonds have a wider family, their own is too flat" if number else ""
+        number, every = cloud.counted(wider), cloud.counted(np.diff(families.indptr))
+        note = f"{number} of {every} bonds have a wider family, their own is too flat" if number else ""
         return operator(cloud, stencils, note)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -39,6 +40,8 @@ class Corrected(Scheme):
     Corrected(order=3)
     """
 
+    of_family: ClassVar[bool] = True
+
     order: int = 2
 
     def __post_init__(self) -> None:
@@ -54,7 +57,7 @@ class Corrected(Scheme):
         g = np.zeros((len(weight), cloud.dim))
         left = np.flatnonzero(np.diff(families.indptr) > 0)
         alone = np.flatnonzero(np.diff(families.indptr) == 0)
-        worst, lowered = 1.0, 0
+        worst, lowered = 1.0, np.zeros(cloud.n_owned)
         for order in range(self.order, 0, -1):
             conditions = Conditions.of_degrees(cloud.dim, 1, order)
             target = np.eye(len(conditions.exponents), cloud.dim)
@@ -71,7 +74,7 @@ class Corrected(Scheme):
                 remaining.append(part[~met])
                 worst = max(worst, float(condition[met].max(initial=1.0)))
             left = np.concatenate(remaining)
-            lowered += len(left) if order > 1 else 0
+            lowered[left] += order > 1
         failed = np.concatenate([left, alone])
-        refuse_flat(cloud.comm, cloud.gid[failed], "a corrected gradient")
-        return from_bond_weights(cloud, families, g, conditioning_note(cloud.comm, worst, lowered))
+        refuse_flat(cloud, failed, "a corrected gradient")
+        return from_bond_weights(cloud, families, g, conditioning_note(cloud, worst, lowered))

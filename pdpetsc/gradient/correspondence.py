@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
@@ -26,6 +27,8 @@ class Correspondence(Scheme):
     >>> import pdpetsc as pd
     >>> scheme, control = pd.Correspondence(), pd.Silling(G=0.5)
     """
+
+    of_family: ClassVar[bool] = True
 
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""

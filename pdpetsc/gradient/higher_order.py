@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -46,6 +47,8 @@ class HigherOrder(Scheme):
     HigherOrder(order=5)
     """
 
+    of_family: ClassVar[bool] = True
+
     order: int = 3
 
     def __post_init__(self) -> None:
@@ -61,7 +64,7 @@ class HigherOrder(Scheme):
         plain = correspondence_weights(families, cloud.x, weight, np.linalg.inv(K))
         C = np.ones(len(weight))
         left = np.arange(cloud.n_owned)
-        worst, lowered = 1.0, 0
+        worst, lowered = 1.0, np.zeros(cloud.n_owned)
         for order in range(self.order, 1, -1):
             conditions = Conditions.of_degrees(cloud.dim, 2, order + 1)
             higher = conditions.exponents.sum(axis=1) > 2
@@ -79,6 +82,6 @@ class HigherOrder(Scheme):
                 worst = max(worst, float(condition[met].max(initial=1.0)))
                 C[bonds] = np.where(met[owner], correction, 1.0)
             left = np.concatenate(remaining)
-            lowered += len(left)
-        note = conditioning_note(cloud.comm, worst, lowered)
+            lowered[left] += 1.0
+        note = conditioning_note(cloud, worst, lowered)
         return operator(cloud, whole_families(cloud, families, C * weight), note)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.discrete.communicator import Comm, largest, total
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import largest
 
 # Eigenvalues of a moment matrix, scaled by the horizon, below this share of the largest count as zero.
 RANK = 1e-10
@@ -98,10 +99,10 @@ def solve(q: Float, weight: Float, first: GlobalIndex, target: Float) -> tuple[F
     return c, violation / size, values[:, -1] / lowest
 
 
-def conditioning_note(comm: Comm, worst: float, lowered: int) -> str:
-    """Return the note for the log from the largest condition number and the orders lowered here (collective)."""
-    note = f"moment matrices have condition numbers up to {largest(comm, worst):.1e}"
-    steps = int(total(comm, lowered))
+def conditioning_note(cloud: Cloud, worst: float, lowered: Float) -> str:
+    """Return the note for the log from the largest condition number and how often orders were lowered (collective)."""
+    note = f"moment matrices have condition numbers up to {largest(cloud.comm, worst):.1e}"
+    steps = cloud.counted(lowered)
     return f"{note}; the order was lowered {steps} times where families are too small for it" if steps else note
 
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.gradient.base import THIN, GradientOperator, flat, operator, refuse_flat, whole_families, with_centres
 
@@ -38,14 +37,14 @@ def sector_operator(
         empty[:, a] = flat(whole_families(cloud, families, weight * share[:, a]).shape_tensors(cloud.x), THIN)
     lost = empty.all(axis=1)
     singular = lost & flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
-    refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][singular], name)
+    refuse_flat(cloud, np.flatnonzero(singular), name)
     centres = families.centres
     share = np.einsum("ba,bac->bc", share, _merging(empty, distance)[centres])
     share[lost[centres], 0] = 1.0
     points = ~empty
     points[lost, 0] = True
-    merged, particles = total(cloud.comm, [empty.sum(), empty.any(axis=1).sum()])
-    note = f"{int(merged)} sectors at {int(particles)} particles are too flat and merged with others" if merged else ""
+    merged, particles = cloud.counted(empty.sum(axis=1)), cloud.counted(empty.any(axis=1))
+    note = f"{merged} sectors at {particles} particles are too flat and merged with others" if merged else ""
     return operator(cloud, with_centres(*_listed(points, centres, families.neighbours, weight, share)), note)
 
 

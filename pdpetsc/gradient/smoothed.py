@@ -62,6 +62,6 @@ class SmoothedDisplacement(Scheme):
         np.add.at(B, families.centres, xi[:, :, None] * moments[:, None, :])
         singular = np.linalg.svd(B, compute_uv=False)
         bad = singular[:, -1] <= FLAT * singular.mean(axis=1)
-        refuse_flat(cloud.comm, cloud.gid[: cloud.n_owned][bad], "gradients of the averaged displacement")
+        refuse_flat(cloud, np.flatnonzero(bad), "gradients of the averaged displacement")
         g = np.einsum("bn,bnm->bm", moments, np.linalg.inv(B)[families.centres])
         return from_bond_weights(cloud, families, g)

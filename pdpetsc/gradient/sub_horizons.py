@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -46,6 +47,8 @@ class SubHorizons(Scheme):
     >>> pd.SubHorizons().sectors is None  # halves, quadrants or octants
     True
     """
+
+    of_family: ClassVar[bool] = True
 
     sectors: int | None = None
 

@@ -35,7 +35,7 @@ def direction(i, j, x, u, finite, n):  # type: ignore[no-untyped-def]
 
 @lru_cache
 def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
-    """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the least current length."""
+    """Return ``elongation(indptr, neighbours, x, u, e)``: writes ``e_ij``; returns the least length, NaN if any is."""
 
     @compiled
     def elongation(indptr, neighbours, x, u, e):  # type: ignore[no-untyped-def]
@@ -45,7 +45,8 @@ def elongation_kernel(dim: int, finite: int) -> Callable[..., Any]:
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
                 reference, current = direction(i, j, x, u, finite, n)
-                least = min(least, current)
+                if current < least or np.isnan(current):
+                    least = current
                 if finite:
                     e[b] = current - reference
                 else:

@@ -82,28 +82,37 @@ def gradient_kernel(dim: int) -> Callable[..., Any]:
 
 
 @lru_cache
-def divergence_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``divergence(point_ptr, members, g, volume, P, f)``: ``f_k += sum_p W_p P_p g_pk``."""
+def divergence_kernel(dim: int, controlled: int = 0) -> Callable[..., Any]:
+    """Return ``divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u)``: ``f_k += sum_p W_p P_p g_pk``.
+
+    Where ``controlled``, a compile-time constant, also the forces of a control on the same gradient H, as in
+    ``gradient_times_kernel``; the last four are not read otherwise.
+    """
 
     @compiled
-    def divergence(point_ptr, members, g, volume, P, f):  # type: ignore[no-untyped-def]
+    def divergence(point_ptr, members, g, volume, P, f, stiffness, K, H, u):  # type: ignore[no-untyped-def]
         s = np.empty((dim, dim))
         centre = np.empty(dim)
         for p in range(point_ptr.size - 1):
             first = point_ptr[p]
+            i = members[first]
             for m in range(dim):
                 centre[m] = 0.0
                 for n in range(dim):
                     s[m, n] = volume[p] * P[p, m, n]
+                    if controlled:
+                        for o in range(dim):
+                            s[m, n] -= H[p, m, o] * K[p, o, n]
             for t in range(first + 1, point_ptr[p + 1]):
                 k = members[t]
                 for m in range(dim):
                     force = 0.0
+                    if controlled:
+                        force = stiffness[t - p - 1] * (u[k, m] - u[i, m])
                     for n in range(dim):
                         force += s[m, n] * g[t, n]
                     f[k, m] += force
                     centre[m] -= force
-            i = members[first]
             for m in range(dim):
                 f[i, m] += centre[m]
 

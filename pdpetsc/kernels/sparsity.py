@@ -151,12 +151,12 @@ def sum_by(index: Any, values: Any, n: int) -> Any:
 
 
 @compiled
-def families_with_ghosts(indptr, neighbours, n_owned, found):  # type: ignore[no-untyped-def]
-    """Write which families hold a particle of another rank or an image."""
+def families_with_any(indptr, neighbours, marked, found):  # type: ignore[no-untyped-def]
+    """Write which families hold a marked particle."""
     for i in range(indptr.size - 1):
         found[i] = False
         for b in range(indptr[i], indptr[i + 1]):
-            if neighbours[b] >= n_owned:
+            if marked[neighbours[b]]:
                 found[i] = True
 
 
@@ -172,16 +172,14 @@ def nearest_neighbours(indptr, neighbours, x, nearest):  # type: ignore[no-untyp
 
 
 @compiled
-def first_moments(indptr, neighbours, x, volume, free, moment, size, beside):  # type: ignore[no-untyped-def]
-    """Write ``sum_j V_j xi_a``, ``sum_j V_j |xi_a|`` and whether any j is ``free`` along a, (n_owned, dim) each."""
+def first_moments(indptr, neighbours, x, volume, moment, size):  # type: ignore[no-untyped-def]
+    """Write ``sum_j V_j xi_a`` and ``sum_j V_j |xi_a|``, (n_owned, dim) each."""
     for i in range(indptr.size - 1):
         for a in range(x.shape[1]):
             moment[i, a] = 0.0
             size[i, a] = 0.0
-            beside[i, a] = False
             for b in range(indptr[i], indptr[i + 1]):
                 j = neighbours[b]
                 xi = x[j, a] - x[i, a]
                 moment[i, a] += volume[j] * xi
                 size[i, a] += volume[j] * abs(xi)
-                beside[i, a] |= free[j, a]

@@ -7,6 +7,9 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.material.base import Material
 
+# Points that are compared first, most of the time to find a difference.
+SOME = 100
+
 
 class MaterialAtPoints:
     """A material and the gradient points that obey it, with what it remembers of converged steps there.
@@ -55,6 +58,22 @@ class MaterialAtPoints:
         """Write A (all points, dim, dim, dim, dim) at its points."""
         self._kernels.tangent(F, self.points, self._constants, self.history, A)
         self._scale(A)
+
+    def same_tangent(self, F: Float) -> Float | None:
+        """Return A (dim, dim, dim, dim) where it is the same at all its points for F (all points, dim, dim), else None.
+
+        It is where F is, or does not count, and neither history nor a factor differs from point to point.
+        """
+        if self.has_history or self.factor is not None or not len(self.points):
+            return None
+        one = F[self.points[:1]]
+        if not self.material.linear and not (np.all(F[self.points[:SOME]] == one) and np.all(F[self.points] == one)):
+            return None
+        if not np.all(self.history == self.history[:1]):  # numbers of the place, as the direction of fibres
+            return None
+        A = np.empty((1, *one.shape[1:], *one.shape[1:]))
+        self._kernels.tangent(one, np.zeros(1, dtype=np.int64), self._constants, self.history[:1], A)
+        return np.asarray(A[0])
 
     def energy(self, F: Float, psi: Float) -> None:
         """Write the energy density (all points,) at its points."""

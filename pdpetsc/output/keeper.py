@@ -112,9 +112,9 @@ class Keeper:
         """Return what is solved (not collective)."""
         return self._last.problem
 
-    def write(self, solution: Solution, write_fields: bool) -> None:
-        """Keep the next converged step."""
-        solution.follow(self._last)
+    def write(self, solution: Solution, write_fields: bool, work: float | None = None) -> None:
+        """Keep the next converged step, with the work since the one before where the solver gives it."""
+        solution.follow(self._last, work)
         # The body is in this state from here on, whatever becomes of its record.
         self._last = solution
         if self._broken is not None:

@@ -13,14 +13,16 @@ LOOSE = 1e-3
 def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) -> dict[str, object]:
     """Return pdpetsc's solver options for a problem; those of the case and the command line override each.
 
-    Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients with
-    algebraic multigrid and rigid-body near-null space. The line search ``cp`` looks for a zero of the residual along
-    the step, which is right for the gradient of an energy; in slender bending ``bt`` fails because a good first step
-    raises the residual norm a thousandfold. Its secant steps cost residuals only: up to ten of them, against PETSc's
-    one, lower the Newton iterations of the first of ten steps of a cantilever under a large tip force from 32 to 10.
-    Without a matrix GAMG smooths with the tangent itself (``-pc_use_amat``, PETSc's default), whose short waves are
-    softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds estimated with the
-    tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice the time each.
+    Direct (MUMPS, LDL^T of the symmetric matrix) up to ``DIRECT_UNKNOWNS``, beyond it conjugate gradients: without a
+    matrix on two levels (``TwoLevel``), with one on algebraic multigrid with rigid-body near-null space.
+    The line search ``cp`` looks for a zero of the residual along the step, which is right for the gradient of an
+    energy; in slender bending ``bt`` fails because a good first step raises the residual norm a thousandfold. Its
+    secant steps cost residuals only: up to ten of them, against PETSc's one, lower the Newton iterations of the first
+    of ten steps of a cantilever under a large tip force from 32 to 10.
+    Where options ask for GAMG without a matrix it smooths with the tangent itself (``-pc_use_amat``, PETSc's default),
+    whose short waves are softer than those of the nearest neighbours that it coarsens: one Chebyshev step on bounds
+    estimated with the tangent takes 17 iterations where two on the bounds of the nearest neighbours take 15 and twice
+    the time each.
     GAMG keeps its aggregates while Newton goes on.
     Every absolute tolerance is zero: a number with a unit says nothing of how good an answer is. That of ``cp`` would
     end a solve as converged where force and step are small numbers, whatever the residual is.
@@ -52,6 +54,8 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if solver.of_energy and not problem.linear and problem.damage is None:
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
+    if choice.levels:
+        return defaults | {"pc_type": "mg"} | _of_levels(choice.levels)
     if choice.pc in ("", "gamg"):
         defaults |= {"pc_type": "gamg", "pc_gamg_agg_nsmooths": 1, "pc_gamg_threshold": 0.01}
         defaults["pc_gamg_reuse_interpolation"] = "true"
@@ -59,3 +63,19 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
             defaults |= {"pc_gamg_use_sa_esteig": "false", "mg_levels_ksp_max_it": 1}
             defaults |= {"mg_levels_esteig_ksp_max_it": 6, "pc_gamg_esteig_ksp_max_it": 5}
     return defaults
+
+
+def _of_levels(kind: str) -> dict[str, object]:
+    """Return the options of the two levels: one application of the tangent an iteration, unless cycles are asked for.
+
+    The sum of what both levels correct takes about twice the iterations of a cycle, each with one application of the
+    tangent instead of three, and no bounds that have to be estimated.
+    """
+    # Where nodes are many: three Chebyshev steps of GAMG, which one cycle takes up to twice the iterations for.
+    coarse: dict[str, object] = {"mg_coarse_ksp_max_it": 3, "mg_coarse_ksp_chebyshev_esteig": "0,0.2,0,1.1"}
+    coarse |= {"mg_coarse_pc_gamg_agg_nsmooths": 1, "mg_coarse_pc_gamg_threshold": 0.01}
+    coarse["mg_coarse_pc_gamg_reuse_interpolation"] = "true"
+    levels: dict[str, object] = {"pc_mg_type": kind, "mg_levels_pc_type": "pbjacobi", **coarse}
+    if kind == "additive":
+        return levels | {"mg_levels_ksp_type": "preonly"}
+    return levels | {"mg_levels_ksp_type": "chebyshev", "mg_levels_ksp_max_it": 1, "mg_levels_esteig_ksp_max_it": 8}

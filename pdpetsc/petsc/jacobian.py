@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,18 +14,24 @@ from pdpetsc.arrays import Mask
 from pdpetsc.declare.solvers import DeclaredSolver
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
-from pdpetsc.petsc.matrix import TangentMatrix
-from pdpetsc.petsc.matrix_free import MatrixFreeTangent
+from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
+from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
 from pdpetsc.petsc.tangent import PetscTangent
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.petsc.two_level import TwoLevel, predicted_bytes_of
+from pdpetsc.problem.assembly import Assembler, Filler
+from pdpetsc.problem.background_grid import BackgroundGrid
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
 
-# Largest number of unknowns for which the direct solver is the default, by dimension.
-DIRECT_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
-# Blocks of a matrix row of nearest neighbours on a lattice, by dimension; a tangent with more than WIDE times as many
-# blocks in a row is not assembled.
-NEAR_BLOCKS, WIDE = {1: 5, 2: 13, 3: 25}, 1.5
+# Largest number of unknowns for which the direct solver is the default, by dimension: it takes a second at most there
+# and counts negative pivots. Two levels are quicker from a thousand particles on at horizon 2.
+DIRECT_UNKNOWNS = {1: 10**7, 2: 20_000, 3: 3_000}
+# The same where iterations may fail that a factorisation does not need: with damage, whose tangents are not definite,
+# and where nothing controls zero-energy modes.
+HARD_UNKNOWNS = {1: 10**7, 2: 120_000, 3: 12_000}
+# Blocks of a matrix row of nearest neighbours on a lattice, by dimension; a tangent with at most WIDE times as many
+# blocks in a row is assembled: in 3D multigrid on it takes twice as long even at horizon 1.
+NEAR_BLOCKS, WIDE = {1: 5, 2: 13, 3: 25}, {1: 1.5, 2: 1.5, 3: 0.0}
 # Particles of each rank whose neighbours at two horizons are counted.
 SAMPLE = 300
 
@@ -42,23 +48,32 @@ class Choice:
         Whether a factorisation is the solver.
     matrix_free : bool
         Whether the tangent is applied without a matrix.
+    levels : str
+        How its diagonal blocks and a background grid precondition it, PETSc's type of multigrid; empty where they do
+        not.
     estimate : int
         Estimated memory of the assembled tangent over all ranks [bytes]; 0 where the size was not asked for.
+    why : str
+        What decided, for the log.
     """
 
     pc: str
     direct: bool
     matrix_free: bool
+    levels: str
     estimate: int
+    why: str
 
 
-def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver) -> Choice:
+def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, pivots: bool = False) -> Choice:
     """Choose by ``-pd_jacobian``, else by size: direct where that is quick, assembled where rows are narrow.
 
     Parameters
     ----------
     chosen : mapping
         PETSc options of the case; those of the command line win.
+    pivots : bool
+        Whether the case asks whether equilibria are stable, which only a factorisation tells.
 
     Raises
     ------
@@ -77,37 +92,107 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver) 
     if word == "matfree" and solver.needs.tangent == "assembled":
         raise CaseError(f"{solver.title} factors its matrix; leave -pd_jacobian at assembled or auto.")
     cloud, dim = problem.body.cloud, problem.dim
-    small = cloud.n_global * dim <= DIRECT_UNKNOWNS[dim]
+    unknowns = cloud.n_global * dim
+    most, kind = _largest_factored(problem)
+    small = unknowns <= most or pivots
     direct = pc in ("lu", "cholesky") or (not pc and small)
+    why = f"{unknowns:,} unknowns are {'at most' if unknowns <= most else 'more than'} {most:,}{kind}"
+    if pc:
+        why = f"-pc_type {pc}"
+    elif pivots and unknowns > most:
+        why = "the case asks whether equilibria are stable"
     if word == "assembled" or solver.needs.tangent != "any" or (word == "auto" and direct):
-        return Choice(pc, direct, False, 0)
+        if word == "assembled":
+            why += ", -pd_jacobian assembled"
+        return Choice(pc, direct, False, "", 0, why)
     blocks = _blocks(problem)
-    narrow = blocks <= WIDE * NEAR_BLOCKS[dim] * cloud.n_global
+    narrow = blocks <= WIDE[dim] * NEAR_BLOCKS[dim] * cloud.n_global
     matrix_free = word == "matfree" or not narrow
+    if word == "matfree":
+        why = "-pd_jacobian matfree"
+    elif narrow:
+        why += ", rows are hardly longer than those of nearest neighbours"
     size = dim**2 * (8 + np.dtype(PETSc.IntType).itemsize)
-    return Choice(pc, direct and not matrix_free, matrix_free, int(blocks * size))
+    levels = database.getString("pc_mg_type", str(chosen.get("pc_mg_type", "additive")))
+    if not matrix_free or pc not in ("", "mg"):
+        levels = ""
+    return Choice(pc, direct and not matrix_free, matrix_free, levels, int(blocks * size), why)
 
 
-def assembler(problem: Problem, choice: Choice) -> Assembler:
-    """Return what fills the matrix that the choice asks for (collective)."""
-    return NearAssembler(problem) if choice.matrix_free else Assembler(problem)
+def _largest_factored(problem: Problem) -> tuple[int, str]:
+    """Return up to how many unknowns the direct solver is the default, and what that is for (collective)."""
+    dim, cloud = problem.dim, problem.body.cloud
+    if problem.damage is not None:
+        return HARD_UNKNOWNS[dim], " with damage"
+    points = int(total(cloud.comm, problem.matter.n_points))
+    controlled = any(term.energy_of == "control" for term in problem.terms)
+    if points == cloud.n_global and not controlled:
+        return HARD_UNKNOWNS[dim], " with one gradient point a particle and no control"
+    return DIRECT_UNKNOWNS[dim], ""
 
 
-def make_tangent(filled: Assembler, fixed: Mask, scale: float) -> PetscTangent:
-    """Return the tangent over ``scale`` [force / length] whose matrix an assembler fills (collective)."""
-    if isinstance(filled, NearAssembler):
-        return MatrixFreeTangent(filled, fixed, scale)
-    return TangentMatrix(filled, fixed, scale)
+def assembler(problem: Problem, choice: Choice) -> Filler:
+    """Return what fills the matrices that the choice asks for (collective)."""
+    if not choice.matrix_free:
+        return Assembler(problem)
+    return BackgroundGrid(problem) if choice.levels else NearAssembler(problem)
+
+
+def make_tangent(filler: Filler, fixed: Mask, scale: float) -> PetscTangent:
+    """Return the tangent over ``scale`` [force / length] whose matrices are filled so (collective)."""
+    return _TANGENTS[type(filler)](filler, fixed, scale)
+
+
+def predicted(filler: Filler) -> int:
+    """Return the memory of the entries of the matrices that are filled so, over all ranks [bytes] (collective)."""
+    return _MEMORY[type(filler)](filler)
 
 
 def words(choice: Choice, predicted: int) -> str:
-    """Return for the log how the tangent is represented; its matrix takes ``predicted`` bytes (not collective)."""
+    """Return for the log how the tangent is represented; its matrices take ``predicted`` bytes (not collective)."""
     if choice.matrix_free:
+        by = "its diagonal blocks and a grid one horizon wide" if choice.levels else "nearest neighbours"
         return (
-            f"tangent: without a matrix, preconditioned by nearest neighbours, {predicted / 2**20:.1f} MiB predicted "
-            f"(assembled about {choice.estimate / 2**20:.0f} MiB)"
+            f"tangent: without a matrix, preconditioned by {by}, {predicted / 2**20:.1f} MiB predicted "
+            f"(assembled about {choice.estimate / 2**20:.0f} MiB); {choice.why}"
         )
-    return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted"
+    how = "factored" if choice.direct else "preconditioned"
+    return f"tangent matrix: {predicted / 2**20:.1f} MiB predicted, {how}; {choice.why}"
+
+
+def matrices(choice: Choice) -> str:
+    """Return what is allocated for the tangent, for the record (not collective)."""
+    if not choice.matrix_free:
+        return "tangent matrix"
+    return "matrix of the background grid" if choice.levels else "matrix of nearest neighbours"
+
+
+def _assembled(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
+    return TangentMatrix(filler, fixed, scale)
+
+
+def _by_nearest_neighbours(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
+    return MatrixFreeTangent(filler.problem, NearMatrix(filler, fixed, scale), fixed, scale)
+
+
+def _on_two_levels(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
+    return MatrixFreeTangent(filler.problem, TwoLevel(filler, fixed, scale), fixed, scale)
+
+
+def _of_pattern(filler: Any) -> int:
+    return predicted_bytes(filler.pattern, filler.problem.dim)
+
+
+_TANGENTS: dict[type[Filler], Callable[[Any, Mask, float], PetscTangent]] = {
+    Assembler: _assembled,
+    NearAssembler: _by_nearest_neighbours,
+    BackgroundGrid: _on_two_levels,
+}
+_MEMORY: dict[type[Filler], Callable[[Any], int]] = {
+    Assembler: _of_pattern,
+    NearAssembler: _of_pattern,
+    BackgroundGrid: predicted_bytes_of,
+}
 
 
 def _blocks(problem: Problem) -> float:

@@ -121,6 +121,8 @@ def start_anew(ksp: PETSc.KSP) -> None:
 
     Others are made anew for every matrix; GAMG cannot be reset, it keeps the solvers of its levels with their sizes.
     """
+    if ksp.getPC().getType() == "mg":
+        start_anew(ksp.getPC().getMGCoarseSolve())
     if ksp.getPC().getType() not in ("lu", "cholesky"):
         return
     mat, preconditioner = ksp.getOperators()

@@ -1,11 +1,13 @@
-"""The tangent applied without a matrix, preconditioned by a matrix of nearest neighbours."""
+"""The tangent applied without a matrix, and when what preconditions it is made anew."""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
 
 import numpy as np
 from petsc4py import PETSc
 
-from pdpetsc.arrays import Mask
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import largest
 from pdpetsc.petsc.matrix import TangentMatrix
 from pdpetsc.petsc.stages import PRECONDITIONER, stage
@@ -20,32 +22,74 @@ HARDER = 1.3
 STIFFER = 1.05
 
 
-class MatrixFreeTangent(PetscTangent):
-    """A Mat of type python that applies ``K(u)`` family by family, and an AIJ matrix of nearest neighbours.
+class Preconditioning(ABC):
+    """What a preconditioner of a tangent without a matrix is made from.
 
-    Both are over ``scale``, and rows and columns of prescribed degrees of freedom hold only 1 on the diagonal.
+    Attributes
+    ----------
+    mat : Mat
+        The matrix that PETSc is given for it, over the scale of the tangent.
+    diagonal : (n_rows * dim,) float64
+        Diagonal of the tangent, or an estimate of it [force / length].
+    bounded : bool
+        Whether what smooths holds for the stiffness that it has seen only.
+
+    Notes
+    -----
+    Every method is collective.
+    """
+
+    mat: PETSc.Mat
+    diagonal: Float
+    bounded: bool = True
+
+    @abstractmethod
+    def fill(self, state: State) -> Tangent:
+        """Make it that of a state; return the tangent there."""
+
+    @abstractmethod
+    def renewed(self) -> Preconditioning:
+        """Return another one for the bonds that there are now; this one is gone then."""
+
+    def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:  # noqa: B027
+        """Give a linear solver of the tangent what options alone do not."""
+
+    @property
+    @abstractmethod
+    def bytes(self) -> int:
+        """Return the memory of the entries of its matrices, over all ranks [bytes]."""
+
+    @abstractmethod
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+
+
+class MatrixFreeTangent(PetscTangent):
+    """A Mat of type python that applies ``K(u)`` family by family, and what preconditions it.
+
+    Both are over a scale, and rows and columns of prescribed degrees of freedom hold only 1 on the diagonal.
 
     Parameters
     ----------
-    near : NearAssembler
-        Fills the matrix of nearest neighbours.
+    problem : Problem
+        Whose tangent it is.
+    preconditioning : Preconditioning
+        What the preconditioner is made from, over the same scale.
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
     scale : float
         The stiffness that is 1 in both [force / length].
     """
 
-    def __init__(self, near: NearAssembler, fixed: Mask, scale: float) -> None:
-        self._near = near
-        self._fixed, self._scale = fixed, scale
-        self._problem: Problem = near.problem
-        self._rebuilds = self._problem.rebuilds
-        self._matrix = TangentMatrix(near, fixed, scale)
-        self.preconditioner, self.diagonal = self._matrix.mat, self._matrix.diagonal
+    def __init__(self, problem: Problem, preconditioning: Preconditioning, fixed: Mask, scale: float) -> None:
+        self._problem = problem
+        self._rebuilds = problem.rebuilds
+        self._made_from = preconditioning
+        self.preconditioner, self.diagonal = preconditioning.mat, preconditioning.diagonal
         self._product = _Product(fixed, scale)
-        sizes = self._matrix.mat.getSizes()
-        self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=self._problem.body.cloud.comm)
-        if self._problem.symmetric:
+        sizes = self.preconditioner.getSizes()
+        self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=problem.body.cloud.comm)
+        if problem.symmetric:
             self.mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
         self.mat.setUp()
@@ -54,21 +98,19 @@ class MatrixFreeTangent(PetscTangent):
         self._strength = np.empty(0)
 
     def update(self, state: State, effort: float | None = None) -> None:
-        """Make it K at a state; the nearest neighbours stay as they are while linear solves do not get harder."""
+        """Make it K at a state; what preconditions it stays as it is while linear solves do not get harder."""
         version = self._problem.version
         if self._problem.linear and self.holds():
             return
         keep = self._does_well(effort) and self._problem.damage is None
         tangent = self._problem.linearised(state) if keep else None
         if tangent is None or self._stiffer(tangent):
-            self._matrix.forget()
             with stage(PRECONDITIONER):
-                self._matrix.update(state)
-            tangent, self._effort = self._near.tangent, None
+                tangent = self._made_from.fill(state)
+            self._effort = None
             self._strength = tangent.strength()
-            self.diagonal = self._matrix.diagonal
-        # The assembler does not keep the moduli of another displacement.
-        self._near.tangent = self._product.tangent = tangent
+            self.diagonal = self._made_from.diagonal
+        self._product.tangent = tangent
         self._version = version
         self.mat.stateIncrease()
 
@@ -82,20 +124,24 @@ class MatrixFreeTangent(PetscTangent):
 
     def _stiffer(self, tangent: Tangent) -> bool:
         """Return whether a particle is much stiffer than when the bounds of the smoother were estimated."""
+        if not self._made_from.bounded:
+            return False
         ratio = float(np.max(tangent.strength() / np.maximum(self._strength, np.finfo(float).tiny), initial=0.0))
         return largest(self._problem.body.cloud.comm, ratio) > STIFFER
 
     def renew(self) -> bool:
-        """Choose nearest neighbours anew where bonds have broken or mended."""
+        """Choose anew what preconditions it where bonds have broken or mended."""
         if self._rebuilds == self._problem.rebuilds:
             return False
         self._rebuilds = self._problem.rebuilds
-        self._matrix.destroy()
-        self._near = NearAssembler(self._problem)
-        self._matrix = TangentMatrix(self._near, self._fixed, self._scale)
-        self.preconditioner = self._matrix.mat
+        self._made_from = self._made_from.renewed()
+        self.preconditioner = self._made_from.mat
         self.forget()
         return True
+
+    def equip(self, ksp: PETSc.KSP) -> None:
+        """Give a linear solver, whose options are set, what options alone do not."""
+        self._made_from.equip(self.mat, ksp)
 
     def holds(self) -> bool:
         """Return whether it is a tangent of the problem as it is, at whatever displacement (not collective)."""
@@ -107,12 +153,52 @@ class MatrixFreeTangent(PetscTangent):
 
     @property
     def bytes(self) -> int:
-        """Return the memory of the entries of the matrix of nearest neighbours, over all ranks [bytes]."""
-        return self._matrix.bytes
+        """Return the memory of the entries of the matrices that precondition it, over all ranks [bytes]."""
+        return self._made_from.bytes
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.mat.destroy()
+        self._made_from.destroy()
+
+
+class NearMatrix(Preconditioning):
+    """A matrix of nearest neighbours, of which any of PETSc's preconditioners can be made.
+
+    Parameters
+    ----------
+    near : NearAssembler
+        Fills it.
+    fixed : (n_rows, dim) bool
+        Prescribed degrees of freedom.
+    scale : float
+        The stiffness that is 1 in it [force / length].
+    """
+
+    def __init__(self, near: NearAssembler, fixed: Mask, scale: float) -> None:
+        self._near, self._fixed, self._scale = near, fixed, scale
+        self._matrix = TangentMatrix(near, fixed, scale)
+        self.mat, self.diagonal = self._matrix.mat, self._matrix.diagonal
+
+    def fill(self, state: State) -> Tangent:
+        """Fill the matrix; return the tangent of the whole body."""
+        self._matrix.forget()
+        self._matrix.update(state)
+        self.diagonal = self._matrix.diagonal
+        return self._near.take_tangent()
+
+    def renewed(self) -> Preconditioning:
+        """Return that of the nearest neighbours that hold now."""
+        self.destroy()
+        return NearMatrix(NearAssembler(self._near.problem), self._fixed, self._scale)
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory of its entries, over all ranks [bytes]."""
+        return self._matrix.bytes
+
+    def destroy(self) -> None:
+        """Free the PETSc object."""
         self._matrix.destroy()
 
 

@@ -43,6 +43,12 @@ class PetscTangent(ABC):
     def renew(self) -> bool:
         """Follow bonds that have broken or mended; return whether ``preconditioner`` is another one now."""
 
+    def equip(self, ksp: PETSc.KSP) -> None:  # noqa: B027
+        """Give a linear solver, whose options are set, what options alone do not: levels of multigrid.
+
+        To be called again where ``renew`` returned True.
+        """
+
     @abstractmethod
     def holds(self) -> bool:
         """Return whether the problem has not changed since ``update``, at whatever displacement (not collective)."""

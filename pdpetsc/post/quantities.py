@@ -227,6 +227,8 @@ class ControlEnergy(Quantity):
 class ExternalWork(Quantity):
     """Work of loads and supports since the undeformed state [energy], by the trapezoidal rule over the steps.
 
+    Along a path, over all equilibria that a step passes through while bonds break.
+
     Examples
     --------
     >>> import pdpetsc as pd

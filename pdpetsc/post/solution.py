@@ -96,12 +96,15 @@ class Solution:
         """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
         return np.where(self.problem.supports.fixed, self.internal_force - self._loads, 0.0)
 
-    def follow(self, before: Solution) -> None:
+    def follow(self, before: Solution, work: float | None = None) -> None:
         """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
 
         Without inertia it is that of the internal forces too; where forces are not linear between the steps it has the
-        error of the trapezoidal rule.
+        error of the trapezoidal rule. A solver that passes through equilibria between them gives the ``work`` itself.
         """
+        if work is not None:
+            self.work = before.work + work
+            return
         forces = self._acting + before._acting
         self.work = before.work + float(self.sum(0.5 * float((forces * (self.unknowns - before.unknowns)).sum())))
 

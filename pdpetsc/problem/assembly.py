@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.sparsity import Rows, Sparsity, build_sparsity
+from pdpetsc.discrete.sparsity import Sparsity, build_sparsity, positions_of_own_blocks
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries
 
 
-class Assembler:
+class Filler(ABC):
+    """What fills the matrices that a solver of a problem asks for.
+
+    Attributes
+    ----------
+    problem : Problem
+        Whose tangent is solved with.
+    """
+
+    problem: Problem
+
+    @abstractmethod
+    def rehearse(self, state: State) -> None:
+        """Fill them once, for nothing but to compile what does."""
+
+
+class Assembler(Filler):
     """Fills the value arrays of the tangent matrix of a problem, term by term.
 
     Parameters
@@ -37,7 +55,12 @@ class Assembler:
         self.pattern = sparsity
         dim = problem.dim
         self._ghost = np.empty(dim**2 * int(sparsity.ghost.diag_ptr[-1]))
-        self._own_blocks = _positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)
+        self._own_blocks = positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)
+
+    def rehearse(self, state: State) -> None:
+        """Assemble once (collective)."""
+        size = self.problem.dim**2 * np.array([self.pattern.owned.diag_ptr[-1], self.pattern.owned.off_ptr[-1]])
+        self.assemble(state, np.empty(size[0]), np.empty(size[1]))
 
     def assemble(self, state: State, diag: Float, off: Float) -> None:
         """Write the values of K for the own rows: own columns into ``diag``, the others into ``off``.
@@ -85,21 +108,16 @@ class Assembler:
         values, ptr = (diag, rows.diag_ptr) if cloud.n_virtual else (off, rows.off_ptr)
         n_blocks = np.diff(ptr)[border.particles]
         start = dim * dim * ptr[border.particles] + dim * (n_blocks - cloud.n_virtual_global)
-        for v in range(cloud.n_virtual_global):
-            for c in range(dim):
-                unit = np.zeros((cloud.n_rows, dim))
-                if cloud.n_virtual:
-                    unit[n + v, c] = 1.0
-                column = tangent(unit)
-                for i in range(dim):
-                    values[start + i * dim * n_blocks + dim * v + c] = column[border.particles, i]
-                arrived = border.gather(np.ascontiguousarray(column[border.particles]))
-                if cloud.n_virtual:
-                    row = np.concatenate([arrived, column[n:]])[order].ravel()
-                    here = dim * dim * rows.diag_ptr[n + v] + c * n_here
-                    diag[here : here + n_here] = row[:n_here]
-                    there = dim * dim * rows.off_ptr[n + v] + c * (len(row) - n_here)
-                    off[there : there + len(row) - n_here] = row[n_here:]
+        for v, c, column in tangent.columns_of_virtual():
+            for i in range(dim):
+                values[start + i * dim * n_blocks + dim * v + c] = column[border.particles, i]
+            arrived = border.gather(np.ascontiguousarray(column[border.particles]))
+            if cloud.n_virtual:
+                row = np.concatenate([arrived, column[n:]])[order].ravel()
+                here = dim * dim * rows.diag_ptr[n + v] + c * n_here
+                diag[here : here + n_here] = row[:n_here]
+                there = dim * dim * rows.off_ptr[n + v] + c * (len(row) - n_here)
+                off[there : there + len(row) - n_here] = row[n_here:]
 
 
 def _stencils(problem: Problem) -> tuple[GlobalIndex, LocalIndex]:
@@ -120,13 +138,3 @@ def _stencils(problem: Problem) -> tuple[GlobalIndex, LocalIndex]:
     starts = [0, *np.cumsum([ptr[-1] for ptr, _ in found])]
     ptr = np.concatenate([[0], *(p[1:] + start for (p, _), start in zip(found, starts, strict=False))])
     return ptr.astype(np.int64), np.concatenate([members for _, members in found])
-
-
-def _positions_of_own_blocks(rows: Rows, n_own: int, dim: int) -> GlobalIndex:
-    """Return where the values of the diagonal block of each row are (n_rows, dim, dim)."""
-    row = np.repeat(np.arange(len(rows.diag_ptr) - 1), np.diff(rows.diag_ptr))
-    block = np.flatnonzero(rows.columns[rows.columns < n_own] == row)
-    width = np.diff(rows.diag_ptr)
-    start = dim * dim * rows.diag_ptr[:-1] + dim * (block - rows.diag_ptr[:-1])
-    i, k = np.arange(dim)[:, None], np.arange(dim)[None, :]
-    return np.asarray(start[:, None, None] + (dim * width)[:, None, None] * i + k)

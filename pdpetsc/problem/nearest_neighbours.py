@@ -42,11 +42,6 @@ class NearAssembler(Assembler):
     problem : Problem
         The body and what acts on it.
 
-    Attributes
-    ----------
-    tangent : Tangent
-        The tangent of the problem where the matrix was last filled.
-
     Notes
     -----
     Construction is collective.
@@ -66,10 +61,17 @@ class NearAssembler(Assembler):
         self._operator = GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, one)
         self._transposed = transpose(self._operator.point_ptr, self._operator.members, cloud.n_local)
         self._start(problem, build_sparsity(cloud, self._operator.point_ptr, self._operator.members))
+        self._tangent: Tangent | None = None
+
+    def take_tangent(self) -> Tangent:
+        """Return the tangent of the problem where the matrix was last filled, which is not kept (not collective)."""
+        assert self._tangent is not None
+        tangent, self._tangent = self._tangent, None
+        return tangent
 
     def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
         """Add the rows of near families; return the tangent of the near body."""
-        self.tangent = tangent
+        self._tangent = tangent
         dim, near = self.problem.dim, self._operator
         D = tangent.stiffness()
         for rows, own in entries.row_sets():

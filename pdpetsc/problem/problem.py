@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
-from pdpetsc.problem.term import KeptArray, LinearisedTerm, Term
+from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
 
 
 class Problem:
@@ -156,8 +157,13 @@ class Problem:
         coupling = [term for term in terms if term.horizons]
         if coupling:
             f = np.zeros((self.body.cloud.n_local, self.dim))
-            for term in coupling:
-                term.add_force(state, f)
+            while coupling:
+                term = coupling.pop(0)
+                other = next((one for one in coupling if term.add_force_together(one, state, f)), None)
+                if other is None:
+                    term.add_force(state, f)
+                else:
+                    coupling.remove(other)
             r += self.body.gather(f)
         return r
 
@@ -258,12 +264,54 @@ class Tangent:
         for part in self._passes:
             part.add_product(du, f, particles)
 
+    def columns_of_virtual(self) -> Iterator[tuple[int, int, Float]]:
+        """Yield virtual row, component and column (n_rows, dim) of each virtual unknown; the next may overwrite it."""
+        cloud = self.body.cloud
+        for v in range(cloud.n_virtual_global):
+            for c in range(cloud.dim):
+                unit = np.zeros((cloud.n_rows, cloud.dim))
+                if cloud.n_virtual:
+                    unit[cloud.n_owned + v, c] = 1.0
+                yield v, c, self(unit)
+
     def stiffness(self) -> Float:
         """Return ``sum_p W_p dP/dF`` of every own particle (n_owned, dim, dim, dim, dim) [energy] (not collective)."""
         found = [D for D in (part.stiffness() for part in self.parts) if D is not None]
         return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))
 
+    def point_blocks(self) -> Float:
+        """Return what couples each own particle to itself, (n_owned, dim, dim) [force / length].
+
+        Bonds that soften count with their secant, and what couples a particle to its own image is left out
+        (collective).
+        """
+        cloud, dim = self.body.cloud, self.body.dim
+        found = np.zeros((cloud.n_local, dim, dim))
+        unknown = [part for part in self.parts if not part.add_point_blocks(found)]
+        if len(cloud.sign):
+            found[cloud.n_owned :] *= cloud.sign[:, :, None] * cloud.sign[:, None, :]
+        cloud.halo.reverse(found)
+        blocks = found[: cloud.n_owned]
+        if unknown:
+            blocks += diagonal_blocks_of_rows(self.body, unknown)
+        return blocks if self.blocks is None else np.asarray(blocks + self.blocks)
+
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` (n_owned,) [energy] (not collective)."""
         found = [s for s in (part.strength() for part in self.parts) if s is not None]
         return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))
+
+
+def diagonal_blocks_of_rows(body: Body, parts: Sequence[LinearisedTerm]) -> Float:
+    """Return the blocks on the diagonal of the rows that terms add, (n_owned, dim, dim) [force / length] (collective).
+
+    The rows are assembled for it.
+    """
+    cloud, dim = body.cloud, body.dim
+    sparsity = build_sparsity(cloud, body.with_centres.point_ptr, body.with_centres.members)
+    sizes = sparsity.owned.diag_ptr[-1], sparsity.owned.off_ptr[-1], sparsity.ghost.diag_ptr[-1]
+    entries = Entries(sparsity, *(np.zeros(dim**2 * int(size)) for size in sizes))
+    for part in parts:
+        part.add_rows(entries)
+    sparsity.complete(entries.ghost, entries.diag, entries.off, dim)
+    return np.asarray(entries.diag[positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)])

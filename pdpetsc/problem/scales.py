@@ -58,9 +58,16 @@ def nearest_distances(body: Body) -> Float:
     -----
     Not collective.
     """
-    cloud, family = body.cloud, body.families
+    cloud, family, repeats = body.cloud, body.families, body.families.repeats
     nearest = cloud.reach[: cloud.n_owned].copy()
-    nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
+    if repeats is None:
+        nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
+        return nearest
+    edge = repeats.edge
+    near = edge.cloud.reach[: edge.cloud.n_owned].copy()
+    nearest_neighbours(edge.indptr, edge.neighbours, edge.cloud.x, near)
+    nearest[repeats.shared] = repeats.of_shared(near[edge.n :])
+    nearest[edge.local[: edge.n]] = near[: edge.n]
     return nearest
 
 

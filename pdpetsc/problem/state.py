@@ -25,13 +25,15 @@ class State:
         Unknowns [length]; not to be changed while the state is in use.
     t : float
         Step time, which is the load factor where loads are proportional to it [-].
+    u_local : (n_local, dim) float64, optional
+        Displacements with ghosts, where they are known [length].
     """
 
-    def __init__(self, body: Body, u: Float, t: float = 0.0) -> None:
+    def __init__(self, body: Body, u: Float, t: float = 0.0, u_local: Float | None = None) -> None:
         self.body = body
         self.u = u
         self.t = t
-        self._u_local: Float | None = None
+        self._u_local = u_local
         self._kept: dict[Hashable, Any] = {}
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError
@@ -110,14 +110,27 @@ class Supports:
         There the gradient weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the
         stress of the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
         """
-        cloud, families = self.body.cloud, self.body.families
+        cloud, families, repeats = self.body.cloud, self.body.families, self.body.families.repeats
         n, dim = cloud.n_owned, cloud.dim
         free = np.ones((cloud.n_local, dim))
         free[:n] = ~self.fixed[:n]
         cloud.halo.forward(free)
-        moment, size, beside = np.empty((n, dim)), np.empty((n, dim)), np.empty((n, dim), dtype=bool)
-        first_moments(
-            families.indptr, families.neighbours, cloud.x, cloud.volume, free > 0.0, moment, size, beside
-        )  # fmt: skip
-        found = self.fixed[:n] & (np.abs(moment) > ONE_SIDED * size) & beside
-        return int(total(cloud.comm, np.count_nonzero(found.any(axis=1))))
+        if repeats is None:
+            one_sided = _one_sided(families.indptr, families.neighbours, cloud.x, cloud.volume)
+        else:
+            edge, one_sided = repeats.edge, np.empty((n, dim), dtype=bool)
+            found = _one_sided(edge.indptr, edge.neighbours, edge.cloud.x, edge.cloud.volume)
+            one_sided[edge.local[: edge.n]] = found[: edge.n]
+            one_sided[repeats.shared] = repeats.of_shared(found[edge.n :])
+        cut = self.fixed[:n] & one_sided
+        for axis in np.flatnonzero(cut.any(axis=0)):
+            cut[:, axis] &= families.with_any(free[:, axis] > 0.0)
+        return int(total(cloud.comm, np.count_nonzero(cut.any(axis=1))))
+
+
+def _one_sided(indptr: GlobalIndex, neighbours: LocalIndex, x: Float, volume: Float) -> Mask:
+    """Return along which axes families lie on one side of their centre (n, dim)."""
+    moment = np.empty((len(indptr) - 1, x.shape[1]))
+    size = np.empty_like(moment)
+    first_moments(indptr, neighbours, x, volume, moment, size)
+    return np.asarray(np.abs(moment) > ONE_SIDED * size)

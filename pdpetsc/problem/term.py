@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.sparsity import Rows, Sparsity
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.base import GradientOperator, SameGradient
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 
@@ -95,6 +95,15 @@ class LinearisedTerm:
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the matrix (collective)."""
 
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add what couples each local particle to itself in the families (n_local, dim, dim) [force / length].
+
+        These are the blocks on the diagonal of the rows that ``add_rows`` adds, but for bonds that soften: those count
+        with their secant. What ``blocks`` gives is not among them. Return False, with nothing added, where they are not
+        known; they are then taken from the rows (not collective).
+        """
+        return False
+
     def stiffness(self) -> Float | None:
         """Return ``sum_p W_p dP/dF`` of the own particles (n_owned, dim, dim, dim, dim) [energy], or None.
 
@@ -111,8 +120,8 @@ class LinearisedTerm:
         """Compute the product of another term in the same loop, if that is quicker; return whether it does."""
         return False
 
-    def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness and shape tensors where it is a control on the gradient of ``operator``, else None."""
+    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces take in the loop over ``operator``, where it is a control on that gradient."""
         return None
 
 
@@ -132,6 +141,10 @@ class PointTangent(LinearisedTerm):
     def blocks(self) -> Float:
         """Return the blocks."""
         return self._blocks
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add nothing: no family is in it."""
+        return True
 
 
 class Term(ABC):
@@ -220,6 +233,20 @@ class Term(ABC):
 
     def add_force(self, state: State, f: Float) -> None:  # noqa: B027
         """Add forces on local particles, ghosts among them (n_local, dim) [force] (not collective but for ghosts)."""
+
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Add its forces and those of another term in one loop, if that is quicker; return whether it did.
+
+        Arguments as for ``add_force``.
+        """
+        return False
+
+    def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
+        """Return what its forces take in the loop over ``operator`` at a state, where it is a control on its gradient.
+
+        None where it is not (not collective).
+        """
+        return None
 
     def add_row_force(self, state: State, r: Float) -> None:  # noqa: B027
         """Add forces on the unknowns of this rank (n_rows, dim) [force]: what needs no ghosts (not collective)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import cast
@@ -12,6 +12,9 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.case import Case, ungraded
+from pdpetsc.control.base import Control
+from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
 from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
@@ -20,23 +23,24 @@ from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, total
 from pdpetsc.discrete.families import Families, find_families
+from pdpetsc.discrete.lattice import Repeats, positions_on_lattice
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
 from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.repeated import RepeatedOperator
 from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import solve_scalar
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Assembler, Filler
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, make_damage
 from pdpetsc.problem.extra import build_extra
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
-from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
@@ -46,7 +50,14 @@ from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
+# Bonds are not listed where at least this share of the particles share one family.
+LEAST_REPEATED = 0.3
+# Least memory of a particle that shares its family: gradient, stress and moduli [bytes].
+PER_REPEATED = 800.0
+# Sides of a lattice of unit spacing with families that repeat at a horizon of two spacings.
+ENOUGH_TO_REPEAT = [30.0, 7.0, 7.0]
 # Positions and horizons beyond these overflow where they are raised to powers.
 FAR = 1e60
 
@@ -76,12 +87,38 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Floa
     each = PER_BOND + (0.0 if case.of_bonds else case.gradients.memory(dim, family))
     widest = largest(comm, float(np.max(reach, initial=0.0)))
     what = f"A horizon of {widest:g} gives {count} particles about {family:.4g} neighbours each, which"
-    refuse_beyond_memory(comm, bonds * each / comm.size, what)
+    listed = _listed_share(comm, case, x, reach)
+    refuse_beyond_memory(comm, (listed * bonds * each + (1.0 - listed) * count * PER_REPEATED) / comm.size, what)
+
+
+def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> float:
+    """Return about the share of particles that do not share a family: 1 where none does (collective).
+
+    On a lattice these are the ones within a horizon of the ends of its longest axis.
+    """
+    on_lattice = np.ndim(reach) == 0 and positions_on_lattice(x, float(reach)) is not None
+    if int(total(comm, int(not on_lattice))):
+        return 1.0
+    with agreed(comm):
+        least = repeated_share(case)
+    if least is None:
+        return 1.0
+    ends = np.array(comm.allgather((x.min(axis=0), x.max(axis=0))))
+    longest = float((ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)).max())
+    listed = min(1.0, 2.0 * float(reach) / longest) if longest > 0.0 else 1.0
+    return listed if 1.0 - listed >= least else 1.0
+
+
+def make_families(case: Case, cloud: Cloud) -> Families:
+    """Return the families of a case; bonds are not listed where enough of them repeat (collective)."""
+    with agreed(cloud.comm):
+        repeated = repeated_share(case)
+    return find_families(cloud, case.cracks, repeated, _in_order(case))
 
 
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
     """Return the problem of a case on a distributed cloud, set up with PETSc options of its run (collective)."""
-    if int(total(cloud.comm, len(families.neighbours))) == 0:
+    if int(total(cloud.comm, families.n_bonds)) == 0:
         raise CaseError(
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
             f"the cracks cut less."
@@ -112,11 +149,11 @@ def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
     return surface
 
 
-def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
+def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Filler] = Assembler) -> None:
     """Compile or load the kernels of a case on rank 0, on a lattice of a few particles, while the others wait.
 
     The other ranks then find them in the cache: many ranks that start on an empty cache neither compile the same kernel
-    nor write its cache at once. With ``near`` these are the kernels of the matrix of nearest neighbours.
+    nor write its cache at once. ``filling`` makes what fills the matrices.
 
     Notes
     -----
@@ -124,7 +161,10 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
     """
     with agreed(comm):
         if is_root(comm):
-            x = np.stack(np.meshgrid(*[np.arange(4.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+            share = repeated_share(case)
+            sides = [4.0] * dim if share is None else ENOUGH_TO_REPEAT[:dim]
+            axes = [np.arange(side) for side in sides]
+            x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
             materials = [ungraded(material).uniform() for _, material in case.materials]
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
@@ -135,13 +175,11 @@ def rehearse(comm: Comm, case: Case, dim: int, near: bool = False) -> None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
                 weights = case.chosen_weights
                 bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=(), weights=weights)
-                families = find_families(cloud)
+                families = find_families(cloud, repeated=None if share is None else 0.0, in_order=_in_order(case))
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
-                assembler = NearAssembler(problem) if near else Assembler(problem)
                 state = problem.state(np.zeros_like(x))
-                size = dim * dim * np.array([assembler.pattern.owned.diag_ptr[-1], assembler.pattern.owned.off_ptr[-1]])
-                assembler.assemble(state, np.empty(size[0]), np.empty(size[1]))
+                filling(problem).rehearse(state)
                 problem.internal_force(state)
                 problem.linearised(state)(state.u)
                 problem.energies(state)
@@ -156,19 +194,17 @@ def _problem(
     case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None,
     options: Options | None = None,
 ) -> Problem:  # fmt: skip
-    cloud, families = body.cloud, body.families
-    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    with agreed(cloud.comm):
-        s = length / cloud.reach[families.centres]
-        # Of bonds that only their second end reaches this one has no share.
-        reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
-        omega = np.zeros(len(s))
-        omega[reached] = evaluate(case.influence, s[reached])
-    bonds = Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
-    if case.of_bonds:
-        matter, others, damage = _bonds(case, body, bonds, materials, material_of, factor)
+    damage: Damage | None = None
+    matter: Matter
+    others: list[Term]
+    repeats = body.families.repeats
+    if repeats is not None:
+        made = _repeated_bonds if case.of_bonds else _repeated_points
+        matter, others = made(case, body, repeats, materials, material_of, factor)
     else:
-        matter, others, damage = _points(case, body, bonds, materials, material_of, factor, options)
+        bonds = _neighbourhood(case, body.cloud, body.families)
+        listed = _bonds if case.of_bonds else partial(_points, options=options)
+        matter, others, damage = listed(case, body, bonds, materials, material_of, factor)
     supports, loads = apply(body, matter, case.conditions, case.particles)
     extra = []
     for number, declared in enumerate(case.terms, 1):
@@ -178,6 +214,86 @@ def _problem(
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
         problem.terms.append(problem.springs)
     return problem
+
+
+def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhood:
+    """Return the bonds of a body with their influence (collective)."""
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    with agreed(cloud.comm):
+        s = length / cloud.reach[families.centres]
+        # Of bonds that only their second end reaches this one has no share.
+        reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
+        omega = np.zeros(len(s))
+        omega[reached] = evaluate(case.influence, s[reached])
+    return Neighbourhood(cloud, families, omega, length, case.influence, case.particles.thickness)
+
+
+def repeated_share(case: Case) -> float | None:
+    """Return the least share of particles whose families must repeat for bonds not to be listed; None for never.
+
+    Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
+    than the family, controls that do not follow kappa, and bonds of several materials.
+    """
+    if case.damage is not None:
+        return None
+    if case.of_bonds:
+        one = case.materials[0][1]
+        alike = len(case.materials) == 1 and isinstance(one, BondMaterial) and one.of_family
+        return LEAST_REPEATED if alike else None
+    if case.chosen_weights.conform or not case.gradients.of_family:
+        return None
+    return LEAST_REPEATED if case.control is None or case.control.of_kappa else None
+
+
+def _in_order(case: Case) -> bool:
+    """Return whether particles share a family only where they list its members in the same order.
+
+    Points of bonds are in the order of the bonds, and the history of a point is kept by its place among those of its
+    particle: a run that goes on, on any rank count, must find it there.
+    """
+    if case.of_bonds or not case.gradients.points_of_bonds:
+        return False
+    return any(cast(Material, ungraded(material)).has_history for _, material in case.materials)
+
+
+def _repeated_points(
+    case: Case, body: Body, repeats: Repeats, materials: Sequence[Material | BondMaterial], material_of: LocalIndex,
+    factor: Float | None,
+) -> tuple[Matter, list[Term]]:  # fmt: skip
+    """Return the terms of a body with deformation gradients most of whose families repeat (collective).
+
+    Scheme and control see the other particles alone, and one of those whose family repeats.
+    """
+    continuum = cast(Sequence[Material], materials)
+    edge = repeats.edge
+    families = Families(edge.indptr, edge.neighbours)
+    omega = _neighbourhood(case, edge.cloud, families).omega
+    operator = RepeatedOperator(case.gradients.build(edge.cloud, families, omega), repeats)
+    matter = MaterialPoints(body, operator, continuum, material_of, factor)
+    control = case.control
+    if control is None:
+        return matter, []
+    stiffness = stiffness_of(body, continuum, material_of, factor)
+    built = cast(NonUniform, control.build(edge.cloud, families, omega, of_edge(stiffness, repeats)))
+
+    def listed() -> Control:
+        everything = _neighbourhood(case, body.cloud, body.families).omega
+        return control.build(body.cloud, body.families, everything, stiffness)
+
+    repeated = RepeatedControl(repeats, built, relative_scale(stiffness, repeats), listed)
+    return matter, [ControlForces(body, type(control).__name__, repeated)]
+
+
+def _repeated_bonds(
+    case: Case, body: Body, repeats: Repeats, materials: Sequence[Material | BondMaterial], material_of: LocalIndex,
+    factor: Float | None,
+) -> tuple[Matter, list[Term]]:  # fmt: skip
+    """Return the terms of a body whose forces act along bonds most of which repeat (collective)."""
+    edge = repeats.edge
+    families = Families(edge.indptr, edge.neighbours)
+    bonds, alike = _neighbourhood(case, edge.cloud, families), cast(Sequence[BondMaterial], materials)
+    of_edge = BondForces(Body(edge.cloud, families), bonds, alike, np.zeros(edge.cloud.n_owned, dtype=np.int32))
+    return RepeatedBonds(body, repeats, of_edge), []
 
 
 def _bonds(
@@ -214,11 +330,13 @@ def _points(
         damage = _failing(case.damage, body, bonds, k, finite=True)
         matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
-        matter = MaterialPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, weigh)
+        operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
+        matter = MaterialPoints(body, operator, continuum, material_of, factor)
     if case.control is None:
         return matter, [], damage
     stiffness = stiffness_of(body, continuum, material_of, factor)
-    return matter, [ControlForces(body, case.control, bonds.omega, stiffness, damage)], damage
+    built = case.control.build(body.cloud, body.families, bonds.omega, stiffness)
+    return matter, [ControlForces(body, type(case.control).__name__, built, damage)], damage
 
 
 def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:

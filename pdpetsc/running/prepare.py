@@ -15,14 +15,12 @@ from pdpetsc.case import Case, check_declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, agreed, communicator
 from pdpetsc.discrete.components import refuse_rigid_motion
-from pdpetsc.discrete.families import find_families
 from pdpetsc.petsc.defaults import default_options
-from pdpetsc.petsc.jacobian import Choice, assembler, choose
-from pdpetsc.petsc.matrix import predicted_bytes
+from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
-from pdpetsc.running.build import make_cloud, make_problem, rehearse
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.result import gathered
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start
@@ -67,7 +65,8 @@ class Prepared:
     @cached_property
     def choice(self) -> Choice:
         """Return how the tangent is represented."""
-        return choose(self.problem, self._chosen.chosen, self.case.solver)
+        pivots = self.case.steps.unstable != "warn"
+        return choose(self.problem, self._chosen.chosen, self.case.solver, pivots)
 
     @cached_property
     def options(self) -> Options:
@@ -118,10 +117,10 @@ class Prepared:
         if declared.needs.tangent != "none":
             if self.choice.matrix_free:
                 with self.phases.timed("kernels"):
-                    rehearse(self.comm, self.case, problem.dim, near=True)
+                    rehearse(self.comm, self.case, problem.dim, lambda of: assembler(of, self.choice))
             with self.phases.timed("pattern"):
                 filled = assembler(problem, self.choice)
-                allocates(predicted_bytes(filled.pattern, problem.dim))
+                allocates(predicted(filled))
         with self.options.active():
             if filled is None:
                 return make(Setting(problem, declared, steps, None, stop))
@@ -194,7 +193,7 @@ def prepare(
     with phases.timed("kernels"):
         rehearse(ranks, weighed, cloud.dim)
     with phases.timed("families"):
-        families = find_families(cloud, case.cracks)
+        families = make_families(weighed, cloud)
     with phases.timed("model"):
         problem = make_problem(weighed, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)

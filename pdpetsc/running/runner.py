@@ -29,7 +29,7 @@ from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.output.records import plain, write_summary
-from pdpetsc.petsc.jacobian import words
+from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
 from pdpetsc.post.solution import Field, Solution, displacement
@@ -278,8 +278,7 @@ class _Run:
         solver = prepared.make_solver(self.signals.asked, allocates)
         if predicted:
             self.summary["matrix_bytes"] = {"predicted": predicted[0], "measured": solver.matrix_bytes}
-            near = prepared.choice.matrix_free
-            self.summary["allocated"].append("matrix of nearest neighbours" if near else "tangent matrix")
+            self.summary["allocated"].append(matrices(prepared.choice))
         return solver
 
     def _march(self, prepared: Prepared, solver: Solver) -> Result:
@@ -332,7 +331,7 @@ class _Run:
             with self.phases.timed("output"):
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
                 state.tangent_at = solver.tangent_at
-                keeper.write(state, converged.write_fields)
+                keeper.write(state, converged.write_fields, converged.work)
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
@@ -450,7 +449,7 @@ class _Run:
     def _describe(self, problem: Problem) -> None:
         body, matter, comm = problem.body, problem.matter, self.comm
         cloud = body.cloud
-        bonds, points, ghosts = total(comm, [len(body.families.neighbours), matter.n_points, cloud.n_ghost])
+        bonds, points, ghosts = total(comm, [body.families.n_bonds, matter.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
         if cloud.varies:

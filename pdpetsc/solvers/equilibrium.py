@@ -12,7 +12,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
 from pdpetsc.petsc.stages import RESIDUAL, TANGENT, stage
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.state import State
@@ -41,7 +41,7 @@ class Equilibrium:
     ----------
     problem : Problem
         Terms and supports.
-    assembler : Assembler
+    assembler : Filler
         What fills the matrix.
 
     Attributes
@@ -68,7 +68,7 @@ class Equilibrium:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    def __init__(self, problem: Problem, assembler: Assembler) -> None:
+    def __init__(self, problem: Problem, assembler: Filler) -> None:
         cloud, fixed = problem.body.cloud, problem.supports.fixed
         self.problem = problem
         self.free = ~fixed
@@ -240,11 +240,20 @@ class Equilibrium:
         return resting
 
 
-def read_options(destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP) -> None:
-    """Give solvers their options (collective); where PETSc refuses one, ``destroy`` and raise CaseError."""
+def read_options(
+    destroy: Callable[[], None], *solvers: PETSc.SNES | PETSc.KSP, equip: Callable[[], None] = lambda: None
+) -> None:
+    """Give solvers their options, then ``equip`` them (collective).
+
+    Where an option is refused, ``destroy`` and raise CaseError.
+    """
     try:
         for solver in solvers:
             solver.setFromOptions()
+        equip()
+    except CaseError:
+        destroy()
+        raise
     except PETSc.Error as error:
         destroy()
         raise CaseError(

@@ -21,7 +21,7 @@ from pdpetsc.petsc.library import (
     set_domain_error,
     start_anew,
 )
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import LoadStepSolver
@@ -57,7 +57,7 @@ class StaticSolver(LoadStepSolver):
     )
 
     def __init__(
-        self, problem: Problem, assembler: Assembler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
+        self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
     ) -> None:
         self.problem = problem
         self.steps = steps
@@ -76,7 +76,7 @@ class StaticSolver(LoadStepSolver):
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
         self.snes.setConvergenceTest(self._test)
-        read_options(self.destroy, self.snes)
+        read_options(self.destroy, self.snes, equip=lambda: tangent.equip(self.snes.getKSP()))
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property
@@ -121,6 +121,7 @@ class StaticSolver(LoadStepSolver):
         sought.impose(t)
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
+            sought.tangent.equip(self.snes.getKSP())
         if self._all_prescribed:
             return self._without_solve()
         start, linear = u, 0

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
@@ -71,6 +71,8 @@ class Converged:
         Numbers that the solver needs to go on from here as if it had not stopped, under names of its own.
     write_fields : bool
         Whether it is one of those whose fields are written.
+    work : float or None
+        External work since the step before, over the equilibria between them [energy]; None where there are none.
     """
 
     u: Float
@@ -81,6 +83,7 @@ class Converged:
     sweeps: int = 0
     resume: Mapping[str, float] = field(default_factory=dict)
     write_fields: bool = True
+    work: float | None = None
 
 
 @dataclass(frozen=True)
@@ -121,8 +124,8 @@ class Setting:
         What the case declares, of the class that the table of solvers has it under.
     steps : Steps or AdaptiveSteps
         How the load is applied, for those that step it.
-    filled : Assembler or None
-        What fills the matrix; None for a solver that needs no tangent.
+    filled : Filler or None
+        What fills the matrices; None for a solver that needs no tangent.
     stop : callable
         Asked now and then, collectively; True ends the march (a signal arrived).
     """
@@ -130,12 +133,12 @@ class Setting:
     problem: Problem
     declared: Any
     steps: Steps | AdaptiveSteps
-    filled: Assembler | None
+    filled: Filler | None
     stop: Callable[[], bool]
 
     @property
-    def assembler(self) -> Assembler:
-        """Return what fills the matrix, for a solver that declares to need a tangent."""
+    def assembler(self) -> Filler:
+        """Return what fills the matrices, for a solver that declares to need a tangent."""
         assert self.filled is not None
         return self.filled
 

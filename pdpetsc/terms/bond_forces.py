@@ -8,11 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.bond_based import BondMaterial, Neighbourhood, combine
+from pdpetsc.bond_based import BondMaterial, BondStiffness, Neighbourhood, combine
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
+from pdpetsc.kernels.point_blocks import bond_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
 from pdpetsc.problem.body import Body
@@ -58,18 +59,43 @@ class BondForces(Matter):
         super().__init__(body)
         if len({material.kinematics for material in materials}) > 1:
             raise CaseError("All materials of a body need the same kinematics, small or finite.")
+        self._bonds = bonds
+        self._take(materials, material_of, np.ones(body.cloud.n_owned) if factor is None else factor)
+        self.horizons = 1 if self.a is None else 2
+
+    def _take(self, materials: Sequence[BondMaterial], material_of: LocalIndex, factor: Float) -> None:
+        """Remember the materials of the own particles."""
+        self.materials, self._material_of, self._factor = materials, material_of, factor
         self.finite = materials[0].kinematics == "finite"
         self.damage: Damage | None = None
         # Whether damage makes bonds depend on more than their own elongation.
         self._reaches = False
-        self._bonds = bonds
-        self._materials = materials
-        self._material_of = material_of
-        self._elastic = [material.elastic(body.dim) for material in materials]
-        self._factor = np.ones(body.cloud.n_owned) if factor is None else factor
-        constants = combine(bonds, materials, material_of, self._factor)
-        self.k, self.a, self.B = constants.k, constants.a, constants.B
-        self.horizons = 1 if self.a is None else 2
+        self._elastic = [material.elastic(self.body.dim) for material in materials]
+
+    @cached_property
+    def constants(self) -> BondStiffness:
+        """Return the stiffness of bonds and particles (collective the first time)."""
+        return combine(self._bonds, self.materials, self._material_of, self._factor)
+
+    @property
+    def k(self) -> Float:
+        """Return the stiffness of every bond (n_bonds,) [force / length]."""
+        return self.constants.k
+
+    @property
+    def a(self) -> Float | None:
+        """Return what elongations add to the dilatation (n_bonds,) [1 / length]; None where there is none."""
+        return self.constants.a
+
+    @property
+    def B(self) -> Float | None:
+        """Return the stiffness of the dilatation of each own particle (n_owned,) [energy]; None without it."""
+        return self.constants.B
+
+    @property
+    def omega(self) -> Float:
+        """Return the influence of every bond (n_bonds,) [-]."""
+        return self._bonds.omega
 
     def take_damage(self, damage: Damage) -> None:
         """Let the bonds fail (not collective).
@@ -93,7 +119,7 @@ class BondForces(Matter):
     @property
     def parts(self) -> list[str]:
         """Return what it is made of."""
-        made = [f"bonds {type(material).__name__}" for material in self._materials]
+        made = [f"bonds {type(material).__name__}" for material in self.materials]
         return made + ([] if self.a is None else ["dilatation"])
 
     @property
@@ -327,6 +353,12 @@ class BondTangent(LinearisedTerm):
         kernel = bond_moduli_kernel(body.dim, int(self._term.finite))
         kernel(*self._data, self._secant, self._tension, *self._dilatation, D)
         return D
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of all bonds with their secant, which is not negative, and of the dilatation."""
+        kernel = bond_blocks_kernel(self._term.body.dim, int(self._term.finite))
+        kernel(*self._data, self._secant, self._tension, *self._dilatation, blocks)
+        return True
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of bonds, and those of ``sum_i B_i grad theta_i (x) grad theta_i``."""

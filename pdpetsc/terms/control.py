@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.control.base import Control, ControlMatrix, Stiffness, ZeroEnergyControl
+from pdpetsc.control.base import Control, ControlMatrix, Stiffness
 from pdpetsc.discrete.sparsity import Sparsity
-from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.base import GradientOperator, SameGradient
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
@@ -25,12 +25,10 @@ class ControlForces(Term):
     ----------
     body : Body
         Particles and bonds.
-    control : ZeroEnergyControl
-        As declared.
-    omega : (n_bonds,) float64
-        Influence of every bond [-].
-    stiffness : Stiffness
-        Of the own particles.
+    name : str
+        What it is called in the record.
+    control : Control
+        The control of the body as it is at the start.
     damage : Damage, optional
         The bonds that fail; the control has their integrity as the effect of the damage law says.
 
@@ -42,16 +40,14 @@ class ControlForces(Term):
     horizons = 2
     energy_of = "control"
 
-    def __init__(
-        self, body: Body, control: ZeroEnergyControl, omega: Float, stiffness: Stiffness, damage: Damage | None = None
-    ) -> None:
+    def __init__(self, body: Body, name: str, control: Control, damage: Damage | None = None) -> None:
         self.body = body
-        self.name = type(control).__name__
+        self.name = name
         self.damage = damage
-        self._whole = control.build(body.cloud, body.families, omega, stiffness)
+        self._whole = control
         self.control: Control = self._whole
         self._matrix: tuple[Control, Sparsity, ControlMatrix] | None = None
-        self._shared: tuple[Control, GradientOperator, tuple[Float, Float] | None] | None = None
+        self._shared: tuple[Control, GradientOperator, SameGradient | None] | None = None
         if damage is not None:
             self._effect = damage.bonds.law.effect
             self._follow(False)
@@ -100,6 +96,11 @@ class ControlForces(Term):
         """Add the forces of the control."""
         self.at(state).force(state.u_local, f, self.body.families.everyone)
 
+    def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
+        """Return what its forces take where no integrity scales them."""
+        control = self.at(state)
+        return self.shared_gradient(control, operator) if control is self.control else None
+
     def energy(self, state: State) -> float:
         """Return the energy of the control."""
         u_local = state.u_local
@@ -120,8 +121,8 @@ class ControlForces(Term):
             self._matrix = control, sparsity, control.matrix(sparsity)
         return self._matrix[2]
 
-    def shared_gradient(self, control: Control, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness and shape tensors where the control uses the gradient of ``operator``, else None."""
+    def shared_gradient(self, control: Control, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces take where the control uses the gradient of ``operator``, else None."""
         if self._shared is None or self._shared[0] is not control or self._shared[1] is not operator:
             self._shared = control, operator, control.of_gradient(operator)
         return self._shared[2]
@@ -151,8 +152,12 @@ class ControlTangent(LinearisedTerm):
         for falling in self._falling:
             falling.add_rows(entries)
 
-    def shared_gradient(self, operator: GradientOperator) -> tuple[Float, Float] | None:
-        """Return bond stiffness and shape tensors where it can share the loop over a gradient, else None."""
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of its constant matrix."""
+        return self._control.add_point_blocks(blocks)
+
+    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces take where they can share the loop over a gradient, else None."""
         return None if self._falling else self._term.shared_gradient(self._control, operator)
 
 

@@ -10,14 +10,14 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, FlatFamilies
-from pdpetsc.gradient.base import GradientOperator, Scheme
-from pdpetsc.kernels.gradient import bonds_of_entries, divergence_kernel
+from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
+from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, LinearisedTerm
+from pdpetsc.problem.term import Entries, LinearisedTerm, Term
 from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
@@ -33,12 +33,21 @@ class DamagedPoints(MaterialPoints):
 
     Parameters
     ----------
-    body, omega, scheme, materials, material_of, factor
+    body, materials, material_of, factor
         As for ``MaterialPoints``.
+    omega : (n_bonds,) float64
+        Influence of every bond [-].
+    scheme : Scheme
+        Where gradients are evaluated.
     damage : Damage
         The bonds that fail.
     weigh : callable, optional
-        As for ``MaterialPoints``.
+        Gives the gradient of the scheme other weights (collective).
+
+    Raises
+    ------
+    CaseError
+        A family is too small or flat, on every rank; or a material has a history.
 
     References
     ----------
@@ -55,7 +64,8 @@ class DamagedPoints(MaterialPoints):
         self, body: Body, omega: Float, scheme: Scheme, materials: Sequence[Material], material_of: LocalIndex,
         factor: Float | None, damage: Damage, weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(body, omega, scheme, materials, material_of, factor, weigh)
+        operator = scheme.build(body.cloud, body.families, omega)
+        super().__init__(body, operator if weigh is None else weigh(operator), materials, material_of, factor)
         self._whole = None if weigh is None else self.operator
         if any(at_points.has_history for at_points in self.materials):
             raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
@@ -96,7 +106,11 @@ class DamagedPoints(MaterialPoints):
         T = self.damage.integrity(state)
         operator, h = self.operator, self.scaled_weights(T)
         P = self.stress(self.deformation(state))
-        divergence_kernel(self.body.dim)(operator.point_ptr, operator.members, h, operator.volume, P, f)
+        add_divergence(operator, h, P, f)
+
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Return False: the integrity of the bonds is in its forces alone."""
+        return False
 
     def linearised(self, state: State) -> LinearisedTerm:
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
@@ -252,7 +266,7 @@ class DamagedTangent(PointsTangent):
 
     def __init__(self, points: DamagedPoints, state: State) -> None:
         T = points.damage.integrity(state)
-        super().__init__(points, points.moduli(points.deformation(state)), points.scaled_weights(T))
+        super().__init__(points, Moduli(points.moduli(points.deformation(state))), points.scaled_weights(T))
         self._T = T
         self._falling = points.falling(state) if points.damage.bonds.softens else []
 

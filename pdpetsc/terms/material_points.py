@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -10,17 +10,16 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.sparsity import sharing_stencil
-from pdpetsc.gradient.base import GradientOperator, Scheme
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.sparsity import transpose
-from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm
+from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
 
 
 class MaterialPoints(Matter):
@@ -30,23 +29,14 @@ class MaterialPoints(Matter):
     ----------
     body : Body
         Particles and bonds.
-    omega : (n_bonds,) float64
-        Influence of every bond [-].
-    scheme : Scheme
-        Where gradients are evaluated.
+    operator : GradientOperator
+        Gradients, with the weights that forces have too.
     materials : sequence of Material
         Materials of the body.
     material_of : (n_owned,) int
         Index into ``materials`` of each own particle.
     factor : (n_owned,) float64, optional
         What multiplies the moduli of each own particle [-].
-    weigh : callable, optional
-        Gives the gradient of the scheme other weights (collective).
-
-    Raises
-    ------
-    CaseError
-        A family is too small or flat, on every rank.
 
     Notes
     -----
@@ -56,16 +46,13 @@ class MaterialPoints(Matter):
     def __init__(
         self,
         body: Body,
-        omega: Float,
-        scheme: Scheme,
+        operator: GradientOperator,
         materials: Sequence[Material],
         material_of: LocalIndex,
         factor: Float | None = None,
-        weigh: Callable[[GradientOperator], GradientOperator] | None = None,
     ) -> None:
         super().__init__(body)
-        operator = scheme.build(body.cloud, body.families, omega)
-        self.operator: GradientOperator = operator if weigh is None else weigh(operator)
+        self.operator = operator
         self.note = self.operator.note
         number_of = material_of[self.operator.owner]
         self.materials: list[MaterialAtPoints] = []
@@ -131,6 +118,16 @@ class MaterialPoints(Matter):
             at_points.tangent(F, A)
         return A
 
+    def moduli_sets(self, F: Float) -> Moduli:
+        """Return the moduli, kept once for each material where they are the same at all its points."""
+        found = [at_points.same_tangent(F) for at_points in self.materials if len(at_points.points)]
+        if not found or any(A is None for A in found):
+            return Moduli(self.moduli(F))
+        of = np.empty(len(F), dtype=np.int32)
+        for number, at_points in enumerate(one for one in self.materials if len(one.points)):
+            of[at_points.points] = number
+        return Moduli(np.array(found), of)
+
     def point_energy(self, F: Float) -> Float:
         """Return ``psi_p`` (n_points,) [energy / volume]."""
         psi = np.empty(len(F))
@@ -142,9 +139,19 @@ class MaterialPoints(Matter):
         """Add ``G^T (W P)``."""
         self.operator.divergence(self.stress(self.deformation(state)), f)
 
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Add the forces of a control on the same gradient in the same loop."""
+        control = other.control_of(self.operator, state)
+        if control is None or not self.operator.adds_together(control):
+            return False
+        F = self.deformation(state)
+        same = ControlledGradient(control, F - np.eye(self.body.dim), state.u_local)
+        self.operator.divergence(self.stress(F), f, same)
+        return True
+
     def linearised(self, state: State) -> LinearisedTerm:
         """Return ``G^T W A G`` with the moduli A at a state."""
-        return PointsTangent(self, self.moduli(self.deformation(state)), self.operator.g)
+        return PointsTangent(self, self.moduli_sets(self.deformation(state)))
 
     def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
         """Return the entries of the operator by particle (not collective)."""
@@ -265,47 +272,54 @@ class PointsTangent(LinearisedTerm):
     ----------
     points : MaterialPoints
         The term.
-    A : (n_points, dim, dim, dim, dim) float64
-        Moduli [stress].
-    h : (n_entries, dim) float64
-        Weights with which points put forces on particles [1 / length].
+    A : Moduli
+        Moduli of the points.
+    h : (n_entries, dim) float64, optional
+        Weights with which points put forces on particles [1 / length]; those of the gradient where absent.
     """
 
-    def __init__(self, points: MaterialPoints, A: Float, h: Float) -> None:
+    def __init__(self, points: MaterialPoints, A: Moduli, h: Float | None = None) -> None:
         self.points = points
         self.operator = points.operator
-        self.A, self._h = A, h
-        self._shared: tuple[Float, Float] | None = None
+        self._A, self._h = A, h
+        self._product = self.operator.product(A, h)
 
     def absorb(self, other: LinearisedTerm) -> bool:
         """Compute the forces of a control on the same gradient in the same loop; return whether ``other`` is one."""
-        if self._shared is not None or self._h is not self.operator.g:
-            return False
-        self._shared = other.shared_gradient(self.operator)
-        return self._shared is not None
+        return self._h is None and self._product.absorb(other.shared_gradient(self.operator))
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the moduli, and of a control that shares the loop."""
-        operator = self.operator
-        gradient_times_kernel(self.points.body.dim, int(self._shared is not None))(
-            particles, operator.points_of, operator.point_ptr, operator.members, operator.g, self._h, operator.volume,
-            self.A, *(self._shared or NO_CONTROL), du, f,
-        )  # fmt: skip
+        self._product.add(particles, du, f)
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the points."""
         operator, sparsity = self.operator, entries.sparsity
+        h = operator.g if self._h is None else self._h
         for rows, own in entries.row_sets():
             assemble_kernel(self.points.body.dim)(
                 rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
-                *self.points.by_particle(), operator.point_ptr, operator.members, self._h, operator.g, operator.volume,
-                self.A, own, entries.off,
+                *self.points.by_particle(), operator.point_ptr, operator.members, h, operator.g, operator.volume,
+                self._A.listed, own, entries.off,
             )  # fmt: skip
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
+        self._product.add_point_blocks(blocks)
+        return True
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle."""
-        return self.operator.sum_over_points(self.operator.volume[:, None, None, None, None] * self.A)
+        operator, A = self.operator, self._A
+        if A.of is None:
+            return operator.sum_over_points(operator.volume[:, None, None, None, None] * A.values)
+        # Points of one particle have the moduli of its material.
+        W = operator.sum_over_points(operator.volume)
+        return np.asarray(W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]])
 
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` without forming it."""
-        return self.operator.sum_over_points(self.operator.volume * np.einsum("pikik->p", self.A))
+        of_set = np.einsum("pikik->p", self._A.values)
+        return self.operator.sum_over_points(
+            self.operator.volume * (of_set if self._A.of is None else of_set[self._A.of])
+        )

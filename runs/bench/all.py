@@ -1,11 +1,14 @@
-"""Every benchmark: python runs/bench/all.py [--quick] [--record] [folder].
+"""Every benchmark: python runs/bench/all.py [--quick] [--base DIR] [--record] [folder].
 
 ``--quick`` takes under three minutes and prints what was measured as ratios of two measurements of the same run, which
 do not depend on how fast the machine is, beside those recorded in ``recorded.json``; ``--record`` writes them there.
-Without it the studies follow, which take an hour or more, with tables and pictures in the folder.
+``--base`` measures another checkout in the same run, and prints how many times as long its solves from scratch and how
+much more memory they take, and how many fewer particles its kernels evaluate in a second.
+Without ``--quick`` the studies follow, which take an hour or more, with tables and pictures in the folder.
 """
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -23,7 +26,8 @@ FAR = 1.5
 STUDIES = (
     ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"],
     ["conforming.py", "300000", "{folder}/conforming"], ["fronts.py", "{folder}/fronts"],
-    ["robustness.py"], ["performance_model.py"], ["footprint.py"], ["scaling.py", "{folder}/scaling"],
+    ["levels.py", "1", "1", "{folder}/levels"], ["kernels.py"], ["robustness.py"], ["performance_model.py"],
+    ["footprint.py"], ["scaling.py", "{folder}/scaling"],
     ["../beams/speed.py", "{folder}/speed"],
 )  # fmt: skip
 
@@ -39,6 +43,8 @@ def quick(folder):
     solid = measure(folder, 1, dim=3, n=30, horizon=3.015, **common)
     two = measure(folder, 2, dim=3, n=30, horizon=3.015, **common)
     broken = measure(folder, 1, dim=2, n=100, horizon=3.015, broken=0.3)
+    crack = measure(folder, 1, dim=2, n=100, horizon=3.015, crack=0.6)
+    near = measure(folder, 1, ["-pc_type", "gamg"], dim=3, n=30, horizon=3.015, **common)
     applied = sub_horizons["seconds"]["operator"] / plane["seconds"]["operator"]
     growth = (solid["scratch"] / solid["particles"]) / (small["scratch"] / small["particles"])
     return {
@@ -49,14 +55,46 @@ def quick(folder):
         "2D 40401: set-up of the preconditioner / one iteration": plane["seconds"]["preconditioner"]
         * plane["linear_iterations"]
         / plane["seconds"]["iterations"],
-        "3D 27000, horizon 3.015: cycle / operator": solid["seconds"]["cycle"] / solid["seconds"]["operator"],
+        "3D 27000, horizon 3.015: nearest neighbours / two levels": near["scratch"] / solid["scratch"],
+        "3D 27000, horizon 3.015: preconditioner / operator": solid["seconds"]["cycle"] / solid["seconds"]["operator"],
         "3D, horizon 3.015: seconds a particle, 27000 / 4096": growth,
         "3D 27000, horizon 3.015: one rank / two ranks": solid["scratch"] / two["scratch"],
         "iterations, 2D 40401": plane["linear_iterations"],
         "iterations, 2D 40401 sub-horizons": sub_horizons["linear_iterations"],
         "iterations, 2D 10000 with 30 % broken bonds": broken["linear_iterations"],
+        "iterations, 2D 10000 with a crack across 60 %": crack["linear_iterations"],
         "iterations, 3D 27000": solid["linear_iterations"],
     }, {"2D 40401": plane["scratch"], "3D 27000": solid["scratch"], "3D 27000 on two ranks": two["scratch"]}
+
+
+def against(folder, base):
+    """Return what solves and kernels of another checkout take over what those of this one take."""
+    common, ratios = {"horizon": 3.015, "repeats": REPEATS}, {}
+    bodies = {
+        "2D 40401": {"dim": 2, "n": 201},
+        "2D 40401, sub-horizons": {"dim": 2, "n": 201, "scheme": "sub_horizons", "G": 0.0},
+        "3D 27000": {"dim": 3, "n": 30},
+        "3D 13824, sub-horizons": {"dim": 3, "n": 24, "scheme": "sub_horizons", "G": 0.0, "repeats": 1},
+    }
+    for name, body in bodies.items():
+        ours, theirs = (measure(folder, 1, checkout=where, **{**common, **body}) for where in (HERE.parents[1], base))
+        ratios[f"{name}: solve from scratch, other / this"] = theirs["scratch"] / ours["scratch"]
+        ratios[f"{name}: memory, other / this"] = theirs["peak_MiB"] / ours["peak_MiB"]
+        ratios[f"{name}: iterations, other / this"] = theirs["linear_iterations"] / ours["linear_iterations"]
+    ours, theirs = (evaluated(folder, where) for where in (HERE.parents[1], base))
+    for name, values in ours.items():
+        for what, mine, other in zip(("forces", "tangent"), values, theirs[name], strict=True):
+            ratios[f"3D 27000, {name}: {what} a second, this / other"] = mine / other
+    return ratios
+
+
+def evaluated(folder, checkout):
+    """Return the particles that a core evaluates in a second with the package of a checkout."""
+    found = (folder / "evaluated.json").resolve()
+    command = [sys.executable, str(HERE / "kernels.py"), "n=30", f"json={found}"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(checkout).resolve())}
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=checkout, env=environment)
+    return json.loads(found.read_text())
 
 
 def report(ratios, recorded):
@@ -69,10 +107,16 @@ def report(ratios, recorded):
 
 
 def main():
-    words = [word for word in sys.argv[1:] if not word.startswith("--")]
+    given = sys.argv[1:]
+    base = given.pop(given.index("--base") + 1) if "--base" in given else None
+    words = [word for word in given if not word.startswith("--")]
     folder = Path(words[0] if words else "out/bench")
     before = time.perf_counter()
     with tempfile.TemporaryDirectory() as scratch:
+        if base is not None:
+            report(against(Path(scratch), base), {})
+            print(f"{time.perf_counter() - before:.0f} s")
+            return
         ratios, seconds = quick(Path(scratch))
     recorded = json.loads(RECORDED.read_text()) if RECORDED.exists() else {}
     report(ratios, recorded)

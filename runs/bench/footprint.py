@@ -1,7 +1,7 @@
 """Memory and work a particle of one linear solve: python runs/bench/footprint.py.
 
-For 2D and 3D and horizons 1 to 3, assembled with CG and GAMG and without a matrix, on one rank: what peak memory grows
-by from a smaller to a larger body, per particle, and the core time of one solve from scratch, per particle of the
+For 2D and 3D and horizons 1 to 3, assembled with GAMG and without a matrix on two levels, on one rank: what peak memory
+grows by from a smaller to a larger body, per particle, and the core time of one solve from scratch, per particle of the
 larger. Energy is that time with the power of a core.
 """
 
@@ -18,10 +18,10 @@ def main():
     print("dim  horizon  tangent     KiB/particle  core us/particle  iterations")
     for dim, (small, large) in SIDES.items():
         for horizon in HORIZONS:
-            for jacobian in ("assembled", "matfree"):
+            for jacobian, solver in (("assembled", ["-pc_type", "gamg"]), ("matfree", [])):
                 with tempfile.TemporaryDirectory() as folder:
                     one, two = (
-                        measure(Path(folder), 1, ["-pc_type", "gamg"], dim=dim, n=n, horizon=horizon, jacobian=jacobian)
+                        measure(Path(folder), 1, solver, dim=dim, n=n, horizon=horizon, jacobian=jacobian)
                         for n in (small, large)
                     )
                 more = two["particles"] - one["particles"]

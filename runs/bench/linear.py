@@ -2,8 +2,9 @@
 
 A box of n^dim particles (n x n in the plane) of Hencky material, held at one end and pulled at the other, with the
 tangent at rest: pattern, assembly, preconditioner and iterations to a relative residual of 1e-8. Parameters and their
-defaults: dim=2 n=201 horizon=3.015 nu=0.3 scheme=correspondence G=0.5 broken=0 jacobian=matfree repeats=1 json=; broken
-is the share of bonds that have failed, json a file for what was measured.
+defaults: dim=2 n=201 horizon=3.015 nu=0.3 scheme=correspondence G=0.5 crack=0 broken=0 jacobian=matfree repeats=1
+json=; crack is the share of the width that a crack crosses, broken that of bonds that have failed, json a file for what
+was measured.
 """
 
 import json
@@ -24,13 +25,12 @@ from petsc4py import PETSc  # noqa: E402
 
 from pdpetsc.declare.solvers import Newton  # noqa: E402
 from pdpetsc.discrete.communicator import is_root, largest, total, world  # noqa: E402
-from pdpetsc.discrete.families import find_families  # noqa: E402
 from pdpetsc.petsc.defaults import default_options  # noqa: E402
 from pdpetsc.petsc.jacobian import assembler, choose, make_tangent  # noqa: E402
 from pdpetsc.petsc.library import linear_solver  # noqa: E402
 from pdpetsc.petsc.options import Options  # noqa: E402
 from pdpetsc.problem.scales import stiffness_scale  # noqa: E402
-from pdpetsc.running.build import make_cloud, make_problem, rehearse  # noqa: E402
+from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse  # noqa: E402
 
 RTOL = 1e-8
 APPLIED = 5
@@ -65,7 +65,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     cloud = make_cloud(comm, scene)
     rehearse(comm, scene, cloud.dim)
     with clock("search"):
-        families = find_families(cloud)
+        families = make_families(scene, cloud)
     with clock("model"):
         problem = make_problem(scene, cloud, families)
         if broken:
@@ -84,6 +84,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
         ksp = PETSc.KSP().create(comm=comm)
         ksp.setOperators(tangent.mat, tangent.preconditioner)
         ksp.setFromOptions()
+        tangent.equip(ksp)
         ksp.setTolerances(rtol=RTOL)
         b, x = tangent.preconditioner.createVecRight(), tangent.preconditioner.createVecLeft()
         b.array = np.where(supports.fixed, 0.0, -problem.linearised(state)(supports.prescribed(1.0))).ravel()
@@ -102,7 +103,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
         memory = float(total(comm, float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)))
         found = {
             "particles": cloud.n_global,
-            "bonds": int(total(comm, len(families.neighbours))),
+            "bonds": int(total(comm, families.n_bonds)),
             "ranks": comm.size,
             "solver": linear_solver(ksp),
             "linear_iterations": ksp.getIterationNumber(),
@@ -119,7 +120,16 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
 
 def main():
     given = dict(word.split("=", 1) for word in words)
-    defaults = {"dim": 2, "n": 201, "horizon": 3.015, "nu": 0.3, "scheme": "correspondence", "G": 0.5, "broken": 0.0}
+    defaults = {
+        "dim": 2,
+        "n": 201,
+        "horizon": 3.015,
+        "nu": 0.3,
+        "scheme": "correspondence",
+        "G": 0.5,
+        "crack": 0.0,
+        "broken": 0.0,
+    }
     values = {name: type(value)(given.pop(name, value)) for name, value in defaults.items()}
     jacobian, repeats, out = given.pop("jacobian", "matfree"), int(given.pop("repeats", 1)), given.pop("json", "")
     if given:

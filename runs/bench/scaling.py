@@ -6,6 +6,7 @@ seconds, iterations and memory against the number of particles; the exponent of 
 """
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -22,14 +23,15 @@ HORIZONS = (2.015, 3.015)
 MOST_ON_ONE = 150_000
 
 
-def measure(folder, ranks, options=(), **parameters):
-    """Return what ``linear.py`` measures in a process of its own on some ranks."""
-    found = folder / "found.json"
+def measure(folder, ranks, options=(), checkout=HERE.parents[1], **parameters):
+    """Return what ``linear.py`` of a checkout measures in a process of its own on some ranks."""
+    found, checkout = (folder / "found.json").resolve(), Path(checkout).resolve()
     given = [f"{name}={value}" for name, value in parameters.items()]
-    command = [sys.executable, str(HERE / "linear.py"), *given, f"json={found}", *options]
+    command = [sys.executable, str(checkout / "runs" / "bench" / "linear.py"), *given, f"json={found}", *options]
     if ranks > 1:
         command = [str(HERE.parents[1] / ".ci" / "mpirun"), str(ranks), *command]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=checkout, env=environment)
     return json.loads(found.read_text())
 
 

@@ -11,14 +11,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import common  # noqa: E402
 import rings  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.declare.cells import Block  # noqa: E402
 
 E, NU, PULL = 1.0, 0.3, 1e-3
 OUTER = 6.0
@@ -60,26 +58,12 @@ def radii(size):
 def triangles(n, mesh, shake, seed):
     """Return irregular triangles of the area of squares ``1 / n`` wide at the hole, as in ``rings``."""
     grows = pd.choose("mesh", mesh, MESHES)
-    # Equilateral triangles of area a have the height sqrt(sqrt(3) a), and sides 2 / sqrt(3) as long.
-    height = lambda r: 3.0**0.25 / n * grows(r)  # noqa: E731
-    random, points, inside = np.random.default_rng(seed), [], 0
-    for radius in radii(height):
-        side = float(height(np.array(radius))) / np.sqrt(0.75)
-        m = round(2.0 * np.pi * radius / side)
-        angle = 2.0 * np.pi * (np.arange(m) + random.uniform()) / m
-        on = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if 1.0 < radius < OUTER:
-            on += shake * side * random.uniform(-1.0, 1.0, on.shape)
-        elif radius == 1.0:
-            inside = m
-        points.append(on)
-    points = np.concatenate(points)
-    cells = Delaunay(points).simplices
-    # Those of three nodes of the inner circle fill the hole.
-    cells = cells[(cells >= inside).any(axis=1)]
-    area, _ = common.centres(points, Block("triangle", cells))
-    cells[area < 0.0] = cells[area < 0.0][:, ::-1]
-    return common.of_cells(points, Block("triangle", cells.astype(np.int64)))
+
+    # Equilateral triangles of area a have the height sqrt(sqrt(3) a).
+    def height(r):
+        return 3.0**0.25 / n * grows(r)
+
+    return common.of_cells(*rings.between(radii(height), height, shake, seed))
 
 
 def case(

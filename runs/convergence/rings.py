@@ -31,15 +31,24 @@ def triangles(n, shake, seed):
     """Return nodes and triangles as large as cells n across, whose inner nodes are moved by up to ``shake`` sides."""
     # Equilateral triangles of area a have the height sqrt(sqrt(3) a).
     rings = max(round(n / 3.0**0.25), 2)
+    return between(np.linspace(INNER, OUTER, rings + 1), lambda radius: 1.0 / rings, shake, seed)
+
+
+def between(radii, height, shake, seed):
+    """Return nodes on circles and irregular triangles between them, of sides moved by up to ``shake`` of their length.
+
+    The first and the last circle are the surfaces; triangles at a radius have about the height ``height(radius)``.
+    """
     random, points, inside = np.random.default_rng(seed), [], 0
-    for radius in np.linspace(INNER, OUTER, rings + 1):
+    for radius in radii:
         # Equilateral triangles of the height of the rings have sides 2 / sqrt(3) as long.
-        m = round(2.0 * np.pi * radius * rings * np.sqrt(0.75))
+        side = float(height(np.array(radius))) / np.sqrt(0.75)
+        m = round(2.0 * np.pi * radius / side)
         angle = 2.0 * np.pi * (np.arange(m) + random.uniform()) / m
         on = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if INNER < radius < OUTER:
-            on += shake / (rings * np.sqrt(0.75)) * random.uniform(-1.0, 1.0, on.shape)
-        elif radius == INNER:
+        if radii[0] < radius < radii[-1]:
+            on += shake * side * random.uniform(-1.0, 1.0, on.shape)
+        elif radius == radii[0]:
             inside = m
         points.append(on)
     points = np.concatenate(points)

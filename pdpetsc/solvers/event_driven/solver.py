@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -108,7 +109,7 @@ class EventSolver(Solver):
     @classmethod
     def make(cls, setting: Setting) -> EventSolver:
         """Return the solver of a setting (collective)."""
-        return cls(setting.problem, setting.assembler, setting.declared, setting.stop)
+        return cls(setting.problem, cast(Assembler, setting.assembler), setting.declared, setting.stop)
 
     @classmethod
     def rehearse(cls, problem: Problem) -> None:

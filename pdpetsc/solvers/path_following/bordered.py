@@ -54,6 +54,11 @@ class Bordered:
     def renew(self) -> None:
         """Take the new matrix of the preconditioner."""
         self.ksp.setOperators(self._K, self._tangent.preconditioner)
+        self.equip()
+
+    def equip(self) -> None:
+        """Give the solver of the tangent, whose options are set, what options alone do not."""
+        self._tangent.equip(self.ksp)
 
     def vector(self) -> PETSc.Vec:
         """Return a vector of the whole system."""

@@ -41,6 +41,10 @@ class Measure(ABC):
         """Return the constraint of a step from unknowns ``u``, and whether it can only prescribe the load factor."""
 
     @abstractmethod
+    def reached(self, u: Float, load: float) -> float:
+        """Return how far it has grown at unknowns ``u``."""
+
+    @abstractmethod
     def left(self, u: Float) -> float:
         """Return by how much it may still grow."""
 
@@ -72,6 +76,10 @@ class StretchMeasure(Measure):
         by_load = largest <= 0.0
         return Constraint(of, float(by_load), u, load), by_load
 
+    def reached(self, u: Float, load: float) -> float:
+        """Return the largest drive [-]."""
+        return self._damage.most_driven(self._problem.state(u, load), BAND)[1]
+
     def left(self, u: Float) -> float:
         """Return infinity: the path ends where the forces have fallen."""
         return math.inf
@@ -102,6 +110,10 @@ class OpeningMeasure(Measure):
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
         """Return the opening."""
         return Constraint(self._weights, 0.0, u, load), False
+
+    def reached(self, u: Float, load: float) -> float:
+        """Return the opening [length]."""
+        return self._opened(u)
 
     def left(self, u: Float) -> float:
         """Return the opening that is left to the end [length]."""

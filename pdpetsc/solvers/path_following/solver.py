@@ -13,13 +13,14 @@ from pdpetsc.declare.solvers import PathFollowing
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
 from pdpetsc.petsc.library import linear_solver, negative_pivots, set_domain_error
-from pdpetsc.problem.assembly import Assembler
+from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.balance import EnergyBalance, judged
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.constraint import Constraint
-from pdpetsc.solvers.path_following.measures import measure_of
+from pdpetsc.solvers.path_following.measures import BAND, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult, StepSolver
 
 # A load factor this many times the highest one so far is that of a body which carries nothing any more.
@@ -29,6 +30,8 @@ LEAP = 10.0
 JUMP, PATIENCE = 0.4, 0.05
 # Largest number of sweeps with damage held until it has settled; then a shorter step is tried.
 SWEEPS = 100
+# Largest number of solves that bring bonds back which take over from broken ones and are driven further than those.
+BACK = 20
 # Names under which a checkpoint keeps the step of the measure, the largest forces [force], the highest load factor [-],
 # and the forces of the last equilibrium [force].
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
@@ -66,9 +69,7 @@ class PathSolver(StepSolver):
     unit = "Newton"
     advice = "take smaller steps of the measure, or a measure that grows all along the path"
 
-    def __init__(
-        self, problem: Problem, assembler: Assembler, options: PathFollowing, stop: Callable[[], bool]
-    ) -> None:
+    def __init__(self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]) -> None:
         self.problem = problem
         self._comm = problem.body.cloud.comm
         fixed = problem.supports.fixed
@@ -93,7 +94,7 @@ class PathSolver(StepSolver):
         self.snes.setJacobian(self._jacobian, self._bordered.mat)
         self.snes.setConvergenceTest(self._test)
         self._bordered.solve_in(self.snes.getKSP())
-        read_options(self.destroy, self.snes, self._bordered.ksp)
+        read_options(self.destroy, self.snes, self._bordered.ksp, equip=self._bordered.equip)
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property
@@ -147,6 +148,7 @@ class PathSolver(StepSolver):
         known = [start.resume.get(name, value) for name, value in zip(RESUMED, at_first, strict=True)]
         step, highest, self._highest, self._equilibrium.reference = known
         failures: list[StepResult] = []
+        self._balance = balance = EnergyBalance(self.problem, self.problem.state(u, load), start.resume)
         converged = 0
         while converged < options.most:
             size = self._aim(u, step)
@@ -154,11 +156,15 @@ class PathSolver(StepSolver):
             far = abs(self.load - load) > JUMP * self._highest > 0.0
             if result.converged and far and step > PATIENCE * options.measure.step and self._constraint.share == 0.0:
                 result = replace(result, converged=False, reason="the load factor jumped")
+            if result.converged:
+                balance.pass_by(self.state(attempt))
+                result = judged(result, balance.broken_by(self.state(attempt)))
             if self._stop():
                 self.problem.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
             if not result.converged:
                 self.problem.revert()
+                balance.go_back()
                 self.load = load
                 failures.append(result)
                 step = 0.5 * size if self._constraint.share == 0.0 else 0.5 * step
@@ -176,8 +182,11 @@ class PathSolver(StepSolver):
             self._highest = max(self._highest, abs(load))
             if result.easy:
                 step = min(step * GROWTH, options.measure.step)
-            now = (step, highest, self._highest, result.reference)
-            yield Converged(u, load, result, failures, broken, sweeps, dict(zip(RESUMED, now, strict=True)))
+            work = balance.work
+            balance.keep()
+            now = zip(RESUMED, (step, highest, self._highest, result.reference), strict=True)
+            resume = {**dict(now), **balance.resume}
+            yield Converged(u, load, result, failures, broken, sweeps, resume, work=work)
             failures = []
             if result.reference <= options.until * highest or self._measure.at_end(u):
                 return
@@ -220,8 +229,12 @@ class PathSolver(StepSolver):
         if self._measure.holds_while_bonds_break:
             return equilibrium(self, options.bonds_at_once, u, size, self._stop)
         attempt, result, sweeps = self._settle(u, size)
+        most = self._measure.reached(attempt, self.load) if result.converged else 0.0
         while result.converged:
             swept += sweeps
+            attempt, result, sweeps = self._brought_back(attempt, result, most)
+            swept += sweeps
+            self._balance.pass_by(self.state(attempt))
             more = problem.break_bonds(self.state(attempt), options.bonds_at_once)
             if not more:
                 break
@@ -236,6 +249,28 @@ class PathSolver(StepSolver):
                 self._constraint = Constraint(np.zeros_like(u), 1.0, before, load)
                 attempt, result, sweeps = self._settle(before, 0.0)
         return attempt, result, broken, swept
+
+    def _brought_back(self, u: Float, result: StepResult, most: float) -> tuple[Float, StepResult, int]:
+        """Let the measure shrink to ``most`` where it is larger: return that equilibrium, how it went and sweeps.
+
+        Bonds that take over from broken ones may be driven far beyond those while what was most driven is held. To
+        break them there is to load the body further than it can carry, and that energy leads to other branches. The
+        equilibrium that is given stands where none nearer is found.
+        """
+        swept = 0
+        for _ in range(BACK):
+            reached, load = self._measure.reached(u, self.load), self.load
+            if reached <= most * (1.0 + BAND):
+                break
+            kept = damage_of(self).kept()
+            self._aim(u, 1.0)
+            attempt, again, sweeps = self._settle(u, most - reached)
+            if not again.converged or self._measure.reached(attempt, self.load) >= reached:
+                damage_of(self).take(kept)
+                self.load = self.t = load
+                break
+            u, result, swept = attempt, again, swept + sweeps
+        return u, result, swept
 
     def _settle(self, u: Float, size: float) -> tuple[Float, StepResult, int]:
         """Find equilibrium and damage where the measure has grown by ``size``, with no bond breaking.

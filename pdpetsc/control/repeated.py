@@ -1,0 +1,121 @@
+"""Controls of bodies on a lattice whose families repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.control.base import Control, ControlMatrix, Stencil, Stiffness
+from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.lattice import Repeats
+from pdpetsc.discrete.sparsity import Sparsity
+from pdpetsc.gradient.base import BondGradient, GradientOperator, SameGradient
+from pdpetsc.gradient.repeated import RepeatedGradient, RepeatedOperator, Weights, add_row_forces, weights_of
+from pdpetsc.kernels.repeated import add_from_cells, rows_control_blocks_kernel, rows_energy_kernel
+
+
+class RepeatedControl(Control):
+    """``NonUniform`` whose bond stiffness is ``c_i w_ij`` with one ``w`` for all particles that share a family.
+
+    Parameters
+    ----------
+    repeats : Repeats
+        Which particles share one family.
+    edge : NonUniform
+        The control of the particles whose families do not repeat, and of one of each pattern of the others.
+    scale : (n_owned,) float64
+        ``c_i``, 1 at the one that stands for a pattern [-].
+    listed : callable
+        Makes the control with all bonds listed, for whoever assembles its matrix (collective).
+    """
+
+    def __init__(self, repeats: Repeats, edge: NonUniform, scale: Float, listed: Callable[[], Control]) -> None:
+        self._repeats, self._edge, self._scale, self._make = repeats, edge, scale, listed
+        self._all: Control | None = None
+        own = repeats.edge
+        # The forces of particles that stand for a pattern are those of its rows.
+        stiffness = np.where(np.arange(len(edge.stiffness)) < own.indptr[own.n], edge.stiffness, 0.0)
+        self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, edge.K_inverse)
+        K_inverse = edge.K_inverse[own.n :]
+        self._K = np.linalg.inv(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
+        self._stiffness, points = [], []
+        for number, steps in enumerate(repeats.steps):
+            bonds = slice(int(own.indptr[own.n + number]), int(own.indptr[own.n + number + 1]))
+            xi = own.cloud.x[own.neighbours[bonds]] - own.cloud.x[own.n + number]
+            self._stiffness.append(edge.stiffness[bonds])
+            points.append([(steps, edge.stiffness[bonds, None] * (xi @ K_inverse[number]))])
+        self._weights = weights_of(points, repeats.cloud.dim)
+        found = self._of(self._weights, SameGradient())
+        if found is None:
+            raise ValueError("Opposite bonds of a family that repeats have different stiffnesses.")
+        self._same = found
+
+    def _of(self, weights: Weights, edge: SameGradient) -> RepeatedGradient | None:
+        """Return what loops over some weights take; None where opposite bonds of an entry are not alike."""
+        of_bonds = weights.of_members(self._repeats.steps, self._stiffness)
+        return None if of_bonds is None else RepeatedGradient(edge, of_bonds, self._K, self._scale)
+
+    @property
+    def _listed(self) -> Control:
+        if self._all is None:
+            self._all = self._make()
+        return self._all
+
+    @property
+    def stencils(self) -> Stencil:
+        """Return the families with their centre first, all of them listed (collective the first time)."""
+        return self._listed.stencils
+
+    def matrix(self, sparsity: Sparsity) -> ControlMatrix:
+        """Return the matrix of the listed control (collective)."""
+        return self._listed.matrix(sparsity)
+
+    def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what a loop over the gradient of the scheme needs where it is that of the control."""
+        if not isinstance(operator, RepeatedOperator):
+            return None
+        edge = self._edge.of_gradient(operator.edge)
+        return None if edge is None else self._of(operator.weights, BondGradient(self._alone.stiffness, edge.K))
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
+        repeats, dim, same, weights = self._repeats, blocks.shape[-1], self._same, self._weights
+        part, grid = repeats.whole, repeats.grid
+        repeats.edge.add(blocks, self._alone.add_point_blocks)
+        diagonal, sums = np.zeros((1, len(grid.at))), np.zeros((len(blocks), 1))
+        data = weights.arrays[0], weights.g, weights.centre, same.weight, same.scale, same.K
+        rows_control_blocks_kernel(dim)(*part.loop, grid.at, *data, diagonal)
+        add_from_cells(grid.cell, diagonal, sums)
+        blocks += sums[:, :, None] * np.eye(dim)
+        return True
+
+    def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
+        """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""
+        repeats, dim, same = self._repeats, u.shape[1], self._same
+        part, own = repeats.part(particles), repeats.edge
+        energy = 0.0
+        if len(part.alone):
+            energy = own.add(f, lambda forces: self._edge.force(u[own.local], forces, part.alone))
+        if part.rows.count:
+            control = same.weight, same.scale, same.K
+            data = repeats.grid.at, *self._weights.arrays, *control, repeats.grid.onto(u)
+            energy += float(rows_energy_kernel(dim)(*part.loop, *data))
+            add_row_forces(repeats, part, self._weights, None, same, u, f)
+        return energy
+
+
+def of_edge(stiffness: Stiffness, repeats: Repeats) -> Stiffness:
+    """Return the stiffness of the particles whose families do not repeat, and of the one that stands for the others."""
+    own = repeats.edge.local[: repeats.edge.cloud.n_owned]
+    return Stiffness(stiffness.kappa[own], stiffness.moduli, stiffness.material_of[own], stiffness.factor[own])
+
+
+def relative_scale(stiffness: Stiffness, repeats: Repeats) -> Float:
+    """Return ``kappa_i`` over that of the particle that stands for its pattern (n_owned,) [-]; 1 where none does."""
+    own, scale = repeats.edge, np.ones(repeats.cloud.n_owned)
+    of_patterns = stiffness.kappa[own.local[own.n : own.n + repeats.n_patterns]]
+    scale[repeats.shared] = stiffness.kappa[repeats.shared] / repeats.of_shared(of_patterns)
+    return scale

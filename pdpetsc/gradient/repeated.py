@@ -1,0 +1,368 @@
+"""The gradient operator of a body on a lattice whose families repeat: one list of weights for all that share one.
+
+The particles whose families do not repeat are a body of their own (``discrete.lattice.Edge``), with one particle of
+each pattern of the others, from which the weights of that pattern are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.discrete.lattice import Part, Repeats
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, Product, SameGradient
+from pdpetsc.kernels.repeated import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
+
+# Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
+OPPOSITE = 1e-12
+NO_SETS = np.empty(0, dtype=np.int32)
+NO_STRESS, NO_CONTROL = np.empty((0, 0)), (np.empty(0), np.empty(0), np.empty((0, 0, 0)))
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The weights of the points of each pattern, opposite members with opposite weights taken together.
+
+    Attributes
+    ----------
+    list_ptr : (n_patterns + 1,) int64
+        Where the points of each pattern start.
+    entry_ptr : (n_lists + 1,) int64
+        Where the entries of each point start.
+    plus, minus : (n_entries,) int64
+        Steps in cells: an entry takes the difference of the displacements there; ``minus`` is 0, the centre, for a
+        single member.
+    g : (n_entries, dim) float64
+        Weights [1 / length].
+    centre : (n_lists, dim) float64
+        Weights of the centre less what entries with two members give it [1 / length].
+    """
+
+    list_ptr: GlobalIndex
+    entry_ptr: GlobalIndex
+    plus: GlobalIndex
+    minus: GlobalIndex
+    g: Float
+    centre: Float
+
+    @cached_property
+    def arrays(self) -> tuple[tuple[GlobalIndex, ...], Float, Float, Float]:
+        """Return the steps and the components of the weights as loops over rows take them."""
+        dim = self.g.shape[1]
+        columns = [np.ascontiguousarray(self.g[:, min(axis, dim - 1)]) for axis in range(3)]
+        return (self.list_ptr, self.entry_ptr, self.plus, self.minus), columns[0], columns[1], columns[2]
+
+    def of_members(self, steps: Sequence[GlobalIndex], values: Sequence[Float]) -> Float | None:
+        """Return values (n_entries,) of the members of each point; None where two of an entry have different ones."""
+        found = np.empty(len(self.plus))
+        for number, (one, of_one) in enumerate(zip(steps, values, strict=True)):
+            entries = slice(int(self.entry_ptr[number]), int(self.entry_ptr[number + 1]))
+            order = np.argsort(one)
+            up = of_one[order[np.searchsorted(one[order], self.plus[entries])]]
+            two = self.minus[entries] != 0
+            down = of_one[order[np.searchsorted(one[order], self.minus[entries][two])]]
+            if len(down) and np.abs(up[two] - down).max() > OPPOSITE * np.abs(of_one).max():
+                return None
+            found[entries] = up
+        return found
+
+
+def weights_of(points: Sequence[Sequence[tuple[GlobalIndex, Float]]], dim: int) -> Weights:
+    """Return the weights of the points of each pattern, given as steps (n,) and weights (n, dim) of their members."""
+    list_ptr = np.concatenate([[0], np.cumsum([len(lists) for lists in points])]).astype(np.int64)
+    flat = [one for lists in points for one in lists]
+    found = [_paired(steps, g) for steps, g in flat]
+    sizes = [len(plus) for plus, _, _ in found]
+    centre = np.array([-g[minus == 0].sum(axis=0) for _, minus, g in found]).reshape(len(flat), dim)
+    return Weights(
+        list_ptr,
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        np.concatenate([plus for plus, _, _ in found]),
+        np.concatenate([minus for _, minus, _ in found]),
+        np.concatenate([g for _, _, g in found]),
+        centre,
+    )
+
+
+def _paired(steps: GlobalIndex, g: Float) -> tuple[GlobalIndex, GlobalIndex, Float]:
+    """Return plus, minus and weights of the entries of a point."""
+    where = {int(step): number for number, step in enumerate(steps)}
+    other = np.array([where.get(-int(step), number) for number, step in enumerate(steps)], dtype=np.int64)
+    size = float(np.abs(g).max(initial=0.0))
+    opposite = (other != np.arange(len(steps))) & (np.abs(g + g[other]).max(axis=1) <= OPPOSITE * size)
+    # One of two opposite members stands for both.
+    kept = ~opposite | (steps > 0)
+    minus = np.where(opposite, -steps, 0)
+    mean = np.where(opposite[:, None], 0.5 * (g - g[other]), g)
+    return steps[kept].astype(np.int64), minus[kept].astype(np.int64), np.ascontiguousarray(mean[kept])
+
+
+class RepeatedOperator(GradientOperator):
+    """``GradientOperator`` that keeps one list of weights for all particles that share a family.
+
+    ``g``, ``members`` and ``point_ptr`` list all weights for whoever asks for them.
+
+    Parameters
+    ----------
+    edge : GradientOperator
+        The operator of ``repeats.edge``.
+    repeats : Repeats
+        Which families repeat.
+    """
+
+    edge: GradientOperator
+    repeats: Repeats
+
+    def __init__(self, edge: GradientOperator, repeats: Repeats) -> None:
+        own, shared = repeats.edge, repeats.shared
+        each = np.diff(edge.points_of)
+        count = np.empty(len(shared), dtype=np.int64)
+        count[own.local[: own.n]] = each[: own.n]
+        count[shared] = repeats.of_shared(each[own.n :])
+        owner = np.repeat(np.arange(len(shared), dtype=np.int32), count)
+        self.__dict__.update(owner=owner, note=edge.note, edge=edge, repeats=repeats)
+        self.__dict__["volume"] = self._from_edge(edge.volume)
+
+    @cached_property
+    def points_of(self) -> GlobalIndex:
+        """Return where the points of every own particle start (n_owned + 1,)."""
+        return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.repeats.shared)))])
+
+    @cached_property
+    def alone(self) -> GlobalIndex:
+        """Return the points of particles whose families do not repeat."""
+        return np.flatnonzero(~self.repeats.shared[self.owner])
+
+    @cached_property
+    def _members(self) -> list[list[tuple[GlobalIndex, Float]]]:
+        """Return steps and weights of the members of each point of each pattern, without the centre."""
+        edge, own = self.edge, self.repeats.edge
+        cell = self.repeats.grid.cell[own.local]
+        found = []
+        for number in range(own.n, own.n + self.repeats.n_patterns):
+            lists = []
+            for p in range(int(edge.points_of[number]), int(edge.points_of[number + 1])):
+                entries = slice(int(edge.point_ptr[p]) + 1, int(edge.point_ptr[p + 1]))
+                lists.append((cell[edge.members[entries]] - cell[number], edge.g[entries]))
+            found.append(lists)
+        return found
+
+    @cached_property
+    def weights(self) -> Weights:
+        """Return the weights of each pattern."""
+        return weights_of(self._members, self.repeats.cloud.dim)
+
+    @cached_property
+    def point_volumes(self) -> Float:
+        """Return the volumes of the points of each pattern (n_lists,) [volume]."""
+        return self.edge.volume[self.edge.points_of[self.repeats.edge.n] :]
+
+    def row_points(self, P: Float) -> RowPoints:
+        """Return what gives stresses P (n_points, dim, dim)."""
+        return RowPoints(self.points_of, self.point_volumes, P.reshape(len(P), -1), NO_SETS)
+
+    def of_edge(self, values: Float) -> Float:
+        """Return values of points (n_points, ...) as ``edge`` takes them: zero for those that stand for a pattern."""
+        found = np.zeros((self.edge.n_points, *values.shape[1:]))
+        found[: len(self.alone)] = values[self.alone]
+        return found
+
+    def _from_edge(self, values: Float) -> Float:
+        """Return values at all points (n_points, ...) from those at the points of ``edge``."""
+        own, repeats, points = self.repeats.edge, self.repeats, self.edge.points_of
+        found = np.empty((self.n_points, *values.shape[1:]))
+        found[self.alone] = values[: points[own.n]]
+        first = repeats.of_shared(points[own.n : -1])
+        size = repeats.of_shared(np.diff(points)[own.n :])
+        together = np.flatnonzero(repeats.shared[self.owner])
+        found[together] = values[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(together))]
+        return found
+
+    def gradient(self, u: Float) -> Float:
+        """Return ``H_p = sum_k u_k (x) g_pk`` (n_points, dim, dim) for ``u`` (n_local, dim)."""
+        repeats, dim = self.repeats, u.shape[1]
+        part = repeats.whole
+        H = np.empty((self.n_points, dim, dim))
+        H[self.alone] = self.edge.gradient(u[repeats.edge.local])[: len(self.alone)]
+        data = repeats.grid.at, self.points_of, *self.weights.arrays, repeats.grid.onto(u)
+        rows_gradient_kernel(dim)(*part.loop, *data, H)
+        return H
+
+    def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
+        """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
+        own, control, u, of_edge = self.repeats.edge, None, None, None
+        if same is not None and isinstance(same.control, RepeatedGradient):
+            control, u = same.control, same.u
+            of_edge = ControlledGradient(control.edge, self.of_edge(same.H), u[own.local])
+        own.add(f, lambda forces: self.edge.divergence(self.of_edge(P), forces, of_edge))
+        add_row_forces(self.repeats, self.repeats.whole, self.weights, self.row_points(P), control, u, f)
+
+    def adds_together(self, same: SameGradient | None) -> bool:
+        """Return whether a control repeats as the weights do."""
+        return isinstance(same, RepeatedGradient)
+
+    def product(self, A: Moduli, h: Float | None = None) -> Product:
+        """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
+        return RepeatedProduct(self, A) if h is None else self.listed.product(A, h)
+
+    @cached_property
+    def listed(self) -> GradientOperator:
+        """Return the operator with all weights listed (not collective)."""
+        repeats, edge, own = self.repeats, self.edge, self.repeats.edge
+        at, cell = repeats.grid.at, repeats.grid.cell
+        sizes = self._from_edge(np.diff(edge.point_ptr).astype(float)).astype(np.int64)
+        ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        members = np.empty(int(ptr[-1]), dtype=np.int32)
+        g = np.empty((int(ptr[-1]), repeats.cloud.dim))
+        of_alone = np.zeros(self.n_points, dtype=bool)
+        of_alone[self.alone] = True
+        entries = np.repeat(of_alone, sizes)
+        last = int(edge.point_ptr[len(self.alone)])
+        members[entries], g[entries] = own.local[edge.members[:last]], edge.g[:last]
+        for pattern, lists in enumerate(self._members):
+            centres = np.flatnonzero(repeats.pattern_of == pattern)
+            first = int(edge.points_of[own.n + pattern])
+            for number, (steps, weights) in enumerate(lists):
+                start = ptr[self.points_of[centres] + number]
+                members[start], g[start] = centres, edge.g[int(edge.point_ptr[first + number])]
+                for k, step in enumerate(steps):
+                    members[start + 1 + k], g[start + 1 + k] = at[cell[centres] + step], weights[k]
+        return GradientOperator(self.owner, ptr, members, g, self.volume, self.note)
+
+    @property
+    def point_ptr(self) -> GlobalIndex:
+        """Return where the members of each point start."""
+        return self.listed.point_ptr
+
+    @property
+    def members(self) -> LocalIndex:
+        """Return the members of all points."""
+        return self.listed.members
+
+    @property
+    def g(self) -> Float:
+        """Return the weights of all members."""
+        return self.listed.g
+
+
+@dataclass(frozen=True)
+class RowPoints:
+    """What gives the stress at points whose weights repeat.
+
+    Attributes
+    ----------
+    first : (n_owned,) int64
+        The first point of each own particle.
+    volume : (n_lists,) float64
+        Volumes of the points of each pattern [volume].
+    stress : (n_points, dim dim) or (n_sets, dim dim, dim dim) float64
+        Stress, or moduli that give it from the gradient of the displacement [stress].
+    of : (n_points,) int32
+        Which moduli each point has; none where each has its own.
+    """
+
+    first: GlobalIndex
+    volume: Float
+    stress: Float
+    of: LocalIndex
+
+
+class RepeatedGradient(SameGradient):
+    """A control on the gradient of a whole family, ``1/2 sum_i c_i sum_j w_ij |eta_ij - H_i xi_ij|^2``.
+
+    Parameters
+    ----------
+    edge : SameGradient
+        The control of the particles whose families do not repeat, without stiffness at those that stand for a pattern.
+    weight : (n_entries,) float64
+        ``w_ij`` of the entries of the weights of the gradient [force / length].
+    K : (n_patterns, dim, dim) float64
+        ``sum_j w_ij xi (x) xi`` [force length].
+    scale : (n_owned,) float64
+        ``c_i`` [-].
+    """
+
+    def __init__(self, edge: SameGradient, weight: Float, K: Float, scale: Float) -> None:
+        self.edge, self.weight, self.K, self.scale = edge, weight, K, scale
+
+
+class RepeatedProduct(Product):
+    """``G^T (W A) G`` of an operator whose weights repeat, with the forces of a control on the same gradient.
+
+    Parameters
+    ----------
+    operator : RepeatedOperator
+        The gradient.
+    A : Moduli
+        Moduli of the points.
+    """
+
+    def __init__(self, operator: RepeatedOperator, A: Moduli) -> None:
+        self._operator, dim = operator, operator.repeats.cloud.dim
+        self._points = RowPoints(
+            operator.points_of, operator.point_volumes, A.values.reshape(-1, dim * dim, dim * dim),
+            NO_SETS if A.of is None else A.of,
+        )  # fmt: skip
+        of_edge = np.zeros((operator.edge.n_points, *A.values.shape[1:]))
+        of_edge[: len(operator.alone)] = A.at(operator.alone)
+        self._alone = operator.edge.product(Moduli(of_edge))
+        self._same: RepeatedGradient | None = None
+
+    def absorb(self, same: SameGradient | None) -> bool:
+        """Add the forces of a control that uses the same gradient from now on; return whether it can."""
+        if self._same is not None or not isinstance(same, RepeatedGradient) or not self._alone.absorb(same.edge):
+            return False
+        self._same = same
+        return True
+
+    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+        """Add the forces of the points of some own particles for displacements (n_local, dim)."""
+        operator, repeats = self._operator, self._operator.repeats
+        part, own = repeats.part(particles), repeats.edge
+        if len(part.alone):
+            own.add(f, lambda forces: self._alone.add(part.alone, u[own.local], forces))
+        add_row_forces(repeats, part, operator.weights, self._points, self._same, u, f)
+
+    def add_point_blocks(self, blocks: Float) -> None:
+        """Add ``sum_p W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
+        operator, repeats, dim = self._operator, self._operator.repeats, blocks.shape[-1]
+        part, grid, weights = repeats.whole, repeats.grid, operator.weights
+        repeats.edge.add(blocks, self._alone.add_point_blocks)
+        on_cells, points = np.zeros((dim * dim, len(grid.at))), self._points
+        data = weights.arrays[0], weights.g, weights.centre, points.volume, points.stress, points.of
+        rows_blocks_kernel(dim)(*part.loop, grid.at, points.first, *data, on_cells)
+        add_from_cells(grid.cell, on_cells, blocks.reshape(-1, dim * dim))
+
+
+def add_row_forces(
+    repeats: Repeats, part: Part, weights: Weights, points: RowPoints | None, same: RepeatedGradient | None,
+    u: Float | None, f: Float,
+) -> None:  # fmt: skip
+    """Add the forces of points whose weights repeat, and of a control on their gradient, to ``f`` (n_local, dim).
+
+    Parameters
+    ----------
+    points : RowPoints, optional
+        What gives their stress; none where absent.
+    same : RepeatedGradient, optional
+        The control.
+    u : (n_local, dim) float64, optional
+        Displacements [length]; not read where stresses are given and there is no control.
+    """
+    if not part.rows.count:
+        return
+    dim, grid, forces = f.shape[1], repeats.grid, repeats.forces_on_cells
+    if points is None:
+        points = RowPoints(
+            np.zeros(repeats.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS, NO_SETS
+        )
+    control = NO_CONTROL if same is None else (same.weight, same.scale, same.K)
+    rows_force_kernel(dim, int(points.stress.ndim == 3), int(same is not None))(
+        *part.loop, grid.at, points.first, *weights.arrays, weights.centre, points.volume, points.stress, points.of,
+        *control, np.empty((dim, 0)) if u is None else grid.onto(u), forces,
+    )  # fmt: skip
+    add_from_cells(grid.cell, forces, f)

@@ -1,0 +1,221 @@
+"""Two-level preconditioner of a tangent without a matrix: its own diagonal blocks, and a grid one horizon wide."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.communicator import total
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.point_blocks import definite
+from pdpetsc.petsc.matrix_free import Preconditioning
+from pdpetsc.problem.background_grid import BackgroundGrid
+from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.state import State
+
+# Largest number of coarse unknowns for which they are solved for directly, by dimension.
+DIRECT_COARSE = {1: 10**6, 2: 20_000, 3: 12_000}
+# Least eigenvalue of a diagonal block over a typical one.
+LEAST = 1e-12
+# Whether a level smooths within bounds that were estimated.
+BOUNDED = ("chebyshev",)
+
+
+class TwoLevel(Preconditioning):
+    """PETSc's multigrid of two levels: diagonal blocks of the tangent, and linear elements on a background grid.
+
+    A nonlocal operator resists all waves shorter than about two horizons alike, so that its diagonal blocks are as good
+    as any smoother there, and the rest is a matter of a grid whose cells are one horizon wide.
+
+    Parameters
+    ----------
+    grid : BackgroundGrid
+        The coarse space.
+    fixed : (n_rows, dim) bool
+        Prescribed degrees of freedom.
+    scale : float
+        The stiffness that is 1 in the matrices [force / length].
+
+    Attributes
+    ----------
+    coarse : Mat
+        The matrix of the nodes.
+    """
+
+    def __init__(self, grid: BackgroundGrid, fixed: Mask, scale: float) -> None:
+        self._grid, self._fixed, self._scale = grid, fixed, scale
+        self._problem = problem = grid.problem
+        dim, comm = problem.dim, problem.body.cloud.comm
+        self.diagonal = np.zeros(fixed.size)
+        self.mat = _block_diagonal(problem)
+        size = (grid.n_own * dim, grid.n_global * dim)
+        self.coarse = PETSc.Mat().create(comm=comm)
+        self.coarse.setSizes((size, size), bsize=dim)
+        self.coarse.setType("aij")
+        row_ptr, columns = grid.rows
+        self._rows = row_ptr.astype(PETSc.IntType), columns.astype(PETSc.IntType)
+        self.coarse.setPreallocationCSR(self._rows)
+        for mat in (self.mat, self.coarse) if problem.symmetric else ():
+            mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+        _attach_modes(self.coarse, grid.rigid_modes())
+        fine = (problem.body.cloud.n_rows * dim, self.mat.getSize()[0])
+        self._interpolation = PETSc.Mat().createPython(
+            (fine, size), context=_Interpolation(grid, self.coarse), comm=comm
+        )
+        self._interpolation.setUp()
+
+    def fill(self, state: State) -> Tangent:
+        """Fill the diagonal blocks and the matrix of the nodes; return the tangent."""
+        cloud, dim = self._problem.body.cloud, self._problem.dim
+        tangent = self._problem.linearised(state)
+        state.forget()
+        blocks = np.concatenate([tangent.point_blocks(), _blocks_of_virtual(tangent)])
+        diagonal = np.einsum("pii->pi", blocks).copy()
+        self.diagonal = diagonal.ravel()
+        values = self._grid.fill(tangent.stiffness(), tangent.blocks, diagonal, self._scale)
+        self.coarse.setValuesCSR(*self._rows, values)
+        self.coarse.assemble()
+        self.coarse.stateIncrease()
+        del values
+        blocks /= self._scale
+        free = ~self._fixed
+        blocks *= free[:, :, None] & free[:, None, :]
+        i = np.arange(dim)
+        blocks[:, i, i] += self._fixed
+        mean = float(total(cloud.comm, float(np.abs(diagonal).sum()))) / (self.mat.getSize()[0] * self._scale)
+        definite(blocks, LEAST * mean)
+        first = self.mat.getOwnershipRange()[0] // dim
+        ptr = np.arange(len(blocks) + 1, dtype=PETSc.IntType)
+        self.mat.setValuesBlockedCSR(ptr, ptr[:-1] + first, blocks)
+        self.mat.assemble()
+        self.mat.stateIncrease()
+        return tangent
+
+    def renewed(self) -> Preconditioning:
+        """Return that of the pieces that bonds hold together now."""
+        self.destroy()
+        return TwoLevel(BackgroundGrid(self._problem), self._fixed, self._scale)
+
+    def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
+        """Give multigrid its two levels; raises CaseError where options ask for another number of them."""
+        pc = ksp.getPC()
+        if pc.getType() != "mg":
+            return
+        pc.reset()
+        ksp.setOperators(tangent, self.mat)
+        pc.setMGLevels(2)
+        pc.setMGInterpolation(1, self._interpolation)
+        nodes = pc.getMGCoarseSolve()
+        nodes.setOperators(self.coarse, self.coarse)
+        nodes.setNormType(PETSc.KSP.NormType.NONE)
+        if self.coarse.getSize()[0] <= DIRECT_COARSE[self._problem.dim]:
+            nodes.setType("preonly")
+            nodes.getPC().setType("cholesky" if self._problem.symmetric else "lu")
+            nodes.getPC().setFactorSolverType("mumps")
+        else:
+            nodes.setType("chebyshev")
+            nodes.getPC().setType("gamg")
+        smoother = pc.getMGSmoother(1)
+        smoother.setOperators(tangent, self.mat)
+        pc.setFromOptions()
+        if pc.getMGLevels() != 2:
+            raise CaseError(
+                f"The preconditioner of a tangent without a matrix has 2 levels, not the {pc.getMGLevels()} of "
+                f"-pc_mg_levels; more of them are GAMG's on the coarse one, -mg_coarse_pc_type gamg."
+            )
+        nodes.setFromOptions()
+        smoother.setFromOptions()
+        self.bounded = smoother.getType() in BOUNDED
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory of the entries of both matrices, over all ranks [bytes]."""
+        entries = sum(mat.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_allocated"] for mat in (self.mat, self.coarse))
+        return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self._interpolation.destroy()
+        self.coarse.destroy()
+        self.mat.destroy()
+
+
+def predicted_bytes_of(grid: BackgroundGrid) -> int:
+    """Return the memory of the entries of the matrices that are made on a grid, over all ranks [bytes] (collective)."""
+    cloud, dim = grid.problem.body.cloud, grid.problem.dim
+    entries = grid.n_entries + cloud.n_rows * dim**2
+    return int(total(cloud.comm, entries)) * (8 + np.dtype(PETSc.IntType).itemsize)
+
+
+class _Interpolation:
+    """Unknowns that move with the nodes of a grid, and forces on the nodes, as PETSc asks for them."""
+
+    def __init__(self, grid: BackgroundGrid, coarse: PETSc.Mat) -> None:
+        self._grid, self._dim = grid, grid.problem.dim
+        dim, numbers = self._dim, grid.numbers.astype(PETSc.IntType)
+        self._nodal = PETSc.Vec().createSeq(len(numbers) * dim, bsize=dim)
+        whole = coarse.createVecRight()
+        rows = PETSc.IS().createBlock(dim, numbers, comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(whole, rows, self._nodal, None)
+        whole.destroy()
+        rows.destroy()
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write the unknowns for displacements of the nodes."""
+        self._scatter.scatter(x, self._nodal, False, PETSc.ScatterMode.FORWARD)
+        y.setArray(self._grid.interpolate(self._nodal.array_r.reshape(-1, self._dim)).ravel())
+
+    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write the forces on the nodes for those on the unknowns."""
+        f = x.array_r.reshape(-1, self._dim)
+        self._nodal.setArray(self._grid.restrict(f).ravel())
+        y.set(0.0)
+        self._scatter.scatter(self._nodal, y, True, PETSc.ScatterMode.REVERSE)
+
+    def destroy(self, mat: PETSc.Mat) -> None:
+        """Free the PETSc objects; PETSc calls it with the last use of the matrix."""
+        self._scatter.destroy()
+        self._nodal.destroy()
+
+
+def _block_diagonal(problem: Problem) -> PETSc.Mat:
+    """Return an AIJ matrix with blocks on its diagonal alone (collective)."""
+    cloud, dim = problem.body.cloud, problem.dim
+    size = (cloud.n_rows * dim, (cloud.n_global + cloud.n_virtual_global) * dim)
+    mat = PETSc.Mat().create(comm=cloud.comm)
+    mat.setSizes((size, size), bsize=dim)
+    mat.setType("aij")
+    mat.setPreallocationNNZ((dim, 0))
+    return mat
+
+
+def _blocks_of_virtual(tangent: Tangent) -> Float:
+    """Return what couples each row of virtual unknowns to itself (n_virtual, dim, dim) (collective)."""
+    cloud, dim = tangent.body.cloud, tangent.body.dim
+    blocks = np.zeros((cloud.n_virtual, dim, dim))
+    for v, c, column in tangent.columns_of_virtual():
+        if cloud.n_virtual:
+            blocks[v, :, c] = column[cloud.n_owned + v]
+    return blocks
+
+
+def _attach_modes(mat: PETSc.Mat, modes: Float) -> None:
+    """Give a matrix its near-null space from rigid motions of its rows (n, dim, modes) (collective)."""
+    basis: list[PETSc.Vec] = []
+    for m in range(modes.shape[2]):
+        vec = mat.createVecLeft()
+        vec.setArray(modes[:, :, m].ravel())
+        for earlier in basis:
+            vec.axpy(-vec.dot(earlier), earlier)
+        if vec.norm() > 0.0:
+            vec.normalize()
+            basis.append(vec)
+        else:
+            vec.destroy()
+    space = PETSc.NullSpace().create(vectors=basis, comm=mat.getComm())
+    mat.setNearNullSpace(space)
+    space.destroy()
+    for vec in basis:
+        vec.destroy()

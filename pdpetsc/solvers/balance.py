@@ -1,0 +1,126 @@
+"""The energy balance of a step along a path with damage: nothing may come out of the body that was not put in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Term
+from pdpetsc.solvers.protocol import StepResult
+
+# The dissipated energy may have fallen by this share of the largest energy that the body has stored so far: gradients
+# of fewer bonds may store more at the same displacement. Where bonds of gradients soften, or heal, the forces have no
+# potential even between two changes of the damage, and what is stored is no more than an estimate.
+SHARE, SHARE_WITHOUT_POTENTIAL = 0.1, 1.0
+# Names under which a checkpoint keeps the largest stored energy of the run, and by how much the dissipated energy is
+# below the largest one [energy].
+LARGEST, FALLEN = "largest_energy", "fallen_energy"
+
+
+def judged(result: StepResult, wrong: str | None) -> StepResult:
+    """Return the outcome of a step, which has not converged where something is wrong with its energy."""
+    return result if wrong is None else replace(result, converged=False, reason=wrong)
+
+
+class EnergyBalance:
+    """External work less stored energy less what the laws of the bonds dissipate, of one step after the other.
+
+    Work is that of the trapezoidal rule over the equilibria that a step passes through (``pass_by``), which is exact
+    where forces are linear between two of them. Where materials or softening bonds bend them, half of the product of
+    the changes of forces and displacements is what the rule may be wrong by. A load step may pass a
+    peak of the load that neither of its ends shows, so load steps are not judged.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose energies they are.
+    start : State
+        Where the first step begins, in equilibrium.
+    resume : mapping of str to float
+        What a checkpoint keeps.
+
+    Attributes
+    ----------
+    judges : bool
+        Whether there is anything to judge.
+    work : float
+        External work since the last ``keep`` [energy].
+
+    Notes
+    -----
+    Nothing is judged where bonds do not fail, and where a term of the case gives no energy. Construction and every
+    method are collective but where it says otherwise.
+    """
+
+    def __init__(self, problem: Problem, start: State, resume: Mapping[str, float]) -> None:
+        self._problem = problem
+        silent = any(type(term).energy is Term.energy for term in problem.terms if not (term.load or term.of_solver))
+        self.judges = problem.damage is not None and not silent
+        estimated = problem.softens and problem.matter.dissipated_energy() is None
+        self._share = SHARE_WITHOUT_POTENTIAL if estimated else SHARE
+        self._bends = self.judges and (problem.softens or not problem.piecewise_linear)
+        self._u, self._force = start.u, self._acting(start)
+        self._kept = self._u, self._force
+        self._energy = self._found = self._held(start)
+        self._largest = max(resume.get(LARGEST, 0.0), self._energy[0])
+        self._fallen = self._falls = resume.get(FALLEN, 0.0)
+        self.work, self._error = 0.0, 0.0
+
+    @property
+    def resume(self) -> dict[str, float]:
+        """Return what a checkpoint keeps (not collective)."""
+        return {LARGEST: self._largest, FALLEN: self._fallen}
+
+    def pass_by(self, state: State) -> None:
+        """Add the work from the equilibrium before to this one, with the damage that it has now."""
+        u, force = state.u, self._acting(state)
+        moved = u - self._u
+        mean, change = 0.5 * (force + self._force), 0.5 * (force - self._force)
+        sums = total(self._problem.body.cloud.comm, [(mean * moved).sum(), (change * moved).sum()])
+        self.work += float(sums[0])
+        self._error += abs(float(sums[1])) if self._bends else 0.0
+        self._u, self._force = u, force
+
+    def broken_by(self, state: State) -> str | None:
+        """Return in words what is wrong with a step that ends at the state last passed; None where nothing is."""
+        if not self.judges:
+            return None
+        self._found = stored, by_laws = self._held(state)
+        gained = (stored - self._energy[0]) + (by_laws - self._energy[1])
+        largest = max(self._largest, stored)
+        self._falls = max(self._fallen + gained - self.work - self._error, 0.0)
+        if self._falls <= self._share * largest:
+            return None
+        return (
+            f"the energy does not balance, as if breaking bonds had given back {self._falls:.3g} of what they "
+            f"dissipated, where the body has stored {largest:.3g} at most"
+        )
+
+    def keep(self) -> None:
+        """Begin the next step where the last one ended (not collective)."""
+        self.work, self._error = 0.0, 0.0
+        self._kept, self._energy = (self._u, self._force), self._found
+        self._largest = max(self._largest, self._energy[0])
+        self._fallen = self._falls
+
+    def go_back(self) -> None:
+        """Begin the step again (not collective)."""
+        self.work, self._error = 0.0, 0.0
+        self._u, self._force = self._kept
+
+    def _acting(self, state: State) -> Float:
+        """Return the forces of loads and supports (n_rows, dim) [force]."""
+        inside = self._problem.internal_force(state, of_solver=False)
+        loads = self._problem.external_force(state)
+        return loads if inside is None else np.where(self._problem.supports.fixed, inside, loads)
+
+    def _held(self, state: State) -> tuple[float, float]:
+        """Return the energy that the body stores, and what the laws of its bonds have dissipated [energy]."""
+        by_laws = self._problem.matter.dissipated_energy()
+        return sum(self._problem.energies(state).values()), 0.0 if by_laws is None else by_laws

@@ -1,0 +1,219 @@
+"""Forces along bonds of a body on a lattice whose families repeat."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.bond_based import BondStiffness
+from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.lattice import Part, Repeats
+from pdpetsc.gradient.base import GradientOperator, from_bond_weights, stencil_weights, whole_families
+from pdpetsc.gradient.repeated import RepeatedOperator
+from pdpetsc.kernels.repeated import (
+    add_from_cells,
+    rows_bond_blocks_kernel,
+    rows_bond_moduli_kernel,
+    rows_bond_sums_kernel,
+    rows_bonds_kernel,
+    rows_least_length_kernel,
+)
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries, LinearisedTerm
+from pdpetsc.terms.bond_forces import BondForces, BondTangent
+
+
+class RepeatedBonds(BondForces):
+    """``BondForces`` of one material without dilatation or damage, with one list of bonds for all that share a family.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds, which repeat.
+    repeats : Repeats
+        Which families repeat.
+    edge : BondForces
+        The term of ``repeats.edge``.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    def __init__(self, body: Body, repeats: Repeats, edge: BondForces) -> None:
+        Matter.__init__(self, body)
+        n = body.cloud.n_owned
+        self._take(edge.materials, np.zeros(n, dtype=np.int32), np.ones(n))
+        self.horizons = 1
+        own = repeats.edge
+        first = int(own.indptr[own.n])
+        steps = np.concatenate(repeats.steps)
+        centres = np.repeat(np.arange(own.n, own.n + repeats.n_patterns), [len(one) for one in repeats.steps])
+        xi = own.cloud.x[own.neighbours[first:]] - own.cloud.x[centres]
+        ptr: GlobalIndex = own.indptr[own.n :] - first
+        self._repeats, self._edge = repeats, edge
+        self._patterns = ptr, steps.astype(np.int64), xi, np.linalg.norm(xi, axis=1), edge.k[first:].copy()
+        # The forces of particles that stand for a pattern are those of its rows.
+        edge.constants = BondStiffness(np.where(np.arange(len(edge.k)) < first, edge.k, 0.0))
+
+    @cached_property
+    def constants(self) -> BondStiffness:
+        """Return the stiffness of all bonds, listed (not collective)."""
+        families, repeats, own = self.body.families, self._repeats, self._repeats.edge
+        cell, k = repeats.grid.cell, np.empty(families.n_bonds)
+        pattern = repeats.pattern_of[families.centres]
+        step = cell[families.neighbours] - cell[families.centres]
+        k[pattern < 0] = self._edge.k[: own.indptr[own.n]]
+        ptr, steps, _, _, stiffness = self._patterns
+        for number in range(repeats.n_patterns):
+            entries = slice(int(ptr[number]), int(ptr[number + 1]))
+            order = np.argsort(steps[entries])
+            mine = pattern == number
+            k[mine] = stiffness[entries][order[np.searchsorted(steps[entries][order], step[mine])]]
+        return BondStiffness(k)
+
+    @cached_property
+    def _operator(self) -> GradientOperator:
+        """Return the gradient that fits the families best, zero in directions that they lack."""
+        own = self._repeats.edge
+        families = Families(own.indptr, own.neighbours)
+        stencils = whole_families(own.cloud, families, self._edge.omega * own.cloud.volume[own.neighbours])
+        K = stencils.shape_tensors(own.cloud.x)
+        weights = stencil_weights(stencils, own.cloud.x, np.linalg.pinv(K, rcond=1e-10, hermitian=True))
+        listed = np.delete(weights, stencils.point_ptr[:-1], axis=0)
+        return RepeatedOperator(from_bond_weights(own.cloud, families, listed), self._repeats)
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Add the forces of bonds under tension."""
+        edge = self.edge_state(state)
+        self._repeats.edge.add(f, lambda forces: self._edge.add_force(edge, forces))
+        self.add_row_forces(self._repeats.whole, state.u_local, None, f)
+
+    def add_row_forces(self, part: Part, u: Float, du: Float | None, f: Float) -> None:
+        """Add the forces of bonds that repeat at ``u``, or their change with ``du``, to ``f``, all (n_local, dim)."""
+        if not part.rows.count:
+            return
+        grid, forces, (ptr, steps, xi, length, k) = self._repeats.grid, self._repeats.forces_on_cells, self._patterns
+        u_cells = grid.onto(u)
+        du_cells = u_cells if du is None else grid.onto(du)
+        kernel = rows_bonds_kernel(self.body.dim, int(self.finite), int(du is not None))
+        kernel(*part.loop, ptr, steps, xi, length, k, u_cells, du_cells, forces)
+        add_from_cells(grid.cell, forces, f)
+
+    def add_row_blocks(self, u: Float, blocks: Float) -> None:
+        """Add what couples each local particle to itself in bonds that repeat, at ``u`` (n_local, dim)."""
+        part, grid = self._repeats.whole, self._repeats.grid
+        kernel = rows_bond_blocks_kernel(self.body.dim, int(self.finite))
+        kernel(*part.loop, grid.at, *self._patterns, grid.onto(u), blocks)
+
+    def edge_state(self, state: State) -> State:
+        """Return the state of the particles whose families do not repeat (collective the first time)."""
+        u_local = state.u_local
+        return state.kept(("edge", id(self)), lambda: self._edge_state(u_local))
+
+    def _edge_state(self, u_local: Float) -> State:
+        u = u_local[self._repeats.edge.local]
+        return State(self._edge.body, u[: self._repeats.edge.cloud.n_owned], u_local=u)
+
+    def admissible(self, state: State) -> bool:
+        """Return whether every bond on this rank has a length above zero."""
+        if not self.finite:
+            return True
+        part, (ptr, steps, xi, _, _) = self._repeats.whole, self._patterns
+        u_cells = self._repeats.grid.onto(state.u_local)
+        least = rows_least_length_kernel(self.body.dim)(*part.loop, ptr, steps, xi, u_cells)
+        return self._edge.admissible(self.edge_state(state)) and bool(least > 0.0)
+
+    def linearised(self, state: State) -> LinearisedTerm:
+        """Return the tangent with the directions and tensions at a state."""
+        return RepeatedTangent(self, self._edge, self._repeats, state)
+
+    def moduli(self, state: State) -> Float:
+        """Return the derivative of ``sum_j t n (x) xi`` by F (n_owned, dim, dim, dim, dim) [energy]."""
+        own, part = self._repeats.edge, self._repeats.whole
+        D = np.empty((self.body.cloud.n_owned, *(self.body.dim,) * 4))
+        D[own.local[: own.n]] = BondTangent(self._edge, self.edge_state(state)).stiffness()[: own.n]
+        kernel = rows_bond_moduli_kernel(self.body.dim, int(self.finite))
+        kernel(*part.loop, self._repeats.grid.at, *self._patterns, self._repeats.grid.onto(state.u_local), D)
+        return D
+
+    def _sums(self, state: State) -> tuple[Float, Float]:
+        """Return energy [energy] and ``sum_j t n (x) xi`` [energy] of the own particles (collective the first time)."""
+        u_local, edge = state.u_local, self.edge_state(state)
+
+        def make() -> tuple[Float, Float]:
+            own, part, dim = self._repeats.edge, self._repeats.whole, self.body.dim
+            n = self.body.cloud.n_owned
+            energy, moment = np.empty(n), np.empty((n, dim, dim))
+            V = own.cloud.volume[: own.n]
+            energy[own.local[: own.n]] = self._edge.energy_density(edge)[: own.n] * V
+            moment[own.local[: own.n]] = self._edge.first_piola_stress(edge)[: own.n] * V[:, None, None]
+            kernel = rows_bond_sums_kernel(dim, int(self.finite))
+            kernel(*part.loop, self._repeats.grid.at, *self._patterns, self._repeats.grid.onto(u_local), energy, moment)
+            return energy, moment
+
+        return state.kept(("sums", id(self)), make)
+
+    def energy_density(self, state: State) -> Float:
+        """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""
+        cloud = self.body.cloud
+        return np.asarray(self._sums(state)[0] / cloud.volume[: cloud.n_owned])
+
+    def first_piola_stress(self, state: State) -> Float:
+        """Return ``P_i = sum_j t_ij n (x) xi / V_i`` (n_owned, dim, dim) [stress]."""
+        cloud = self.body.cloud
+        return np.asarray(self._sums(state)[1] / cloud.volume[: cloud.n_owned, None, None])
+
+    def deformation_gradient(self, state: State) -> Float:
+        """Return the gradient that fits the family best (n_owned, dim, dim) [-], 1 in directions that it lacks."""
+        return np.asarray(np.eye(self.body.dim) + self._operator.gradient(state.u_local))
+
+    def local_damage(self) -> Float:
+        """Return zeros (n_owned,)."""
+        return np.zeros(self.body.cloud.n_owned)
+
+
+class RepeatedTangent(LinearisedTerm):
+    """The tangent of bonds that repeat.
+
+    Parameters
+    ----------
+    term : RepeatedBonds
+        The bonds.
+    edge : BondForces
+        Those of the particles whose families do not repeat.
+    repeats : Repeats
+        Which families repeat.
+    state : State
+        Where it is taken.
+    """
+
+    def __init__(self, term: RepeatedBonds, edge: BondForces, repeats: Repeats, state: State) -> None:
+        self._term, self._repeats, self._state = term, repeats, state
+        self._u = state.u_local
+        self._edge = edge.linearised(term.edge_state(state))
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of all bonds of the particles."""
+        part, own = self._repeats.part(particles), self._repeats.edge
+        if len(part.alone):
+            own.add(f, lambda forces: self._edge.add_product(du[own.local], forces, part.alone))
+        self._term.add_row_forces(part, self._u, du, f)
+
+    def stiffness(self) -> Float:
+        """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family."""
+        return self._term.moduli(self._state)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of all bonds to the blocks of local particles (n_local, dim, dim)."""
+        self._repeats.edge.add(blocks, self._edge.add_point_blocks)
+        self._term.add_row_blocks(self._u, blocks)
+        return True
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the bonds, all listed."""
+        BondTangent(self._term, self._state).add_rows(entries)

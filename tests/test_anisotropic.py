@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.material.at_points import MaterialAtPoints
 from tests.commands import python_on
 from tests.scenes import rotation
 from tests.test_hyperelastic import BODIES, strip
@@ -114,6 +115,16 @@ def test_orientation_may_follow_a_function_of_place(tmp_path):
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "e" / "summary.json").read_text())["results"]["force"]
     assert found == pytest.approx(field, rel=1e-9)
+
+
+def test_one_tangent_serves_all_points_only_where_their_axes_agree(rng):
+    F, x = strained(2, rng), rng.random((6, 2))
+    places, turned = np.arange(6), dataclasses.replace(PLY, orientation=lambda x: 0.2 * x[:, 0])
+    assert MaterialAtPoints(turned, places, 2, None, x).same_tangent(F) is None
+    same = MaterialAtPoints(PLY, places, 2, None, x)
+    A = np.empty((6, 2, 2, 2, 2))
+    same.tangent(F, A)
+    assert np.allclose(same.same_tangent(F), A, rtol=1e-14)
 
 
 @pytest.mark.parametrize(

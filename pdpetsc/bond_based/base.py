@@ -135,6 +135,10 @@ class BondMaterial(Declared, ABC):
             It cannot have the declared Poisson's ratio.
         """
 
+    def uniform(self) -> BondMaterial:
+        """Return itself: nothing of it depends on place."""
+        return self
+
     @abstractmethod
     def stiffness(self, bonds: Neighbourhood) -> BondStiffness:
         """Return its constants on all bonds of the own particles (collective)."""

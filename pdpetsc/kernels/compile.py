@@ -39,7 +39,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     try:
         jit.enable_caching()
     except (RuntimeError, OSError) as error:  # no folder can be written to
-        _note(error)
+        note(error)
     else:
         jit._cache = _Forgiving(jit._cache)
     return cast(Callable[..., Any], jit)
@@ -67,7 +67,7 @@ class _Forgiving:
         try:
             return self._cache.load_overload(sig, target_context)
         except Exception as error:
-            _note(error)
+            note(error)
             with contextlib.suppress(Exception):
                 self._cache.flush()  # an empty index, so that this function can be kept again
             return None
@@ -76,10 +76,11 @@ class _Forgiving:
         try:
             self._cache.save_overload(sig, data)
         except Exception as error:
-            _note(error)
+            note(error)
 
 
-def _note(error: Exception) -> None:
+def note(error: Exception) -> None:
+    """Remember why kernels cannot be cached."""
     _trouble.append(f"{type(error).__name__}: {error}".splitlines()[0])
 
 

@@ -5,6 +5,38 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.eigen import symmetric_eigen
+
+
+@compiled
+def principal_axes(F, dim, C, stretch, N, n):  # type: ignore[no-untyped-def]
+    """Write the stretches of F and their directions, columns of N in the reference and of n in the current state."""
+    for i in range(dim):
+        for j in range(dim):
+            C[i, j] = 0.0
+            for k in range(dim):
+                C[i, j] += F[k, i] * F[k, j]
+    symmetric_eigen(C, stretch, N)
+    for a in range(dim):
+        stretch[a] = np.sqrt(stretch[a])
+        for i in range(dim):
+            value = 0.0
+            for k in range(dim):
+                value += F[i, k] * N[k, a]
+            n[i, a] = value / stretch[a]
+
+
+@compiled
+def add_pair(dim, a, b, normal, same, swapped, n, M, A):  # type: ignore[no-untyped-def]
+    """Add ``A_aabb = normal, A_abab = same, A_abba = swapped`` of the principal frame to A (dim, dim, dim, dim)."""
+    for i in range(dim):
+        for m in range(dim):
+            aa = normal * n[i, a] * M[m, a]
+            ab = n[i, a] * M[m, b]
+            for k in range(dim):
+                bb = n[k, b]
+                for o in range(dim):
+                    A[i, m, k, o] += aa * bb * M[o, b] + ab * (same * n[k, a] * M[o, b] + swapped * bb * M[o, a])
 
 
 @compiled
@@ -39,13 +71,4 @@ def principal_tangent(dim, stretch, tau, moduli, shear, n, M, A):  # type: ignor
                 total = (tau[a] / stretch[a] + tau[b] / stretch[b]) / (stretch[a] + stretch[b])
                 same = 0.5 * (difference + total)
                 swapped = 0.5 * (difference - total)
-            for i in range(dim):
-                for m in range(dim):
-                    aa = normal * n[i, a] * M[m, a]
-                    ab = n[i, a] * M[m, b]
-                    for k in range(dim):
-                        bb = n[k, b]
-                        for o in range(dim):
-                            A[i, m, k, o] += aa * bb * M[o, b] + ab * (
-                                same * n[k, a] * M[o, b] + swapped * bb * M[o, a]
-                            )
+            add_pair(dim, a, b, normal, same, swapped, n, M, A)

@@ -24,25 +24,30 @@ class MaterialAtPoints:
         Dimension of the body.
     factor : (n_points,) float64 or None
         What multiplies its moduli at each of these points [-], where it is graded.
+    x : (n_points, dim) float64, optional
+        Positions of the particles whose points they are [length], for what depends on place; the origin by default.
 
     Attributes
     ----------
     history : (n_points, n_history) float64
-        What it remembers, to be overwritten in place; no columns where its stress depends on F alone.
+        What it remembers, to be overwritten in place, or what it reads of the place; no columns where its stress
+        depends on F alone.
     """
 
-    def __init__(self, material: Material, points: GlobalIndex, dim: int, factor: Float | None) -> None:
+    def __init__(
+        self, material: Material, points: GlobalIndex, dim: int, factor: Float | None, x: Float | None = None
+    ) -> None:
         self.material = material
         self.dim = dim
         self._kernels = material.history_kernels(dim)
         self._constants = material.constants(dim)
-        self.put_at(points, factor)
+        self.put_at(points, factor, x)
 
-    def put_at(self, points: GlobalIndex, factor: Float | None) -> None:
+    def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
         """Put the material at other points, undeformed ones."""
         self.points = points
         self.factor = factor
-        self.history = self.material.initial_history(self.dim, len(points))
+        self.history = self.material.history_at(self.dim, np.zeros((len(points), self.dim)) if x is None else x)
 
     def stress(self, F: Float, P: Float) -> None:
         """Write P (all points, dim, dim) at its points."""
@@ -64,6 +69,8 @@ class MaterialAtPoints:
         one = F[self.points[:1]]
         if not self.material.linear and not (np.all(F[self.points[:SOME]] == one) and np.all(F[self.points] == one)):
             return None
+        if not np.all(self.history == self.history[:1]):  # numbers of the place, as the direction of fibres
+            return None
         A = np.empty((1, *one.shape[1:], *one.shape[1:]))
         self._kernels.tangent(one, np.zeros(1, dtype=np.int64), self._constants, self.history[:1], A)
         return np.asarray(A[0])
@@ -83,6 +90,14 @@ class MaterialAtPoints:
             return np.zeros(len(F))
         return self.material.out_of_plane_stress(F, self.history) * (1.0 if self.factor is None else self.factor)
 
+    def hidden_stretch(self, F: Float) -> Float:
+        """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
+        return self.material.hidden_stretch(F, self.history)
+
+    def defined(self, F: Float) -> bool:
+        """Return whether it has a stress at F (all points, dim, dim)."""
+        return self.material.defined(F, self.points, self.history)
+
     def plastic_strain(self) -> Float:
         """Return the accumulated plastic strain at its points (n,) [-]."""
         return self.material.plastic_strain(self.history)
@@ -96,8 +111,7 @@ class MaterialAtPoints:
         """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
         if len(self.points) == 0:
             return 0.0
-        lam, mu = self.material.lame(self.dim)
-        return (lam + 2.0 * mu) * (1.0 if self.factor is None else float(self.factor.max()))
+        return self.material.largest_modulus(self.dim) * (1.0 if self.factor is None else float(self.factor.max()))
 
     def _scale(self, values: Float) -> None:
         if self.factor is not None:

@@ -44,9 +44,82 @@ class HistoryKernels(NamedTuple):
     commit: Callable[..., None]
 
 
-@dataclass(frozen=True)
 class Material(Declared, ABC):
-    """An isotropic material.
+    """A law that gives the stress at a point from the deformation gradient there.
+
+    Attributes
+    ----------
+    plane : {"strain", "stress"}
+        Plane strain or plane stress of a two-dimensional body: no strain or no stress across it.
+    """
+
+    plane: Literal["strain", "stress"]
+
+    # Whether the stress is linear in F, so that the tangent is constant.
+    linear: ClassVar[bool] = False
+    has_history: ClassVar[bool] = False
+
+    @abstractmethod
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the loops for dimension ``dim``."""
+
+    @abstractmethod
+    def constants(self, dim: int) -> Float:
+        """Return the constants that the compiled loops read."""
+
+    @abstractmethod
+    def moduli(self, dim: int) -> Float:
+        """Return ``dP/dF`` at F = I (dim, dim, dim, dim) [stress], with hidden strains where those are free."""
+
+    @abstractmethod
+    def young_modulus(self) -> float:
+        """Return Young's modulus at small strain [stress].
+
+        Raises
+        ------
+        CaseError
+            The material has another one in every direction.
+        """
+
+    @abstractmethod
+    def hidden_stretch(self, F: Float, history: Float) -> Float:
+        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
+
+    @abstractmethod
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``P_zz`` (n,) [stress] in plane strain, for ``F`` (n, 2, 2) and ``history`` (n, n_history)."""
+
+    def history_at(self, dim: int, x: Float) -> Float:
+        """Return what undeformed points of particles at ``x`` (n, dim) keep (n, n_history): nothing by default.
+
+        That is the start of its history, or numbers of the place that its loops read, as the direction of fibres.
+        """
+        return np.empty((len(x), 0))
+
+    def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
+        """Return whether it has a stress at the points ``select`` of F, whose determinants are positive already."""
+        return True
+
+    def plastic_strain(self, history: Float) -> Float:
+        """Return the accumulated plastic strain (n,) [-], 0 for a material that does not flow."""
+        return np.zeros(len(history))
+
+    def uniform(self) -> Material:
+        """Return it without what depends on place, to compile its loops on another body."""
+        return self
+
+    def bulk_like_modulus(self, dim: int) -> float:
+        """Return ``A_iikk / dim^2`` at F = I [stress], the scale of a zero-energy control."""
+        return float(np.einsum("iikk", self.moduli(dim))) / dim**2
+
+    def largest_modulus(self, dim: int) -> float:
+        """Return the largest entry of the small-strain stiffness [stress]."""
+        return float(np.abs(self.moduli(dim)).max())
+
+
+@dataclass(frozen=True)
+class IsotropicMaterial(Material):
+    """A material with Young's modulus and Poisson's ratio.
 
     Parameters
     ----------
@@ -67,10 +140,6 @@ class Material(Declared, ABC):
     nu: float = 0.0
     plane: Literal["strain", "stress"] = "strain"
 
-    # Whether the stress is linear in F, so that the tangent is constant.
-    linear: ClassVar[bool] = False
-    has_history: ClassVar[bool] = False
-
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
@@ -83,26 +152,6 @@ class Material(Declared, ABC):
             raise CaseError(f"{name} needs Poisson's ratio -1 < nu < 0.5, not {self.nu}.")
         if self.plane not in ("strain", "stress"):
             raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
-
-    @abstractmethod
-    def thickness_stretch(self, F: Float) -> Float:
-        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
-
-    @abstractmethod
-    def history_kernels(self, dim: int) -> HistoryKernels:
-        """Return the loops for dimension ``dim``."""
-
-    @abstractmethod
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
-        """Return ``P_zz`` (n,) [stress] in plane strain, for ``F`` (n, 2, 2) and ``history`` (n, n_history)."""
-
-    def initial_history(self, dim: int, n: int) -> Float:
-        """Return the history of ``n`` undeformed points (n, n_history): nothing, (n, 0), where there is none."""
-        return np.empty((n, 0))
-
-    def plastic_strain(self, history: Float) -> Float:
-        """Return the accumulated plastic strain (n,) [-], 0 for a material that does not flow."""
-        return np.zeros(len(history))
 
     def constants(self, dim: int) -> Float:
         """Return the constants that the compiled loops read."""
@@ -132,10 +181,38 @@ class Material(Declared, ABC):
         lam, mu = self.lame(dim)
         return lam + 2.0 * mu / dim
 
+    def largest_modulus(self, dim: int) -> float:
+        """Return ``lambda + 2 mu`` [stress]."""
+        lam, mu = self.lame(dim)
+        return lam + 2.0 * mu
+
+    @abstractmethod
+    def thickness_stretch(self, F: Float) -> Float:
+        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
+
+    def hidden_stretch(self, F: Float, history: Float) -> Float:
+        """Return ``thickness_stretch``."""
+        return self.thickness_stretch(F)
+
+    def young_modulus(self) -> float:
+        """Return E."""
+        return self.E
+
+    def moduli(self, dim: int) -> Float:
+        """Return ``lambda delta_im delta_kn + mu (delta_ik delta_mn + delta_in delta_mk)``."""
+        return isotropic_moduli(*self.lame(dim), dim)
+
+
+def isotropic_moduli(lam: float, mu: float, dim: int) -> Float:
+    """Return ``lambda delta_im delta_kn + mu (delta_ik delta_mn + delta_in delta_mk)``."""
+    one = np.eye(dim)
+    symmetric = np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one)
+    return np.asarray(lam * np.einsum("im,kn->imkn", one, one) + mu * symmetric)
+
 
 @dataclass(frozen=True)
-class ElasticMaterial(Material):
-    """A material whose stress depends on F alone."""
+class ElasticMaterial(IsotropicMaterial):
+    """An isotropic material whose stress depends on F alone."""
 
     def out_of_plane_stress(self, F: Float, history: Float) -> Float:
         """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
@@ -170,10 +247,14 @@ def _nothing(F: Float, select: GlobalIndex, constants: Float, history: Float) ->
 
 
 @dataclass(frozen=True)
-class HistoryMaterial(Material):
-    """A material whose stress depends on what converged steps left at a point."""
+class HistoryMaterial(IsotropicMaterial):
+    """An isotropic material whose stress depends on what converged steps left at a point."""
 
     has_history: ClassVar[bool] = True
+
+    def history_at(self, dim: int, x: Float) -> Float:
+        """Return ``initial_history`` of as many points."""
+        return self.initial_history(dim, len(x))
 
     @abstractmethod
     def initial_history(self, dim: int, n: int) -> Float:

@@ -165,7 +165,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
             sides = [4.0] * dim if share is None else ENOUGH_TO_REPEAT[:dim]
             axes = [np.arange(side) for side in sides]
             x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
-            materials = [ungraded(material) for _, material in case.materials]
+            materials = [ungraded(material).uniform() for _, material in case.materials]
             with cache_lock():
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
@@ -324,7 +324,7 @@ def _points(
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None:
-        alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in continuum]
+        alike = [BondBased(one.young_modulus(), plane=one.plane, calibration="lattice") for one in continuum]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         _refuse_several(case.damage, materials, factor)
         damage = _failing(case.damage, body, bonds, k, finite=True)

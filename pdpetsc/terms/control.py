@@ -166,10 +166,5 @@ def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIn
     dim = body.dim
     factor = np.ones(body.cloud.n_owned) if factor is None else factor
     kappa = np.array([material.bulk_like_modulus(dim) for material in materials])[material_of] * factor
-    one = np.eye(dim)
-    moduli = np.empty((len(materials), *(dim,) * 4))
-    for number, material in enumerate(materials):
-        lam, mu = material.lame(dim)
-        symmetric = np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one)
-        moduli[number] = lam * np.einsum("im,kn->imkn", one, one) + mu * symmetric
+    moduli = np.array([material.moduli(dim) for material in materials])
     return Stiffness(kappa, moduli, material_of, factor)

@@ -197,7 +197,8 @@ class DamagedPoints(MaterialPoints):
         number_of = self._material_of[operator.owner]
         for number, at_points in enumerate(self.materials):
             points = np.flatnonzero(number_of == number)
-            at_points.put_at(points, None if self._factor is None else self._factor[operator.owner[points]])
+            of = operator.owner[points]
+            at_points.put_at(points, None if self._factor is None else self._factor[of], self.body.cloud.x[of])
 
     def _rebuilt(self) -> GradientOperator:
         """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli
 from pdpetsc.kernels.assembly import assemble_kernel
@@ -57,8 +58,10 @@ class MaterialPoints(Matter):
         self.materials: list[MaterialAtPoints] = []
         for number, material in enumerate(materials):
             points = np.flatnonzero(number_of == number)
-            factors = None if factor is None else factor[self.operator.owner[points]]
-            self.materials.append(MaterialAtPoints(material, points, body.dim, factors))
+            of = self.operator.owner[points]
+            factors = None if factor is None else factor[of]
+            with agreed(body.cloud.comm):  # a function of place may fail on one rank
+                self.materials.append(MaterialAtPoints(material, points, body.dim, factors, body.cloud.x[of]))
         self._linear = all(material.linear for material in materials)
         self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
 
@@ -97,7 +100,9 @@ class MaterialPoints(Matter):
     def admissible(self, state: State) -> bool:
         """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
         F = self.deformation(state)
-        return self._linear or bool(determinant_kernel(self.body.dim)(F) > 0.0)
+        if self._linear:
+            return True
+        return bool(determinant_kernel(self.body.dim)(F) > 0.0) and all(one.defined(F) for one in self.materials)
 
     def stress(self, F: Float) -> Float:
         """Return ``P_p`` (n_points, dim, dim) [stress]."""
@@ -212,7 +217,7 @@ class MaterialPoints(Matter):
         for at_points in self.materials:
             if not at_points.material.linear and len(at_points.points):
                 part = F[at_points.points]
-                J = np.linalg.det(part) * at_points.material.thickness_stretch(part)
+                J = np.linalg.det(part) * at_points.hidden_stretch(part)
                 sigma[at_points.points] = np.einsum("pik,pjk->pij", sigma[at_points.points], part) / J[:, None, None]
         return sigma
 
@@ -234,7 +239,7 @@ class MaterialPoints(Matter):
         stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
         for at_points in self.materials:
             part = F[at_points.points]
-            across = at_points.material.thickness_stretch(part)
+            across = at_points.hidden_stretch(part)
             stretch[at_points.points] = np.sqrt(across) if self.body.dim == 1 else across
             P[at_points.points] = at_points.out_of_plane_stress(part)
             current = 1.0 if at_points.material.linear else stretch[at_points.points] / (np.linalg.det(part) * across)

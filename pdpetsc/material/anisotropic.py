@@ -1,0 +1,355 @@
+"""Anisotropic linear elasticity at small strain."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.declared import numbers_from, real_numbers, shown
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.compile import compiled
+from pdpetsc.material.base import LARGEST_MODULUS, LEAST_MODULUS, HistoryKernels, Material, isotropic_moduli
+from pdpetsc.material.hyperelastic import isotropic_mean
+
+# An angle about the third axis [rad], a matrix whose columns are the axes of the material, or a function of positions
+# (n, dim) that gives n of either.
+Orientation: TypeAlias = float | Sequence[Sequence[float]] | Callable[[Float], Float]
+# Places of a symmetric tensor in a vector, and the strains that bodies of each dimension show.
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+SHOWN = {1: [0], 2: [0, 1, 5], 3: [0, 1, 2, 3, 4, 5]}
+# How far axes may be from orthogonal unit vectors, and a stiffness from symmetric or semidefinite over its size.
+NEARLY = 1e-6
+SINGULAR = 1e-12
+
+
+class AnisotropicLinear(Material):
+    """A law ``P = C : eps, eps = sym(F - I)`` whose stiffness has directions."""
+
+    linear: ClassVar[bool] = True
+    orientation: Orientation | None
+
+    @abstractmethod
+    def in_own_axes(self) -> Float:
+        """Return the stiffness in the axes of the material (6, 6) [stress], of ``11, 22, 33, 23, 13, 12``.
+
+        Shear strains are twice those of the tensor.
+        """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        name = type(self).__name__
+        if self.plane not in ("strain", "stress"):
+            raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
+        C = self.in_own_axes()
+        size = float(np.abs(C).max()) if np.isfinite(C).all() else 0.0
+        if not LEAST_MODULUS <= size <= LARGEST_MODULUS:
+            raise CaseError(f"The stiffness of {name} must have moduli from {LEAST_MODULUS:g} to {LARGEST_MODULUS:g}.")
+        if np.abs(C - C.T).max() > NEARLY * size:
+            raise CaseError(f"The stiffness of {name} is not symmetric.")
+        least = np.linalg.eigvalsh(C).min()
+        if not least > SINGULAR * size:
+            raise CaseError(
+                f"The stiffness of {name} is not positive definite: its least eigenvalue is {least:.6g}; Poisson's "
+                f"ratios are too large for these moduli."
+            )
+        if self.orientation is not None and not callable(self.orientation):
+            turned = self._rotations(real_numbers(self.orientation), 1, self.orientation)
+            # Not an array, with which two materials could not be compared.
+            angle = np.ndim(self.orientation) == 0
+            object.__setattr__(
+                self, "orientation", self.orientation if angle else tuple(map(tuple, turned[0].tolist()))
+            )
+
+    def _rotations(self, values: Float | None, n: int, given: object) -> Float:
+        """Return axes in columns (n, 3, 3) from ``n`` angles or matrices, or one."""
+        name = type(self).__name__
+        if values is not None and not np.isfinite(values).all():
+            raise CaseError(f"The orientation of {name} must be finite numbers.")
+        if values is not None and values.shape in ((), (n,)):
+            c, s = np.cos(values), np.sin(values)
+            R = np.zeros((n, 3, 3))
+            R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
+        elif values is not None and values.shape in ((3, 3), (n, 3, 3)):
+            R = np.broadcast_to(values, (n, 3, 3))
+        else:
+            raise CaseError(
+                f"{name} takes one angle or one matrix (3, 3) per particle as orientation, not {shown(given)}."
+            )
+        off = np.abs(np.einsum("pji,pjk->pik", R, R) - np.eye(3)).max() if n else 0.0
+        if not off <= NEARLY:
+            raise CaseError(f"The orientation of {name} must have orthogonal unit vectors as columns, or be an angle.")
+        return R
+
+    def _solids(self, dim: int, x: Float) -> Float:
+        """Return the stiffness of the solid at positions (n, dim), in the axes of the body (n, 3, 3, 3, 3)."""
+        C, n = _tensor(self.in_own_axes()), len(x)
+        if self.orientation is None or n == 0:
+            return np.broadcast_to(C, (n, 3, 3, 3, 3))
+        if callable(self.orientation):
+            values = numbers_from(f"orientation of {type(self).__name__}", self.orientation, x)
+            if values.shape not in ((n,), (n, 3, 3)):
+                raise CaseError(
+                    f"The orientation of {type(self).__name__} must return one angle or one matrix per particle, "
+                    f"not shape {values.shape}."
+                )
+        else:
+            values = np.asarray(self.orientation, dtype=float)
+        R = self._rotations(values, n, self.orientation)
+        # A fixed orientation gives one stiffness.
+        few = R if callable(self.orientation) else R[:1]
+        turned = np.einsum("pia,pjb,pkc,pld,abcd->pijkl", few, few, few, few, C, optimize=True)
+        return np.broadcast_to(turned, (n, 3, 3, 3, 3))
+
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the compiled loops for dimension ``dim``."""
+        return _kernels(dim)
+
+    def constants(self, dim: int) -> Float:
+        """Return the stiffness that the body shows, for points that have none of their own."""
+        return self._reduced(dim, np.zeros((1, dim)))[0] if not callable(self.orientation) else np.empty(0)
+
+    def history_at(self, dim: int, x: Float) -> Float:
+        """Return the stiffness that the body shows and the answer across it, per point where they differ."""
+        if not callable(self.orientation):
+            return np.empty((len(x), 0))
+        return self._reduced(dim, x)
+
+    def _reduced(self, dim: int, x: Float) -> Float:
+        """Return ``C`` (dim^4) and what gives stress or strain across the body (dim^2), one row per position."""
+        return _of_body(self._solids(dim, x), dim, self.plane)
+
+    def _across(self, F: Float, history: Float) -> Float:
+        dim = F.shape[-1]
+        rows = history if history.shape[1] else self.constants(dim)[None]
+        return np.asarray(np.einsum("pij,pij->p", rows[:, dim**4 :].reshape(-1, dim, dim) + 0.0 * F, F - np.eye(dim)))
+
+    def hidden_stretch(self, F: Float, history: Float) -> Float:
+        """Return one plus the strains that the body does not show, to first order (n,) [-]."""
+        if F.shape[-1] == 3 or (F.shape[-1] == 2 and self.plane == "strain"):
+            return np.ones(len(F))
+        return 1.0 + self._across(F, history)
+
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``P_zz = C_zzij eps_ij`` (n,) [stress] in plane strain."""
+        return self._across(F, history)
+
+    def uniform(self) -> Material:
+        """Return it with the axes of the material turned by no angle everywhere, where they are a function of place."""
+        declared: Any = self
+        replaced: Material = (
+            dataclasses.replace(declared, orientation=_not_turned) if callable(self.orientation) else self
+        )
+        return replaced
+
+    def moduli(self, dim: int) -> Float:
+        """Return the stiffness; its isotropic mean where the orientation is a function of place."""
+        if callable(self.orientation):
+            return self._mean(dim)
+        return _of_body(self._solids(dim, np.zeros((1, dim))), dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
+
+    def _mean(self, dim: int) -> Float:
+        mean = isotropic_moduli(*isotropic_mean(_tensor(self.in_own_axes())), 3)
+        return _of_body(mean[None], dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
+
+    def bulk_like_modulus(self, dim: int) -> float:
+        """Return that of the isotropic mean [stress]: the same however the orientation is given."""
+        return float(np.einsum("iikk", self._mean(dim))) / dim**2
+
+    def young_modulus(self) -> float:
+        """Raise CaseError."""
+        raise CaseError(
+            f"{type(self).__name__} has another Young's modulus in every direction; damage of bonds takes materials "
+            f"that are isotropic at small strain."
+        )
+
+
+def _not_turned(x: Float) -> Float:
+    return np.zeros(len(x))
+
+
+def _tensor(C: Float) -> Float:
+    """Return a stiffness (6, 6) as (3, 3, 3, 3)."""
+    found = np.empty((3, 3, 3, 3))
+    for a, (i, j) in enumerate(PAIRS):
+        for b, (k, l) in enumerate(PAIRS):
+            found[i, j, k, l] = found[j, i, k, l] = found[i, j, l, k] = found[j, i, l, k] = 0.5 * (C[a, b] + C[b, a])
+    return found
+
+
+def _of_body(solids: Float, dim: int, plane: str) -> Float:
+    """Return the stiffness of a body of ``dim`` dimensions, then what gives the answer across it (n, dim^4 + dim^2).
+
+    That is the stress across the plane in plane strain, the strain there in plane stress, and the sum of both lateral
+    strains of a bar. No other strains are free than those that make all hidden stresses vanish.
+    """
+    first, second = np.array(PAIRS).T
+    C = solids[:, first[:, None], second[:, None], first, second]
+    here = SHOWN[dim]
+    across = np.zeros((len(C), len(here)))
+    reduced = C[:, here][:, :, here]
+    if dim == 2 and plane == "strain":
+        across = C[:, 2, here]
+    elif dim < 3:
+        S = np.linalg.inv(C)
+        reduced = np.linalg.inv(S[:, here][:, :, here])
+        lateral = S[:, 2, here] if dim == 2 else S[:, 1, here] + S[:, 2, here]
+        across = np.einsum("pa,pab->pb", lateral, reduced)
+    # The place in the vector of each entry of a symmetric tensor of the body.
+    place = np.empty((dim, dim), dtype=int)
+    for a, (i, j) in enumerate(PAIRS[one] for one in here):
+        place[i, j] = place[j, i] = a
+    flat = place.ravel()
+    moduli = reduced[:, flat][:, :, flat].reshape(len(C), dim**4)
+    return np.concatenate([moduli, across[:, flat]], axis=1)
+
+
+@lru_cache
+def _kernels(dim: int) -> HistoryKernels:
+    @compiled
+    def stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
+        for row in range(select.size):
+            p = select[row]
+            C = history[row] if history.shape[1] > 0 else constants
+            for i in range(dim):
+                for m in range(dim):
+                    value = 0.0
+                    for k in range(dim):
+                        for n in range(dim):
+                            one = 1.0 if k == n else 0.0
+                            value += C[((i * dim + m) * dim + k) * dim + n] * (F[p, k, n] - one)
+                    P[p, i, m] = value
+
+    @compiled
+    def tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
+        for row in range(select.size):
+            p = select[row]
+            C = history[row] if history.shape[1] > 0 else constants
+            for i in range(dim):
+                for m in range(dim):
+                    for k in range(dim):
+                        for n in range(dim):
+                            A[p, i, m, k, n] = C[((i * dim + m) * dim + k) * dim + n]
+
+    @compiled
+    def energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
+        for row in range(select.size):
+            p = select[row]
+            C = history[row] if history.shape[1] > 0 else constants
+            value = 0.0
+            for i in range(dim):
+                for m in range(dim):
+                    left = F[p, i, m] - (1.0 if i == m else 0.0)
+                    for k in range(dim):
+                        for n in range(dim):
+                            right = F[p, k, n] - (1.0 if k == n else 0.0)
+                            value += 0.5 * C[((i * dim + m) * dim + k) * dim + n] * left * right
+            psi[p] = value
+
+    return HistoryKernels(stress, tangent, energy, _nothing)
+
+
+def _nothing(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
+    """Remember nothing."""
+
+
+@dataclass(frozen=True)
+class Orthotropic(AnisotropicLinear):
+    """Orthotropic linear elasticity at small strain, ``eps_11 = s_11/E1 - nu12 s_22/E1 - nu13 s_33/E1, ...``.
+
+    Parameters
+    ----------
+    E : (E1, E2, E3)
+        Young's moduli along the axes of the material [stress].
+    nu : (nu12, nu23, nu13)
+        Poisson's ratios [-]: the strain along the second index is ``-nu`` times that along the first, which is pulled.
+    G : (G12, G23, G13)
+        Shear moduli [stress].
+    orientation : float, matrix or callable, optional
+        Where the axes of the material point: an angle about the third axis [rad], a matrix (3, 3) with them as
+        columns, or a function of positions (n, dim) that returns angles (n,) or matrices (n, 3, 3). Those of the body
+        by default.
+    plane : {"strain", "stress"}
+        Plane strain or plane stress of a two-dimensional body.
+
+    Raises
+    ------
+    CaseError
+        The stiffness is not positive definite, or the orientation not one.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> ply = pd.Orthotropic(
+    ...     E=(140e3, 10e3, 10e3), nu=(0.3, 0.4, 0.3), G=(5e3, 3.5e3, 5e3), orientation=0.5, plane="stress"
+    ... )
+    """
+
+    E: tuple[float, float, float]
+    nu: tuple[float, float, float]
+    G: tuple[float, float, float]
+    orientation: Orientation | None = None
+    plane: Literal["strain", "stress"] = "strain"
+
+    def in_own_axes(self) -> Float:
+        """Return the inverse of the compliance."""
+        if not min(*self.E, *self.G) > 0.0 or not max(*self.E, *self.G) <= LARGEST_MODULUS:
+            raise CaseError(f"Orthotropic needs positive moduli E and G, not {shown(self.E)} and {shown(self.G)}.")
+        if not max(map(abs, self.nu)) <= LARGEST_MODULUS:
+            raise CaseError(f"Orthotropic needs Poisson's ratios that are numbers, not {shown(self.nu)}.")
+        (E1, E2, E3), (nu12, nu23, nu13), (G12, G23, G13) = self.E, self.nu, self.G
+        S = np.diag([1.0 / E1, 1.0 / E2, 1.0 / E3, 1.0 / G23, 1.0 / G13, 1.0 / G12])
+        S[0, 1] = S[1, 0] = -nu12 / E1
+        S[1, 2] = S[2, 1] = -nu23 / E2
+        S[0, 2] = S[2, 0] = -nu13 / E1
+        if not np.linalg.eigvalsh(S * max(self.E)).min() > 0.0:
+            raise CaseError(
+                f"Orthotropic has no positive definite stiffness with nu = {shown(self.nu)} and these moduli."
+            )
+        return np.linalg.inv(S)
+
+
+@dataclass(frozen=True)
+class AnisotropicElastic(AnisotropicLinear):
+    """Linear elasticity at small strain with a stiffness matrix.
+
+    Parameters
+    ----------
+    stiffness : (6, 6) sequence of sequences of float
+        Stresses ``11, 22, 33, 23, 13, 12`` for strains in the same order, shear strains twice those of the tensor
+        [stress]; symmetric and positive definite.
+    orientation, plane
+        As for ``Orthotropic``.
+
+    Raises
+    ------
+    CaseError
+        The stiffness is not symmetric and positive definite, or the orientation not one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdpetsc as pd
+    >>> C = np.diag([170.0, 170.0, 170.0, 75.0, 75.0, 75.0])
+    >>> C[:3, :3] += 120.0 * (1.0 - np.eye(3))
+    >>> cubic = pd.AnisotropicElastic(C.tolist(), orientation=0.3)
+    """
+
+    stiffness: Sequence[Sequence[float]]
+    orientation: Orientation | None = None
+    plane: Literal["strain", "stress"] = "strain"
+
+    def in_own_axes(self) -> Float:
+        """Return the stiffness."""
+        C = real_numbers(self.stiffness)
+        if C is None or C.shape != (6, 6):
+            raise CaseError(
+                f"AnisotropicElastic takes a stiffness of 6 rows of 6 numbers, not {shown(self.stiffness)}."
+            )
+        return C

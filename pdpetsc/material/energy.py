@@ -1,0 +1,270 @@
+"""Strain energies written as text: parsed with a closed list of names, never executed."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import permutations
+from typing import Any
+
+import sympy
+
+from pdpetsc.declared import shown
+from pdpetsc.errors import CaseError
+
+# Longest text, and bits of the largest number that a power of numbers may give: longer ones could keep a run busy.
+LONGEST_TEXT, MOST_BITS = 4000, 512
+# Invariants of C = F^T F and of up to two fibre directions: I4, I5 of the first, I6, I7 of the second.
+OF_FIBRES = {"I4": 0, "I5": 0, "I6": 1, "I7": 1}
+INVARIANTS = ("I1", "I2", "J", *OF_FIBRES)
+STRETCHES = ("l1", "l2", "l3")
+SYMBOLS = {name: sympy.Symbol(name, positive=True) for name in (*INVARIANTS, *STRETCHES)}
+_J = SYMBOLS["J"]
+# Names that stand for others; those with ``bar`` are of J^(-1/3) F, which has no change of volume.
+DERIVED = {
+    "I3": _J**2,
+    "I1bar": _J ** sympy.Rational(-2, 3) * SYMBOLS["I1"],
+    "I2bar": _J ** sympy.Rational(-4, 3) * SYMBOLS["I2"],
+    **{f"{name}bar": _J ** sympy.Rational(-2, 3) * SYMBOLS[name] for name in ("I4", "I6")},
+    **{f"{name}bar": _J ** sympy.Rational(-4, 3) * SYMBOLS[name] for name in ("I5", "I7")},
+    **{f"{name}bar": _J ** sympy.Rational(-1, 3) * SYMBOLS[name] for name in STRETCHES},
+}
+
+
+class Step(sympy.Function):  # type: ignore[misc]
+    """1 where the argument is positive, else 0; its derivative is taken for 0."""
+
+    nargs = 1
+
+    @classmethod
+    def eval(cls, x: Any) -> Any:
+        """Return the value for a number."""
+        return sympy.Integer(1 if x > 0 else 0) if x.is_number and x.is_real else None
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        """Return 0."""
+        return sympy.Integer(0)
+
+
+class Pos(sympy.Function):  # type: ignore[misc]
+    """The positive part of the argument."""
+
+    nargs = 1
+
+    @classmethod
+    def eval(cls, x: Any) -> Any:
+        """Return the value for a number."""
+        return (x if x > 0 else sympy.Integer(0)) if x.is_number and x.is_real else None
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        """Return the step."""
+        return Step(self.args[0])
+
+
+FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+    "sqrt": sympy.sqrt, "exp": sympy.exp, "log": sympy.log, "sinh": sympy.sinh, "cosh": sympy.cosh,
+    "tanh": sympy.tanh, "atan": sympy.atan, "pos": Pos,
+}  # fmt: skip
+KNOWN = {*SYMBOLS, *DERIVED, *FUNCTIONS, "pi"}
+
+
+@dataclass(frozen=True)
+class Energy:
+    """A strain energy density as an expression.
+
+    Attributes
+    ----------
+    text : str
+        As written.
+    names : tuple of str
+        Names of its constants, in the order in which loops read them.
+    expression : sympy expression
+        Of the symbols of ``SYMBOLS`` and of the constants.
+    """
+
+    text: str
+    names: tuple[str, ...]
+    expression: Any
+
+    @property
+    def constants(self) -> list[Any]:
+        """Return the symbols of the constants."""
+        return [constant(name) for name in self.names]
+
+    @cached_property
+    def of_stretches(self) -> bool:
+        """Return whether it is written with principal stretches."""
+        return bool(self.expression.free_symbols & {SYMBOLS[name] for name in STRETCHES})
+
+    @property
+    def n_fibres(self) -> int:
+        """Return how many fibre directions it reads."""
+        used = [number for name, number in OF_FIBRES.items() if SYMBOLS[name] in self.expression.free_symbols]
+        return 1 + max(used, default=-1)
+
+
+def constant(name: str) -> Any:
+    """Return the symbol of a constant; its name cannot be that of an invariant."""
+    return sympy.Symbol(f"constant_{name}", real=True)
+
+
+@lru_cache
+def parse(text: str, names: tuple[str, ...]) -> Energy:
+    """Return the energy that a text means, zero at F = I.
+
+    Parameters
+    ----------
+    text : str
+        Of invariants, or of principal stretches, functions of ``FUNCTIONS``, numbers and constants.
+    names : tuple of str
+        The constants.
+
+    Raises
+    ------
+    CaseError
+        The text is no such expression, names what is not known, or does not use a constant.
+    """
+    taken = sorted(KNOWN & set(names))
+    if taken:
+        raise CaseError(f"{taken[0]} cannot be the name of a constant of an energy, because it has a meaning there.")
+    wrong = [name for name in names if not name.isidentifier()]
+    if wrong:
+        raise CaseError(f"{shown(wrong[0])} cannot be the name of a constant of an energy; take letters and digits.")
+    if len(text) > LONGEST_TEXT:
+        raise CaseError(f"An energy may have {LONGEST_TEXT} characters, not {len(text)}.")
+    reader = _Reader(text, names)
+    try:
+        expression = reader.of(ast.parse(text.strip(), mode="eval").body)
+    except CaseError:
+        raise
+    except SyntaxError as error:
+        raise reader.refused(f"cannot be read at character {error.offset or 1}") from None
+    except (ValueError, TypeError, RecursionError, MemoryError, ArithmeticError, AttributeError) as error:
+        raise reader.refused(f"cannot be read: {type(error).__name__}") from None
+    if reader.unused:
+        raise reader.refused(f"does not use the constant {sorted(reader.unused)[0]}; leave it out")
+    return _checked(Energy(text, names, expression), reader)
+
+
+def _checked(energy: Energy, reader: _Reader) -> Energy:
+    """Return the energy in the variables of its loops, minus its value at F = I."""
+    used, expression = energy.expression.free_symbols, energy.expression
+    if expression.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo, sympy.I):
+        raise reader.refused("is not finite")
+    if energy.of_stretches:
+        if any(SYMBOLS[name] in used for name in OF_FIBRES):
+            raise reader.refused("has principal stretches and invariants of fibres; write it with invariants alone")
+        squares = [SYMBOLS[name] ** 2 for name in STRETCHES]
+        a, b, c = squares
+        product = SYMBOLS["l1"] * SYMBOLS["l2"] * SYMBOLS["l3"]
+        in_stretches = {SYMBOLS["I1"]: a + b + c, SYMBOLS["I2"]: a * b + b * c + c * a, _J: product}
+        expression = expression.xreplace(in_stretches)
+        if not _symmetric(expression, energy.constants):
+            raise reader.refused("changes when l1, l2 and l3 are exchanged, so it is not that of an isotropic material")
+    return Energy(energy.text, energy.names, expression - expression.xreplace(UNDEFORMED))
+
+
+UNDEFORMED = {symbol: sympy.Integer(3 if name in ("I1", "I2") else 1) for name, symbol in SYMBOLS.items()}
+
+
+def _symmetric(expression: Any, constants: Sequence[Any]) -> bool:
+    """Return whether the value stays when stretches are exchanged, at numbers that no identity can hold for."""
+    numbers = {symbol: sympy.Float(0.7 + 0.31 * n) for n, symbol in enumerate(constants)}
+    stretches = [SYMBOLS[name] for name in STRETCHES]
+    values = []
+    for order in permutations((sympy.Float(0.83), sympy.Float(1.07), sympy.Float(1.29))):
+        value = expression.xreplace({**numbers, **dict(zip(stretches, order, strict=True))})
+        values.append(complex(value.evalf()))
+    size = max(1.0, *(abs(value) for value in values))
+    return max(abs(value - values[0]) for value in values) < 1e-9 * size
+
+
+class _Reader:
+    """Reads the syntax tree of an expression into SymPy, node by node: nothing of the text is ever executed."""
+
+    def __init__(self, text: str, names: Sequence[str]) -> None:
+        self.text = text
+        self.names = set(names)
+        self.unused = set(names)
+
+    def refused(self, why: str) -> CaseError:
+        return CaseError(f"The energy {shown(self.text)} {why}.")
+
+    def of(self, node: ast.expr) -> Any:
+        """Return the expression of a node."""
+        if isinstance(node, ast.Constant):
+            return self._number(node.value)
+        if isinstance(node, ast.Name):
+            return self._named(node.id)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
+            value = self.of(node.operand)
+            return -value if isinstance(node.op, ast.USub) else value
+        if isinstance(node, ast.BinOp):
+            return self._combined(node.op, self.of(node.left), self.of(node.right))
+        if isinstance(node, ast.Call):
+            return self._called(node)
+        raise self.refused("may have numbers, names, + - * / ** and functions of one argument only")
+
+    def _number(self, value: object) -> Any:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refused(f"has {shown(value)} where a number belongs")
+        if isinstance(value, int) and value.bit_length() > MOST_BITS:
+            raise self.refused("has a number with too many digits")
+        number = sympy.Rational(repr(value)) if value == value and abs(value) != float("inf") else None
+        if number is None:
+            raise self.refused("has a number that is not finite")
+        return number
+
+    def _named(self, name: str) -> Any:
+        self.unused.discard(name)
+        if name in self.names:
+            return constant(name)
+        if name in SYMBOLS or name in DERIVED:
+            return SYMBOLS.get(name, DERIVED.get(name))
+        if name == "pi":
+            return sympy.pi
+        if name in FUNCTIONS:
+            raise self.refused(f"names the function {name} without an argument")
+        known = ", ".join(["I1", "I2", "I3", "J", "I1bar", "I2bar", "I4", "I5", "l1", "l2", "l3"])
+        raise self.refused(f"names {name}, which is neither a constant that was given nor one of {known}")
+
+    def _combined(self, operator: ast.operator, left: Any, right: Any) -> Any:
+        if isinstance(operator, ast.Add):
+            return left + right
+        if isinstance(operator, ast.Sub):
+            return left - right
+        if isinstance(operator, ast.Mult):
+            return left * right
+        if isinstance(operator, ast.Div):
+            if right.is_zero:
+                raise self.refused("divides by zero")
+            return left / right
+        if isinstance(operator, ast.Pow):
+            # SymPy computes powers of numbers exactly, as many digits as they have.
+            if left.is_number and right.is_number and not (
+                right.is_Rational and abs(right) * _bits(left) <= MOST_BITS
+            ):  # fmt: skip
+                raise self.refused("has a power of numbers that is no fraction or too large")
+            power = left**right
+            exponent = power.exp if power.is_Pow else right
+            if exponent.is_number and not abs(float(exponent)) <= MOST_BITS:
+                raise self.refused(f"has an exponent beyond {MOST_BITS}")
+            return power
+        raise self.refused("may have + - * / ** only; a power is **")
+
+    def _called(self, node: ast.Call) -> Any:
+        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
+            raise self.refused(f"calls a function that is not one of {', '.join(FUNCTIONS)}")
+        if len(node.args) != 1 or node.keywords or isinstance(node.args[0], ast.Starred):
+            raise self.refused(f"has not one argument in {node.func.id}")
+        argument = self.of(node.args[0])
+        if argument.is_number and node.func.id in ("exp", "sinh", "cosh") and not abs(float(argument)) <= MOST_BITS:
+            raise self.refused(f"has {node.func.id} of a number that is too large")
+        return FUNCTIONS[node.func.id](argument)
+
+
+def _bits(number: Any) -> int:
+    """Return the bits of the numbers that a power multiplies."""
+    return sum(max(int(part.p).bit_length(), int(part.q).bit_length()) for part in number.atoms(sympy.Rational)) + 1

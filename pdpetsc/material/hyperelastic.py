@@ -1,0 +1,379 @@
+"""Hyperelastic materials from a strain energy written in one line, and named laws made of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.declared import numbers_from, real_numbers, shown
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Material, isotropic_moduli
+
+if TYPE_CHECKING:
+    from pdpetsc.material.energy import Energy
+    from pdpetsc.material.energy_loops import Kind, Loops
+
+# A unit vector, or a function that gives one for every position.
+Direction: TypeAlias = Sequence[float] | Callable[[Float], Float]
+# How far the length of a direction may be from 1, and the stress at F = I from zero over the largest modulus.
+NEARLY_ONE, NEARLY_ZERO = 1e-6, 1e-9
+# The part of named laws that resists changes of volume.
+VOLUMETRIC = "kappa/4 * (J**2 - 1 - 2*log(J))"
+
+
+class EnergyMaterial(Material):
+    """A material whose strain energy is a text; stress, tangent and hidden stretches are derived from it.
+
+    A plane body without stress across it finds the stretch there, and a bar its lateral stretch, from
+    ``d psi / d b = 0`` at every point; the tangent is condensed with it.
+    """
+
+    @abstractmethod
+    def declared_energy(self) -> tuple[str, Mapping[str, float]]:
+        """Return the text of the energy and its constants."""
+
+    def directions(self) -> tuple[Direction, ...]:
+        """Return the directions of its fibres."""
+        return ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        name = type(self).__name__
+        if self.plane not in ("strain", "stress"):
+            raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
+        for constant, value in self.declared_energy()[1].items():
+            number = real_numbers(value)
+            if number is None or number.ndim or not np.abs(number) <= LARGEST_MODULUS or isinstance(value, bool | str):
+                raise CaseError(f"{name} takes a number as constant {constant}, not {shown(value)}.")
+        given = self.directions()
+        if self._energy.n_fibres > len(given):
+            which = "fibre" if not given else "second_fibre"
+            raise CaseError(f"The energy of {name} reads a direction that is not given; give {which}=.")
+        if self._energy.n_fibres < len(given):
+            raise CaseError(f"The energy of {name} does not read one of its {len(given)} fibre directions.")
+        for field in ("fibre", "second_fibre"):
+            direction = getattr(self, field, None)
+            if direction is not None and not callable(direction):
+                # Not an array, with which two materials could not be compared.
+                object.__setattr__(self, field, tuple(_unit(direction, name).tolist()))
+        self._refuse_bad_start()
+
+    @property
+    def _energy(self) -> Energy:
+        # SymPy takes a while to import, which cases without such a material need not wait for.
+        from pdpetsc.material.energy import parse
+
+        text, constants = self.declared_energy()
+        return parse(text, tuple(constants))
+
+    def _loops(self, dim: int) -> Loops:
+        from pdpetsc.material.energy_loops import loops_of
+
+        return loops_of(self._energy, self._kind(dim))
+
+    def _kind(self, dim: int) -> Kind:
+        if dim == 2:
+            return self.plane
+        return "bar" if dim == 1 else "solid"
+
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the compiled loops for dimension ``dim``."""
+        return self._loops(dim).kernels
+
+    def constants(self, dim: int) -> Float:
+        """Return the constants in the order in which they were given, and the lateral ratio of the linear law."""
+        lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
+        ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
+        return np.array([*self._values(), ratio[self._kind(dim)]])
+
+    def _values(self) -> tuple[float, ...]:
+        return tuple(float(value) for value in self.declared_energy()[1].values())
+
+    def history_at(self, dim: int, x: Float) -> Float:
+        """Return the fibre directions of points of particles at ``x``, one after the other (n, n_fibres dim)."""
+        columns = [self._direction_at(direction, dim, x) for direction in self.directions()]
+        return np.ascontiguousarray(np.concatenate(columns, axis=1)) if columns else np.empty((len(x), 0))
+
+    def _direction_at(self, direction: Direction, dim: int, x: Float) -> Float:
+        name = type(self).__name__
+        if not callable(direction):
+            unit = _unit(direction, name)
+            if len(unit) != dim:
+                raise CaseError(f"The fibres of {name} have {len(unit)} components, but the body has {dim} dimensions.")
+            return np.tile(unit, (len(x), 1))
+        if len(x) == 0:  # a function of positions need not know what to make of none
+            return np.empty((0, dim))
+        values = numbers_from(f"fibre direction of {name}", direction, x)
+        if values.shape != x.shape:
+            raise CaseError(
+                f"The fibre direction of {name} must return one vector per particle, {x.shape}, not {values.shape}."
+            )
+        length = np.linalg.norm(values, axis=1)
+        bad = np.flatnonzero(~(np.abs(length - 1.0) <= NEARLY_ONE))
+        if len(bad):
+            raise CaseError(
+                f"The fibre direction of {name} is {values[bad[0]]} at {x[bad[0]]}, of length {length[bad[0]]:g}; "
+                f"it must be a unit vector."
+            )
+        return np.asarray(values / length[:, None])
+
+    def uniform(self) -> Material:
+        """Return it with all fibres along the first axis."""
+        given = {name: _along_first for name in ("fibre", "second_fibre") if getattr(self, name, None) is not None}
+        declared: Any = self
+        replaced: Material = dataclasses.replace(declared, **given)
+        return replaced
+
+    def _across(self, F: Float, select: GlobalIndex, directions: Float) -> Float:
+        dim = F.shape[-1]
+        result = np.empty(len(select))
+        self._loops(dim).across(np.ascontiguousarray(F), select, self.constants(dim), directions, result)
+        return result
+
+    def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
+        """Return whether the hidden stretch is found at all points ``select``."""
+        if self._kind(F.shape[-1]) in ("solid", "strain"):
+            return True
+        return bool(np.isfinite(self._across(F, select, history)).all())
+
+    def hidden_stretch(self, F: Float, history: Float) -> Float:
+        """Return ``b`` in plane stress, ``b^2`` in a bar, 1 in plane strain and solids (n,) [-]."""
+        if self._kind(F.shape[-1]) in ("solid", "strain"):
+            return np.ones(len(F))
+        return self._across(F, np.arange(len(F)), history)
+
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``P_zz = d psi / d F_zz`` (n,) [stress] in plane strain."""
+        return self._across(F, np.arange(len(F)), history)
+
+    def moduli(self, dim: int) -> Float:
+        """Return ``dP/dF`` at F = I; where directions are functions of place, its isotropic mean."""
+        given = self.directions()
+        if any(callable(direction) for direction in given):
+            lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(given)))
+            solid = isotropic_moduli(lam, mu, 3)
+        else:
+            solid = self._solid_moduli([np.append(_unit(one, ""), np.zeros(3))[:3] for one in given])
+        return _condensed(solid, self._kind(dim))
+
+    def bulk_like_modulus(self, dim: int) -> float:
+        """Return that of the isotropic mean [stress]: the same however directions are given."""
+        mean = isotropic_moduli(*isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
+        return float(np.einsum("iikk", _condensed(mean, self._kind(dim)))) / dim**2
+
+    def _solid_moduli(self, directions: Sequence[Float]) -> Float:
+        moduli: Float = _undeformed(self._energy, self._values(), tuple(map(tuple, directions)))[1]
+        return moduli
+
+    def young_modulus(self) -> float:
+        """Return ``mu (3 lambda + 2 mu) / (lambda + mu)`` of the law at small strain."""
+        moduli = self._solid_moduli([np.eye(3)[0]] * len(self.directions()))
+        lam, mu = isotropic_mean(moduli)
+        if np.abs(moduli - isotropic_moduli(lam, mu, 3)).max() > NEARLY_ZERO * np.abs(moduli).max():
+            raise CaseError(
+                f"{type(self).__name__} has another Young's modulus in every direction; damage of bonds takes "
+                f"materials that are isotropic at small strain."
+            )
+        return mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
+
+    def _refuse_bad_start(self) -> None:
+        """Raise CaseError where the undeformed state has a stress or is not stable."""
+        name = type(self).__name__
+        given = self.directions()
+        fixed = all(not callable(one) for one in given)
+        axes = [np.append(_unit(one, name), np.zeros(3))[:3] if fixed else np.eye(3)[0] for one in given]
+        stress, moduli = _undeformed(self._energy, self._values(), tuple(map(tuple, axes)))
+        size = float(np.abs(moduli).max())
+        if not (np.isfinite(size) and np.isfinite(stress).all()):
+            raise CaseError(f"The energy of {name} has no finite stress and tangent at F = I.")
+        worst = stress.flat[int(np.abs(stress).argmax())]
+        if abs(worst) > NEARLY_ZERO * size or size == 0.0:
+            raise CaseError(
+                f"The energy of {name} has the stress {worst:.6g} at F = I, where it must have none, with moduli of "
+                f"{size:.6g}."
+            )
+        least = np.linalg.eigvalsh(_voigt(moduli)).min()
+        if not least > NEARLY_ZERO * NEARLY_ONE * size:
+            raise CaseError(
+                f"The energy of {name} is not stable at F = I: the least eigenvalue of its small-strain stiffness is "
+                f"{least:.6g}, not positive."
+            )
+
+
+def _along_first(x: Float) -> Float:
+    return np.tile(np.eye(x.shape[1])[0], (len(x), 1))
+
+
+def _unit(direction: Direction, name: str) -> Float:
+    """Return a given direction as a unit vector."""
+    values = real_numbers(direction)
+    length = 0.0 if values is None or values.ndim != 1 or not 1 <= len(values) <= 3 else float(np.linalg.norm(values))
+    if values is None or not abs(length - 1.0) <= NEARLY_ONE:
+        raise CaseError(f"{name} takes a unit vector or a function as fibre direction, not {shown(direction)}.")
+    return np.asarray(values / length)
+
+
+@lru_cache
+def _undeformed(energy: Energy, constants: tuple[float, ...], axes: tuple[tuple[float, ...], ...]) -> tuple[Float, Any]:
+    """Return stress (3, 3) and tangent (3, 3, 3, 3) of a solid at F = I."""
+    import sympy
+
+    from pdpetsc.material.energy import SYMBOLS, UNDEFORMED
+    from pdpetsc.material.energy_loops import invariant_scalars
+
+    numbers = {symbol: sympy.Float(value, 17) for symbol, value in zip(energy.constants, constants, strict=True)}
+
+    def value(expression: Any) -> float:
+        try:
+            number = complex(sympy.sympify(expression).xreplace({**UNDEFORMED, **numbers}).evalf())
+        except (TypeError, ValueError, ArithmeticError):
+            return float("nan")
+        return number.real if number.imag == 0.0 else float("nan")
+
+    one = np.eye(3)
+    if energy.of_stretches:
+        l1, l2 = SYMBOLS["l1"], SYMBOLS["l2"]
+        first = energy.expression.diff(l1)
+        stress, lam, whole = value(first), value(first.diff(l2)), value(first.diff(l1))
+        # Of the shear moduli (dP/dF)_abab and (dP/dF)_abba half the sum counts, half the difference is half the stress.
+        moduli = isotropic_moduli(lam, 0.5 * (whole - lam), 3)
+        return stress * one, moduli
+    scalars = invariant_scalars(energy, "solid")
+    g = {name: value(expression) for name, expression in scalars.g.items()}
+    h = {pair: value(expression) for pair, expression in scalars.h.items()}
+    tensors = {"I1": one, "I2": 2.0 * one, "J": one}
+    for number, axis in enumerate(axes):
+        dyad = np.outer(axis, axis)
+        tensors |= {f"I{4 + 2 * number}": dyad, f"I{5 + 2 * number}": 2.0 * dyad}
+    P = sum((g[name] * tensors[name] for name in g), np.zeros((3, 3)))
+    A = sum((h[m, n] * np.multiply.outer(tensors[m], tensors[n]) for m, n in h), np.zeros((3, 3, 3, 3)))
+    same, turned = np.einsum("ik,mn->imkn", one, one), np.einsum("in,km->imkn", one, one)
+    A = A + g.get("I1", 0.0) * same + g.get("I2", 0.0) * (same - turned) - g.get("J", 0.0) * turned
+    for number, axis in enumerate(axes):
+        dyad = np.outer(axis, axis)
+        A = A + g.get(f"I{4 + 2 * number}", 0.0) * np.einsum("ik,mn->imkn", one, dyad)
+        five = [np.einsum(index, one, dyad) for index in ("ik,mn->imkn", "mn,ik->imkn", "km,in->imkn", "in,km->imkn")]
+        A = A + g.get(f"I{5 + 2 * number}", 0.0) * (3.0 * five[0] + five[1] + five[2] + five[3])
+    return P, A
+
+
+def _voigt(moduli: Float) -> Float:
+    """Return the stiffness of the strains ``11, 22, 33, sqrt(2) 23, ...`` (6, 6)."""
+    pairs = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
+    weight = [1.0 if i == m else np.sqrt(0.5) for i, m in pairs]
+    both = moduli + moduli.transpose(1, 0, 2, 3)
+    both = 0.25 * (both + both.transpose(0, 1, 3, 2))
+    scale = [1.0 if i == m else 2.0 for i, m in pairs]
+    return np.array(
+        [
+            [weight[a] * scale[a] * weight[b] * scale[b] * both[i, m, k, n] for b, (k, n) in enumerate(pairs)]
+            for a, (i, m) in enumerate(pairs)
+        ]
+    )
+
+
+def isotropic_mean(moduli: Float) -> tuple[float, float]:
+    """Return ``lambda, mu`` of the isotropic stiffness nearest to moduli (3, 3, 3, 3)."""
+    bulk = float(np.einsum("iikk", moduli))
+    full = float(np.einsum("ikik", moduli) + np.einsum("ikki", moduli)) / 2.0
+    mu = (full - bulk / 3.0) / 10.0
+    return (bulk - 6.0 * mu) / 9.0, mu
+
+
+def _condensed(moduli: Float, kind: Kind) -> Float:
+    """Return the moduli of a body of lower dimension, with strains across it that are free or zero."""
+    dim = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}[kind]
+    inner = moduli[:dim, :dim, :dim, :dim]
+    if kind in ("solid", "strain"):
+        return np.ascontiguousarray(inner)
+    out = np.arange(dim, 3)
+    across = moduli[out, out][:, out, out]
+    mixed = moduli[out, out][:, :dim, :dim]
+    there = moduli[:dim, :dim][:, :, out, out]
+    return np.asarray(inner - np.einsum("imq,qr,rkn->imkn", there, np.linalg.inv(across), mixed))
+
+
+@dataclass(frozen=True, init=False)
+class Hyperelastic(EnergyMaterial):
+    """A material from its strain energy density, written in one line.
+
+    The text has numbers, constants, ``+ - * / **``, ``sqrt, exp, log, sinh, cosh, tanh, atan``, the positive part
+    ``pos`` and one set of variables, of the right stretch ``C = F^T F`` of the three-dimensional body:
+
+    - invariants ``I1 = tr C``, ``I2``, ``I3 = det C``, ``J = det F``; of fibres ``I4 = a . C a`` and ``I5 = a . C^2 a``
+      with ``a`` the direction ``fibre``, ``I6`` and ``I7`` with ``second_fibre``; with ``bar``, as ``I1bar``, those of
+      ``J^(-1/3) F``;
+    - or principal stretches ``l1, l2, l3``, ``l1bar, ...``, ``J``, in which it must be symmetric.
+
+    Stress and tangent are derived from it exactly and compiled once; the machine code is kept on disk. The value at
+    F = I is taken off.
+
+    Parameters
+    ----------
+    energy : str
+        The energy density [stress].
+    plane : {"strain", "stress"}
+        Plane strain or plane stress of a two-dimensional body.
+    fibre, second_fibre : sequence of float or callable, optional
+        Unit vectors in the undeformed body, as many components as it has dimensions, or functions of positions
+        (n, dim) that return them (n, dim).
+    values : mapping of str to float, optional
+        Constants by name [stress, or none].
+    **constants : float
+        The same, as arguments.
+
+    Raises
+    ------
+    CaseError
+        The energy is no such expression, has a stress or no positive definite stiffness at F = I, a constant is
+        missing, not used or no number, or a direction is no unit vector.
+
+    References
+    ----------
+    Holzapfel2000, sections 6.2 and 6.5.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> rubber = pd.Hyperelastic("mu/2 * (I1 - 3 - 2*log(J)) + lam/2 * log(J)**2", mu=0.4, lam=1.0)
+    >>> ply = pd.Hyperelastic(
+    ...     "mu/2 * (I1bar - 3) + kappa/2 * (J - 1)**2 + k/2 * (I4 - 1)**2", fibre=(0.6, 0.8), mu=1.0, kappa=5.0, k=3.0
+    ... )
+    """
+
+    energy: str
+    plane: Literal["strain", "stress"]
+    fibre: Direction | None
+    second_fibre: Direction | None
+    values: Mapping[str, Any]
+
+    def __init__(
+        self,
+        energy: str,
+        plane: Literal["strain", "stress"] = "strain",
+        fibre: Direction | None = None,
+        second_fibre: Direction | None = None,
+        values: Mapping[str, float] | None = None,
+        **constants: float,
+    ) -> None:
+        given = {} if values is None else values
+        together = {**given, **constants} if isinstance(given, Mapping) else given
+        fields = {"energy": energy, "plane": plane, "fibre": fibre, "second_fibre": second_fibre, "values": together}
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    def declared_energy(self) -> tuple[str, Mapping[str, float]]:
+        """Return the text and the constants."""
+        return self.energy, self.values
+
+    def directions(self) -> tuple[Direction, ...]:
+        """Return the directions that are given."""
+        return tuple(one for one in (self.fibre, self.second_fibre) if one is not None)

@@ -1,5 +1,6 @@
 """Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
+from pdpetsc.material import hardening, rate
 from pdpetsc.material.anisotropic import AnisotropicElastic, Orthotropic
 from pdpetsc.material.base import (
     ElasticMaterial,
@@ -10,12 +11,15 @@ from pdpetsc.material.base import (
     PointKernels,
 )
 from pdpetsc.material.graded import Graded
+from pdpetsc.material.hardening import Hardening
 from pdpetsc.material.hencky import Hencky
 from pdpetsc.material.hyperelastic import Hyperelastic
 from pdpetsc.material.j2 import J2
 from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.material.logarithmic import LogarithmicMaterial, Response
 from pdpetsc.material.named_laws import HolzapfelGasserOgden, MooneyRivlin, Ogden, Yeoh
 from pdpetsc.material.neo_hookean import NeoHookean
+from pdpetsc.material.rate import RateLaw
 from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
 
 __all__ = [
@@ -23,6 +27,7 @@ __all__ = [
     "AnisotropicElastic",
     "ElasticMaterial",
     "Graded",
+    "Hardening",
     "Hencky",
     "HistoryKernels",
     "HistoryMaterial",
@@ -30,12 +35,17 @@ __all__ = [
     "Hyperelastic",
     "IsotropicMaterial",
     "LinearElastic",
+    "LogarithmicMaterial",
     "Material",
     "MooneyRivlin",
     "NeoHookean",
     "Ogden",
     "Orthotropic",
     "PointKernels",
+    "RateLaw",
+    "Response",
     "SaintVenantKirchhoff",
     "Yeoh",
+    "hardening",
+    "rate",
 ]

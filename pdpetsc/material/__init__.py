@@ -10,6 +10,7 @@ from pdpetsc.material.base import (
     Material,
     PointKernels,
 )
+from pdpetsc.material.drucker_prager import DruckerPrager
 from pdpetsc.material.graded import Graded
 from pdpetsc.material.hardening import Hardening
 from pdpetsc.material.hencky import Hencky
@@ -25,6 +26,7 @@ from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
 __all__ = [
     "J2",
     "AnisotropicElastic",
+    "DruckerPrager",
     "ElasticMaterial",
     "Graded",
     "Hardening",

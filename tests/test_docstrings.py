@@ -18,7 +18,7 @@ import pdpetsc as pd
 NOT_COMPOSED = {
     "Case", "CaseError", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray", "LinearisedTerm",
     "OutputError", "PointKernels", "PointTangent", "Prepared", "Response", "RunError", "Solution", "SolveError",
-    "State", "region.View",
+    "State", "TensorResponse", "region.View",
 }  # fmt: skip
 
 

@@ -59,6 +59,7 @@ VALID = [
     pd.hardening.Tabular([0.0, 0.1], [0.0, 1.0]), pd.hardening.Sum([pd.hardening.Linear(1.0)]),
     pd.rate.Perzyna(1.0, 1.0, 1.0), pd.rate.JohnsonCook(1.0, 0.1, 1.0, 500.0),
     pd.DruckerPrager(1.0, 0.3, cohesion=0.1, friction=0.5, dilatancy=0.1),
+    pd.KinematicJ2(1.0, 0.3, yield_stress=0.1, kinematic=0.1), pd.Maxwell(1.0, 0.3, shear=[0.5], times=[2.0]),
     pd.LinearElastic(1.0), pd.J2(1.0, 0.3, yield_stress=0.1), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2),
     CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),

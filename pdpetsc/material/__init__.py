@@ -16,8 +16,11 @@ from pdpetsc.material.hardening import Hardening
 from pdpetsc.material.hencky import Hencky
 from pdpetsc.material.hyperelastic import Hyperelastic
 from pdpetsc.material.j2 import J2
+from pdpetsc.material.kinematic import KinematicJ2
+from pdpetsc.material.lagrangian import LagrangianMaterial, TensorResponse
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.material.logarithmic import LogarithmicMaterial, Response
+from pdpetsc.material.maxwell import Maxwell
 from pdpetsc.material.named_laws import HolzapfelGasserOgden, MooneyRivlin, Ogden, Yeoh
 from pdpetsc.material.neo_hookean import NeoHookean
 from pdpetsc.material.rate import RateLaw
@@ -36,9 +39,12 @@ __all__ = [
     "HolzapfelGasserOgden",
     "Hyperelastic",
     "IsotropicMaterial",
+    "KinematicJ2",
+    "LagrangianMaterial",
     "LinearElastic",
     "LogarithmicMaterial",
     "Material",
+    "Maxwell",
     "MooneyRivlin",
     "NeoHookean",
     "Ogden",
@@ -47,6 +53,7 @@ __all__ = [
     "RateLaw",
     "Response",
     "SaintVenantKirchhoff",
+    "TensorResponse",
     "Yeoh",
     "hardening",
     "rate",

@@ -8,14 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.errors import CaseError
+from pdpetsc.arrays import Float
 from pdpetsc.kernels.linear_return import linear_out_of_plane, linear_return_loops
 from pdpetsc.material.base import HistoryKernels
+from pdpetsc.material.flow import Flow, flow_of
 from pdpetsc.material.hardening import Hardening, Linear, law_of
 from pdpetsc.material.logarithmic import LogarithmicMaterial, Response
 from pdpetsc.material.rate import RateLaw
-from pdpetsc.material.roots import falling_roots
 
 
 @dataclass(frozen=True)
@@ -69,10 +68,11 @@ class J2(LogarithmicMaterial):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.yield_stress) and self.yield_stress > 0.0):
-            raise CaseError(f"J2 needs a positive yield stress, not {self.yield_stress}.")
-        if not isinstance(self.hardening, Hardening) and not (math.isfinite(self.hardening) and self.hardening >= 0.0):
-            raise CaseError(f"J2 needs hardening >= 0, not {self.hardening}.")
+        assert self._flow  # or refused
+
+    @property
+    def _flow(self) -> Flow:
+        return flow_of("J2", self.yield_stress, self.hardening, self.rate)
 
     def _linear_loops(self, dim: int) -> bool:
         """Return whether loops made for linear hardening do all of it."""
@@ -126,13 +126,11 @@ class J2(LogarithmicMaterial):
         q = math.sqrt(6.0) * mu * np.sqrt(square)
         after = state.copy()
         theta = np.ones(len(q))
-        flow = self._flowing(q, alpha, dt)
-        if len(flow):
-            growth, slope = self._growth(q[flow], alpha[flow], dt[flow])
-            theta[flow] -= 3.0 * mu * growth / q[flow]
-            after[flow, -1] += growth
-            if self.rate is not None:
-                after[flow, 0] += self._work(alpha[flow], growth, dt[flow])
+        flow, growth, slope = self._flow.growth(q, alpha, dt, 3.0 * mu)
+        theta[flow] -= 3.0 * mu * growth / q[flow]
+        after[flow, -1] += growth
+        if self.rate is not None and len(flow):
+            after[flow, 0] += self._flow.work(alpha[flow], growth, dt[flow])
         pressure = 3.0 * K * mean
         scaled = theta[:, None] * deviator
         tau = pressure[:, None] + 2.0 * mu * scaled
@@ -152,43 +150,6 @@ class J2(LogarithmicMaterial):
         """Return elastic energy and the work of flow."""
         mu, K = self.shear_and_bulk
         alpha, mean = state[:, -1], elastic.mean(axis=1)
-        work = self.yield_stress * alpha + law_of(self.hardening).integral(alpha) if self.rate is None else state[:, 0]
+        work = self._flow.work(np.zeros(len(alpha)), alpha, alpha) if self.rate is None else state[:, 0]
         stored = 4.5 * K * mean * mean + mu * ((elastic - mean[:, None]) ** 2).sum(axis=1)
         return np.asarray(stored + work)
-
-    def _resistance(self, alpha: Float, growth: Float, dt: Float) -> tuple[Float, Float]:
-        """Return the flow resistance after a growth of alpha in a step, and its slope over the growth."""
-        law = law_of(self.hardening)
-        slow = self.yield_stress + law.increase(alpha + growth)
-        slope = law.slope(alpha + growth)
-        if self.rate is None:
-            return slow, slope
-        stress, by_slow, by_rate = self.rate.resistance(slow, growth / dt)
-        return stress, by_slow * slope + by_rate / dt
-
-    def _flowing(self, q: Float, alpha: Float, dt: Float) -> GlobalIndex:
-        """Return the points that flow; none does in no time where its rate counts."""
-        slow = self.yield_stress + law_of(self.hardening).increase(alpha)
-        if self.rate is None:
-            return np.flatnonzero(q > slow)
-        return np.flatnonzero((q > self.rate.resistance(slow, np.zeros(len(q)))[0]) & (dt > 0.0))
-
-    def _growth(self, q: Float, alpha: Float, dt: Float) -> tuple[Float, Float]:
-        """Return the growth of alpha of points that flow, and the slope of their resistance there."""
-        mu, _ = self.shear_and_bulk
-
-        def excess(growth: Float, rows: GlobalIndex) -> tuple[Float, Float]:
-            stress, slope = self._resistance(alpha[rows], growth, dt[rows])
-            return q[rows] - 3.0 * mu * growth - stress, -3.0 * mu - slope
-
-        high = q / (3.0 * mu)
-        slow, slope = self._resistance(alpha, np.zeros(len(q)), dt)
-        # The first step of Newton's method, which is exact for linear hardening.
-        growth = falling_roots(excess, (q - slow) / (3.0 * mu + slope), high, q)
-        return growth, self._resistance(alpha, growth, dt)[1]
-
-    def _work(self, alpha: Float, growth: Float, dt: Float) -> Float:
-        assert self.rate is not None
-        law = law_of(self.hardening)
-        work = self.yield_stress * growth + law.integral(alpha + growth) - law.integral(alpha)
-        return self.rate.potential(lambda more: self.yield_stress + law.increase(alpha + more), work, growth, dt)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.kernels.logarithmic import LogarithmicLoops, logarithmic_loops
 from pdpetsc.material.base import HistoryKernels, HistoryMaterial
+from pdpetsc.material.roots import rising_roots
 
 # Points that are computed together: their arrays stay in the cache.
 BLOCK = 4096
@@ -20,9 +20,6 @@ BLOCK = 4096
 KEPT = 3
 # Strains that differ by less are taken as equal where the difference quotient of their stresses is asked.
 EQUAL = 1e-5
-# Newton's method for a hidden strain: largest number of steps, where the next step is the last one, and what counts
-# where it has stalled, both as shares of the largest stress.
-STEPS, NEAR, STALLED = 60, 1e-9, 1e-11
 
 Kind = Literal["solid", "strain", "stress", "bar"]
 
@@ -217,43 +214,22 @@ class LogarithmicMaterial(HistoryMaterial):
     def _without_lateral_stress(self, strain: Float, state: Float, dt: Float, kind: Kind) -> Response:
         """Return the response where hidden strains, written into ``strain``, leave no stress across the body.
 
-        The stress grows with the strain, so that every strain tried bounds the one that is looked for. After a stress
-        is nearly zero one more step leaves its round-off.
+        The stress grows with the strain, so that every strain tried bounds the one that is looked for.
         """
         mu, K = self.shear_and_bulk
         lam = K - 2.0 * mu / 3.0
-        plane = kind == "stress"
-        x = -lam / (lam + 2.0 * mu) * (strain[:, 0] + strain[:, 1]) if plane else -self.nu * strain[:, 0]
-        low, high = np.full(len(x), -math.inf), np.full(len(x), math.inf)
-        hidden = [2] if plane else [1, 2]
+        hidden = [2] if kind == "stress" else [1, 2]
+
+        def lateral(x: Float, rows: GlobalIndex) -> tuple[Float, Float, Float]:
+            strain[rows[:, None], hidden] = x[:, None]
+            tau, moduli, _, _ = self.respond(strain[rows], state[rows], dt[rows], True)
+            assert moduli is not None
+            return tau[:, 2], moduli[:, 2, hidden].sum(axis=1), np.abs(tau).max(axis=1)
+
+        elastic = -lam / (lam + 2.0 * mu) * (strain[:, 0] + strain[:, 1])
+        x = rising_roots(lateral, elastic if kind == "stress" else -self.nu * strain[:, 0], lam + 2.0 * mu)
         strain[:, hidden] = x[:, None]
-        found = self.respond(strain, state, dt, True)
-        assert found.moduli is not None
-        tau, moduli, elastic, after = (np.array(part) for part in found)
-        rows, last = np.arange(len(x)), np.zeros(len(x), dtype=bool)
-        for _ in range(STEPS):
-            lateral = tau[rows, 2]
-            low[rows] = np.where(lateral < 0.0, np.maximum(low[rows], x[rows]), low[rows])
-            high[rows] = np.where(lateral > 0.0, np.minimum(high[rows], x[rows]), high[rows])
-            left = (lateral != 0.0) & ~last[rows]
-            rows, lateral = rows[left], lateral[left]
-            if not len(rows):
-                break
-            last[rows] = np.abs(lateral) <= NEAR * np.abs(tau[rows]).max(axis=1)
-            slope = moduli[rows, 2, 2] if plane else moduli[rows, 2, 2] + moduli[rows, 2, 1]
-            with np.errstate(all="ignore"):
-                moved = x[rows] - lateral / slope
-                inside = ((moved > low[rows]) & (moved < high[rows])) | last[rows]
-                middle = 0.5 * (low[rows] + high[rows])
-            # Without a bound on both sides there is no middle: the elastic step is the shortest one there is.
-            shortest = x[rows] - lateral / (lam + 2.0 * mu)
-            x[rows] = np.where(inside, moved, np.where(np.isfinite(middle), middle, shortest))
-            strain[rows[:, None], hidden] = x[rows][:, None]
-            found = self.respond(strain[rows], state[rows], dt[rows], True)
-            assert found.moduli is not None
-            tau[rows], moduli[rows], elastic[rows], after[rows] = found
-        tau[~(np.abs(tau[:, 2]) <= STALLED * np.maximum(np.abs(tau).max(axis=1), self.E * STALLED))] = math.nan
-        return Response(tau, moduli, elastic, after)
+        return self.respond(strain, state, dt, True)
 
 
 def _blocks(select: GlobalIndex, history: Float) -> Iterator[tuple[GlobalIndex, Float]]:

@@ -1,12 +1,14 @@
 """Laws with history at points: derivatives, objectivity, closed forms, free sides, time, and small bodies."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.material.at_points import MaterialAtPoints
+from tests.commands import ROOT
 from tests.scenes import body, dense_tangent, differences, displacement, rotation
 
 hard, rates = pd.hardening, pd.rate
@@ -32,6 +34,9 @@ LAWS |= {"drucker_prager": SOIL, "not_associated": dataclasses.replace(SOIL, dil
 LAWS["kinematic"] = pd.KinematicJ2(E, NU, yield_stress=Y, kinematic=0.8, hardening=ISOTROPIC["voce"])
 LAWS["kinematic_perzyna"] = dataclasses.replace(LAWS["kinematic"], rate=LAWS["perzyna"].rate)
 LAWS["maxwell"] = pd.Maxwell(E, NU, shear=[3.0, 1.0], times=[0.5, 5.0], duration=DURATION)
+OWN: dict = {}
+exec(re.search(r"```python\n(.*?)```", (ROOT / "docs/plasticity.md").read_text(), re.DOTALL).group(1), OWN)
+LAWS["own"] = OWN["Norton"](E, NU, q_0=0.5, rate_0=0.2, n=3.0, duration=DURATION)
 TIMED = [name for name, law in LAWS.items() if getattr(law, "rate", None)]
 BODIES = {"bar": (1, "strain"), "strain": (2, "strain"), "stress": (2, "stress"), "solid": (3, "strain")}
 STEP = 1e-6
@@ -115,7 +120,7 @@ def test_stress_and_tangent_are_derivatives_in_elastic_plastic_and_reversed_stat
         # What has been taken is the same state: stress and energy do not change when the step ends.
         assert np.allclose(points.stress(F), P, atol=1e-11 * E)
         assert np.allclose(points.energy(F), energy, atol=1e-12 * E)
-    if name == "maxwell":
+    if name in ("maxwell", "own"):  # without a yield stress nothing is elastic
         return
     grown = points.alpha - before
     assert grown.max() > 0.01 and (grown == 0.0).any()
@@ -207,6 +212,18 @@ def test_without_a_back_stress_the_additive_law_is_the_other_one_where_axes_stay
         assert np.allclose(*P, rtol=1e-11, atol=1e-12 * E)
         for points in both:
             points.commit(F)
+
+
+def test_the_law_of_the_page_creeps_in_closed_form():
+    """A bar held at a strain relaxes as ``1 / q^(n - 1) = 1 / q_0^(n - 1) + (n - 1) E rate_0 t / q_0^n``."""
+    points = Points(LAWS["own"], 1, 1)
+    F = np.array([[[np.exp(0.05)]]])
+    steps = 2000
+    for step in range(1, steps + 1):
+        points.t = step / steps
+        points.commit(F)
+    tau = float(points.stress(F)[0, 0, 0] * F[0, 0, 0])
+    assert tau == pytest.approx(((0.05 * E) ** -2.0 + 2.0 * E * 0.2 * DURATION / 0.5**3) ** -0.5, rel=1e-2)
 
 
 @pytest.mark.parametrize("steps", [1, 7])

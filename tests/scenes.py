@@ -31,6 +31,9 @@ MATERIALS = {
     "saint_venant_kirchhoff": pd.SaintVenantKirchhoff(E=10.0, nu=0.3),
     "linear_elastic": pd.LinearElastic(E=10.0, nu=0.3),
     "j2": pd.J2(E=10.0, nu=0.3, yield_stress=0.3, hardening=1.0),
+    "j2_saturating": pd.J2(
+        E=10.0, nu=0.3, yield_stress=0.3, hardening=pd.hardening.Linear(0.5) + pd.hardening.Voce(0.4, 8.0)
+    ),
 }
 
 

@@ -17,8 +17,8 @@ import pdpetsc as pd
 # a ``Case`` are the files under ``runs/``.
 NOT_COMPOSED = {
     "Case", "CaseError", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray", "LinearisedTerm",
-    "OutputError", "PointKernels", "PointTangent", "Prepared", "RunError", "Solution", "SolveError", "State",
-    "region.View",
+    "OutputError", "PointKernels", "PointTangent", "Prepared", "Response", "RunError", "Solution", "SolveError",
+    "State", "TensorResponse", "region.View",
 }  # fmt: skip
 
 

@@ -291,7 +291,7 @@ def test_a_restart_goes_on_with_the_history_of_the_material(scheme, ranks, tmp_p
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"yield_stress": 0.0}, {"yield_stress": 1.0, "hardening": -1.0}, {"yield_stress": 1.0, "plane": "stress"}]
+    "wrong", [{"yield_stress": 0.0}, {"yield_stress": 1.0, "hardening": -1.0}, {"yield_stress": 1.0, "plane": "strip"}]
 )
 def test_wrong_constants_are_refused(wrong):
     with pytest.raises(pd.CaseError, match="J2"):

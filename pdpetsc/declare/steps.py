@@ -21,6 +21,12 @@ def refuse_bonds_at_once(bonds_at_once: int | None) -> None:
         raise CaseError(f"bonds_at_once is a number of bonds from 1 on, not {bonds_at_once}.")
 
 
+def refuse_growth(plastic_growth: float | None) -> None:
+    """Raise CaseError unless the largest growth of plastic strain in a step is positive."""
+    if plastic_growth is not None and not plastic_growth > 0.0:
+        raise CaseError(f"plastic_growth is a positive plastic strain, not {plastic_growth}.")
+
+
 @dataclass(frozen=True)
 class Steps(Declared):
     """Equal load steps; one that does not converge is halved, and steps grow again after easy ones.
@@ -40,6 +46,9 @@ class Steps(Declared):
         only the factorisation of a direct linear solver shows that. ``warn`` says so and goes on. ``shorten`` takes it
         as a step that failed, so that the run ends within the smallest step of the critical load; ``refuse`` ends the
         run there.
+    plastic_growth : float, optional
+        Largest growth of the accumulated plastic strain at any point in a step [-]: a step with more is taken as one
+        that failed, and a step grows only as far as the growth of the last one allows.
 
     Examples
     --------
@@ -52,6 +61,7 @@ class Steps(Declared):
     smallest: float | None = None
     bonds_at_once: int | None = None
     unstable: Unstable = "warn"
+    plastic_growth: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,6 +73,7 @@ class Steps(Declared):
                 f"not {self.smallest}."
             )
         refuse_bonds_at_once(self.bonds_at_once)
+        refuse_growth(self.plastic_growth)
 
     @property
     def first(self) -> float:
@@ -92,7 +103,7 @@ class AdaptiveSteps(Declared):
     ----------
     first, smallest, largest : float
         Step sizes as a share of the whole load.
-    bonds_at_once, unstable
+    bonds_at_once, unstable, plastic_growth
         As in ``Steps``.
 
     Examples
@@ -106,6 +117,7 @@ class AdaptiveSteps(Declared):
     largest: float = 0.25
     bonds_at_once: int | None = None
     unstable: Unstable = "warn"
+    plastic_growth: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -117,6 +129,7 @@ class AdaptiveSteps(Declared):
         if self.largest < 1.0 / MOST_STEPS:
             raise CaseError(f"AdaptiveSteps needs a largest step of at least 1/{MOST_STEPS}, not {self.largest}.")
         refuse_bonds_at_once(self.bonds_at_once)
+        refuse_growth(self.plastic_growth)
 
     @property
     def least(self) -> float:

@@ -40,12 +40,22 @@ def add_pair(dim, a, b, normal, same, swapped, n, M, A):  # type: ignore[no-unty
 
 
 @compiled
+def shear_moduli(stretch_a, stretch_b, tau_a, tau_b, shear):  # type: ignore[no-untyped-def]
+    """Return ``A_abab, A_abba`` of ``principal_tangent``."""
+    x = (stretch_a - stretch_b) / stretch_b
+    slope = np.log1p(x) / x if abs(x) > 1e-12 else 1.0 - 0.5 * x
+    difference = (shear * slope - tau_b) / (stretch_a * stretch_b)
+    total = (tau_a / stretch_a + tau_b / stretch_b) / (stretch_a + stretch_b)
+    return 0.5 * (difference + total), 0.5 * (difference - total)
+
+
+@compiled
 def principal_tangent(dim, stretch, tau, moduli, shear, n, M, A):  # type: ignore[no-untyped-def]
     """Write ``A = dP/dF`` (dim, dim, dim, dim) of ``P = sum_a tau_a / l_a n_a (x) M_a``.
 
-    ``moduli`` holds ``d tau_a / d eps_b`` and ``shear`` the factor in ``tau_a - tau_b = shear (eps_a - eps_b)``, with
-    logarithmic strains eps of the stretches l. Columns of ``n`` and ``M`` are the principal directions of the current
-    and, brought to the reference configuration, of the other index. In that frame, with ``p_a = tau_a / l_a``::
+    ``moduli`` holds ``d tau_a / d eps_b`` and ``shear`` the factors in ``tau_a - tau_b = shear_ab (eps_a - eps_b)``,
+    with logarithmic strains eps of the stretches l. Columns of ``n`` and ``M`` are the principal directions of the
+    current and, brought to the reference configuration, of the other index. In that frame, with ``p_a = tau_a / l_a``::
 
         A_aabb = moduli_ab / (l_a l_b) - delta_ab tau_a / l_a^2
         A_abab = (m + q) / 2,  A_abba = (m - q) / 2,   m = (p_a - p_b) / (l_a - l_b),  q = (p_a + p_b) / (l_a + l_b)
@@ -65,10 +75,5 @@ def principal_tangent(dim, stretch, tau, moduli, shear, n, M, A):  # type: ignor
             if a == b:
                 normal -= tau[a] / (stretch[a] * stretch[a])
             else:
-                x = (stretch[a] - stretch[b]) / stretch[b]
-                slope = np.log1p(x) / x if abs(x) > 1e-12 else 1.0 - 0.5 * x
-                difference = (shear * slope - tau[b]) / (stretch[a] * stretch[b])
-                total = (tau[a] / stretch[a] + tau[b] / stretch[b]) / (stretch[a] + stretch[b])
-                same = 0.5 * (difference + total)
-                swapped = 0.5 * (difference - total)
+                same, swapped = shear_moduli(stretch[a], stretch[b], tau[a], tau[b], shear[a, b])
             add_pair(dim, a, b, normal, same, swapped, n, M, A)

@@ -49,6 +49,11 @@ class MaterialAtPoints:
         self.factor = factor
         self.history = self.material.history_at(self.dim, np.zeros((len(points), self.dim)) if x is None else x)
 
+    def at_time(self, t: float) -> None:
+        """Let it be step time ``t`` from now on."""
+        if self.material.timed:
+            self._constants[-1] = t
+
     def stress(self, F: Float, P: Float) -> None:
         """Write P (all points, dim, dim) at its points."""
         self._kernels.stress(F, self.points, self._constants, self.history, P)
@@ -96,7 +101,21 @@ class MaterialAtPoints:
 
     def defined(self, F: Float) -> bool:
         """Return whether it has a stress at F (all points, dim, dim)."""
-        return self.material.defined(F, self.points, self.history)
+        if not self.material.defined(F, self.points, self.history):
+            return False
+        if not self.material.may_fail:
+            return True
+        P = np.empty_like(F)
+        self.stress(F, P)
+        return bool(np.isfinite(P[self.points]).all())
+
+    def plastic_growth(self, F: Float) -> float:
+        """Return how much the plastic strain grows at most if the step ends at F (all points, dim, dim) [-]."""
+        if not self.has_history or not len(self.points):
+            return 0.0
+        after = self.history.copy()
+        self._kernels.commit(F, self.points, self._constants, after)
+        return float((self.material.plastic_strain(after) - self.plastic_strain()).max())
 
     def plastic_strain(self) -> Float:
         """Return the accumulated plastic strain at its points (n,) [-]."""

@@ -58,6 +58,18 @@ class Material(Declared, ABC):
     # Whether the stress is linear in F, so that the tangent is constant.
     linear: ClassVar[bool] = False
     has_history: ClassVar[bool] = False
+    # Whether its local iteration may find no stress, which is NaN then; a step that leads there is cut back.
+    may_fail: ClassVar[bool] = False
+
+    @property
+    def symmetric(self) -> bool:
+        """Return whether its tangent is symmetric, ``A_imkn = A_knim``."""
+        return True
+
+    @property
+    def timed(self) -> bool:
+        """Return whether it depends on time: the last of its constants is then the step time, which is put there."""
+        return False
 
     @abstractmethod
     def history_kernels(self, dim: int) -> HistoryKernels:

@@ -102,6 +102,7 @@ def _kernels(dim: int) -> PointKernels:
         moduli = np.full((dim, dim), lam)
         for a in range(dim):
             moduli[a, a] += 2.0 * mu
+        shear = np.full((dim, dim), 2.0 * mu)
         for p in select:
             _principal(F[p], dim, C, stretch, N)
             trace = 0.0
@@ -116,7 +117,7 @@ def _kernels(dim: int) -> PointKernels:
                     for k in range(dim):
                         value += F[p, i, k] * N[k, a]
                     n[i, a] = value / stretch[a]
-            principal_tangent(dim, stretch, tau, moduli, 2.0 * mu, n, N, A[p])
+            principal_tangent(dim, stretch, tau, moduli, shear, n, N, A[p])
 
     @compiled
     def energy(F, select, constants, psi):  # type: ignore[no-untyped-def]

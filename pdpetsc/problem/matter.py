@@ -31,6 +31,8 @@ class Matter(Term):
     energy_of = "strain"
     note: str = ""
     n_detached: int = 0
+    # Whether its forces depend on time, for which step times must stand.
+    timed: bool = False
 
     def __init__(self, body: Body) -> None:
         self.body = body
@@ -76,6 +78,10 @@ class Matter(Term):
     def plastic_strain(self) -> Float:
         """Return the accumulated plastic strain of the own particles (n_owned,) [-] (not collective)."""
         return np.zeros(self.body.cloud.n_owned)
+
+    def plastic_growth(self, state: State) -> float:
+        """Return how much plastic strain grows at most on this rank if the step ends at a state [-]."""
+        return 0.0
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
@@ -210,6 +210,10 @@ class Problem:
         """Take back what failed since the last ``commit``."""
         if self.damage is not None:
             self.damage.revert()
+
+    def plastic_growth(self, state: State) -> float:
+        """Return how much plastic strain grows at most if the step ends at a state [-]."""
+        return largest(self.body.cloud.comm, self.matter.plastic_growth(state))
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
         """Break bonds past their final stretch (``Damage.break_bonds``); 0 where bonds do not fail."""

@@ -97,6 +97,12 @@ def load_steps(
                     f"At step time {target:.6g} {result.reason}; results are complete up to step time {t:.6g}: perturb "
                     f"the body to find the stable branch, or follow the path."
                 )
+        growth = 0.0
+        if result.converged and steps.plastic_growth is not None:
+            growth = solver.problem.plastic_growth(solver.state(attempt)) / steps.plastic_growth
+            if growth > 1.0:
+                reason = f"plastic strain grew by {growth * steps.plastic_growth:.3g} in one step"
+                result = replace(result, converged=False, reason=reason)
         if stop():
             solver.problem.revert()
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
@@ -104,7 +110,7 @@ def load_steps(
             u, t = attempt, target
             solver.problem.commit(solver.state(u))
             if result.easy:
-                dt = min(dt * GROWTH, steps.largest)
+                dt = min(dt * (GROWTH if growth * GROWTH <= 1.0 else 1.0 / growth), steps.largest)
             yield Converged(u, t, result, failures, broken, sweeps, {LOAD_STEP: dt})
             failures = []
             continue

@@ -71,6 +71,16 @@ class MaterialPoints(Matter):
         return self._linear
 
     @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """Return whether the tangents of all materials are symmetric."""
+        return all(at_points.material.symmetric for at_points in self.materials)
+
+    @property
+    def timed(self) -> bool:  # type: ignore[override]
+        """Return whether a material depends on time."""
+        return any(at_points.material.timed for at_points in self.materials)
+
+    @property
     def n_points(self) -> int:
         """Return the gradient points of this rank."""
         return self.operator.n_points
@@ -88,6 +98,8 @@ class MaterialPoints(Matter):
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]."""
         u_local, operator = state.u_local, self.operator
+        for at_points in self.materials:
+            at_points.at_time(state.t)
 
         def make() -> Float:
             F = operator.gradient(u_local)
@@ -182,6 +194,11 @@ class MaterialPoints(Matter):
             for at_points in self.materials:
                 at_points.commit(F)
             self.version += 1
+
+    def plastic_growth(self, state: State) -> float:
+        """Return how much plastic strain grows at most on this rank if the step ends at a state [-]."""
+        F = self.deformation(state)
+        return max(at_points.plastic_growth(F) for at_points in self.materials)
 
     @property
     def has_history(self) -> bool:

@@ -1,0 +1,123 @@
+"""J2 plasticity whose yield surface moves: kinematic hardening at finite strain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.material.flow import Flow, flow_of
+from pdpetsc.material.hardening import Hardening
+from pdpetsc.material.lagrangian import DEVIATOR, ONE, LagrangianMaterial, TensorResponse
+from pdpetsc.material.rate import RateLaw
+
+
+@dataclass(frozen=True)
+class KinematicJ2(LagrangianMaterial):
+    r"""J2 plasticity with a back stress, additive in the Lagrangian logarithmic strain, ``E = E_e + E_p``.
+
+    With the deviator e of ``E - E_p``, T conjugate to E, and the back stress X::
+
+        T = K tr(E) I + 2 mu e,  X = 2/3 kinematic E_p,  q = sqrt(3/2 |2 mu e - X|^2)
+        q > y(alpha): q - (3 mu + kinematic) d_alpha = y(alpha + d_alpha)
+
+    In a bar the centre of the yield surface moves by ``kinematic`` times the plastic strain (Prager), so that it yields
+    earlier after the load has turned. Without kinematic hardening it is ``J2`` where strains keep their axes.
+
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus [stress], Poisson's ratio [-] and ``"strain"`` or ``"stress"``, as for every ``Material``.
+    yield_stress : float
+        Yield stress before any flow [stress], positive.
+    kinematic : float
+        Kinematic hardening modulus [stress], not negative.
+    hardening : float or Hardening
+        Isotropic hardening, as in ``J2``.
+    rate : RateLaw, optional
+        One of ``pd.rate``.
+
+    Raises
+    ------
+    CaseError
+        A constant is out of range.
+
+    References
+    ----------
+    Miehe2002; deSouzaNeto2008, section 7.6.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steel = pd.KinematicJ2(E=200e3, nu=0.3, yield_stress=250.0, kinematic=5e3, hardening=pd.hardening.Voce(80, 9))
+    """
+
+    yield_stress: float = 1.0
+    kinematic: float = 0.0
+    hardening: float | Hardening = 0.0
+    rate: RateLaw | None = None
+
+    # The yield stress does not fall: what is to be found lies between two bounds.
+    may_fail: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        assert self._flow  # or refused
+        if not (math.isfinite(self.kinematic) and self.kinematic >= 0.0):
+            raise CaseError(f"KinematicJ2 needs kinematic >= 0, not {self.kinematic}.")
+
+    @property
+    def _flow(self) -> Flow:
+        return flow_of("KinematicJ2", self.yield_stress, self.hardening, self.rate)
+
+    @property
+    def time(self) -> float:
+        """Return the duration of the rate law."""
+        return 0.0 if self.rate is None else self.rate.duration
+
+    def initial_state(self) -> Float:
+        """Return plastic strain, work of flow and alpha."""
+        return np.zeros(8)
+
+    def plastic_strain(self, history: Float) -> Float:
+        """Return the accumulated plastic strain alpha (n,) [-]."""
+        return history[:, -1]
+
+    def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> TensorResponse:
+        """Return the deviator, less the back stress, scaled back to the yield stress."""
+        mu, K = self.shear_and_bulk
+        plastic, alpha = state[:, :6], state[:, 7]
+        e = (strain - plastic) @ DEVIATOR
+        xi = 2.0 * mu * e - 2.0 / 3.0 * self.kinematic * plastic
+        size = np.sqrt(np.einsum("pa,pa->p", xi, xi))
+        q = math.sqrt(1.5) * size
+        flow, growth, slope = self._flow.growth(q, alpha, dt, 3.0 * mu + self.kinematic)
+        after = state.copy()
+        T = K * strain[:, :3].sum(axis=1)[:, None] * ONE + 2.0 * mu * e
+        found = None
+        if moduli:
+            found = np.broadcast_to(K * np.outer(ONE, ONE) + 2.0 * mu * DEVIATOR, (len(q), 6, 6)).copy()
+        if len(flow):
+            n = xi[flow] / size[flow, None]
+            moved = math.sqrt(1.5) * growth[:, None] * n
+            T[flow] -= 2.0 * mu * moved
+            after[flow, :6] += moved
+            after[flow, 6] += self._flow.work(alpha[flow], growth, dt[flow])
+            after[flow, 7] += growth
+            if found is not None:
+                share = (3.0 * mu * growth / q[flow])[:, None, None]
+                along = (6.0 * mu * mu / (3.0 * mu + self.kinematic + slope))[:, None, None] - 2.0 * mu * share
+                found[flow] -= 2.0 * mu * share * DEVIATOR + along * n[:, :, None] * n[:, None, :]
+        return TensorResponse(T, found, after)
+
+    def energy(self, strain: Float, state: Float) -> Float:
+        """Return elastic energy, that of the back stress, and the work of flow against the yield stress."""
+        mu, K = self.shear_and_bulk
+        e = (strain - state[:, :6]) @ DEVIATOR
+        volume = strain[:, :3].sum(axis=1)
+        back = self.kinematic / 3.0 * (state[:, :6] ** 2).sum(axis=1)
+        return np.asarray(0.5 * K * volume * volume + mu * (e * e).sum(axis=1) + back + state[:, 6])

@@ -1,0 +1,261 @@
+"""Isotropic elastoplastic laws in principal logarithmic strains: a law is a function of three strains."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.kernels.logarithmic import LogarithmicLoops, logarithmic_loops
+from pdpetsc.material.base import HistoryKernels, HistoryMaterial
+from pdpetsc.material.roots import rising_roots
+
+# Points that are computed together: their arrays stay in the cache.
+BLOCK = 4096
+# Numbers of a history between G and the state of the law: hidden elastic strain, hidden whole strain, step time.
+KEPT = 3
+# Strains that differ by less are taken as equal where the difference quotient of their stresses is asked.
+EQUAL = 1e-5
+
+Kind = Literal["solid", "strain", "stress", "bar"]
+
+
+class Response(NamedTuple):
+    """What a law answers to trial strains.
+
+    Attributes
+    ----------
+    tau : (n, 3) float64
+        Principal Kirchhoff stresses [stress]; NaN where the law has found none.
+    moduli : (n, 3, 3) float64 or None
+        ``d tau_a / d strain_b`` [stress], where asked.
+    elastic : (n, 3) float64
+        Elastic logarithmic strains after the return [-].
+    state : (n, n_state) float64
+        What is remembered if the step ends here.
+    """
+
+    tau: Float
+    moduli: Float | None
+    elastic: Float
+    state: Float
+
+
+class _Axes(NamedTuple):
+    """Trial strains, all three of them, with stretches and directions of a block of points."""
+
+    strain: Float
+    stretch: Float
+    N: Float
+    n: Float
+
+
+@dataclass(frozen=True)
+class LogarithmicMaterial(HistoryMaterial):
+    r"""A law in principal elastic logarithmic strains, ``F = F_e F_p``, of a solid, a plane body or a bar.
+
+    The law sees the three principal values of ``eps = 1/2 ln(F G G^T F^T)``, ``G = F_p^-1`` that of the last converged
+    step, and answers with principal Kirchhoff stresses along the same directions, as a small-strain law does (Simo,
+    1992). From them ``P = tau F^-T`` and ``A = dP/dF`` follow. In plane stress the strain across the plane is found at
+    every point from ``tau_3 = 0``, in a bar the two lateral ones, and the tangent is condensed with them.
+
+    A law gives ``respond``, ``energy`` and, where it remembers more than one number, ``initial_state``.
+
+    Parameters
+    ----------
+    E, nu, plane
+        As for every material with Young's modulus: ``"strain"`` or ``"stress"``.
+
+    References
+    ----------
+    Simo1992.
+    """
+
+    may_fail: ClassVar[bool] = True
+
+    @abstractmethod
+    def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Response:
+        """Return what a step ends with.
+
+        Parameters
+        ----------
+        strain : (n, 3) float64
+            Principal trial strains [-]: elastic ones if nothing flows in the step.
+        state : (n, n_state) float64
+            What converged steps left; not to be changed.
+        dt : (n,) float64
+            Time of the step [time], 0 for a law without ``duration``.
+        moduli : bool
+            Whether the moduli are asked for.
+        """
+
+    @abstractmethod
+    def energy(self, elastic: Float, state: Float) -> Float:
+        """Return the energy (n,) [energy / volume], stored and lost, of elastic strains (n, 3) and a state.
+
+        Of an associated law it is that whose derivative the stress is.
+        """
+
+    def initial_state(self) -> Float:
+        """Return the state of an undeformed point (n_state,): an accumulated plastic strain of 0."""
+        return np.zeros(1)
+
+    @property
+    def duration(self) -> float:
+        """Return the time from step time 0 to 1 [time]; 0 where rates do not count."""
+        return 0.0
+
+    @property
+    def timed(self) -> bool:
+        """Return whether the last of its constants is the step time."""
+        return self.duration > 0.0
+
+    @property
+    def shear_and_bulk(self) -> tuple[float, float]:
+        """Return ``mu, K`` of the solid [stress]."""
+        return 0.5 * self.E / (1.0 + self.nu), self.E / (3.0 * (1.0 - 2.0 * self.nu))
+
+    def constants(self, dim: int) -> Float:
+        """Return the step time, which is put there before every step."""
+        return np.zeros(1)
+
+    def initial_history(self, dim: int, n: int) -> Float:
+        """Return the history of ``n`` undeformed points: G, hidden strains and step time, and the law's own state."""
+        return np.tile(np.concatenate([np.eye(dim).ravel(), np.zeros(KEPT), self.initial_state()]), (n, 1))
+
+    def plastic_strain(self, history: Float) -> Float:
+        """Return the last number of the state (n,) [-]: the accumulated plastic strain."""
+        return history[:, -1]
+
+    def thickness_stretch(self, F: Float) -> Float:
+        """Return the hidden stretches of the elastic law; ``hidden_stretch`` has those of the law itself."""
+        stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
+        return stretch
+
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return loops over blocks of points around ``respond``."""
+        kind, loops = self._kind(dim), logarithmic_loops(dim)
+
+        def stress(F: Float, select: GlobalIndex, constants: Float, history: Float, P: Float) -> None:
+            for points, kept in _blocks(select, history):
+                axes, found = self._returned(F, points, constants[-1], kept, kind, False)
+                loops.stress(points, kept, found.tau, axes.stretch, axes.N, axes.n, P)
+
+        def tangent(F: Float, select: GlobalIndex, constants: Float, history: Float, A: Float) -> None:
+            for points, kept in _blocks(select, history):
+                axes, found = self._returned(F, points, constants[-1], kept, kind, True)
+                assert found.moduli is not None
+                moduli = np.ascontiguousarray(_condensed(found.moduli, kind))
+                shear = _shear(axes.strain, found.tau, found.moduli, dim)
+                loops.tangent(points, kept, found.tau, moduli, shear, axes.stretch, axes.N, axes.n, A)
+
+        def energy(F: Float, select: GlobalIndex, constants: Float, history: Float, psi: Float) -> None:
+            for points, kept in _blocks(select, history):
+                _, found = self._returned(F, points, constants[-1], kept, kind, False)
+                psi[points] = self.energy(found.elastic, found.state)
+
+        def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
+            first = dim * dim
+            for points, kept in _blocks(select, history):
+                axes, found = self._returned(F, points, constants[-1], kept, kind, False)
+                loops.commit(kept, found.elastic, axes.stretch, axes.N, axes.n)
+                if kind in ("stress", "bar"):
+                    kept[:, first + 1] += axes.strain[:, 2] - kept[:, first]
+                kept[:, first] = found.elastic[:, 2]
+                kept[:, first + 2] = constants[-1]
+                kept[:, first + KEPT :] = found.state
+
+        return HistoryKernels(stress, tangent, energy, commit)
+
+    def hidden_stretch(self, F: Float, history: Float) -> Float:
+        """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
+        dim, kind = F.shape[-1], self._kind(F.shape[-1])
+        across = np.ones(len(F))
+        if kind in ("stress", "bar"):
+            for points, kept in _blocks(np.arange(len(F)), history):
+                axes, _ = self._returned(F, points, None, kept, kind, False)
+                whole = kept[:, dim * dim + 1] + axes.strain[:, 2] - kept[:, dim * dim]
+                across[points] = np.exp(whole * (3 - dim))
+        return across
+
+    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+        """Return ``tau_3`` after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
+        P = np.empty(len(F))
+        for points, kept in _blocks(np.arange(len(F)), history):
+            P[points] = self._returned(F, points, None, kept, "strain", False)[1].tau[:, 2]
+        return P
+
+    def _kind(self, dim: int) -> Kind:
+        if dim == 2:
+            return self.plane
+        return "bar" if dim == 1 else "solid"
+
+    def _returned(
+        self, F: Float, points: GlobalIndex, t: float | None, kept: Float, kind: Kind, moduli: bool
+    ) -> tuple[_Axes, Response]:
+        """Return trial strains and the response at points of F, at the step time that was kept where ``t`` is None."""
+        dim, n = F.shape[-1], len(points)
+        first = dim * dim
+        axes = _Axes(np.empty((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim)))
+        loops: LogarithmicLoops = logarithmic_loops(dim)
+        loops.trial(np.ascontiguousarray(F), points, kept, *axes)
+        state = kept[:, first + KEPT :]
+        dt = np.zeros(n) if t is None else self.duration * (t - kept[:, first + 2])
+        if kind == "strain":
+            axes.strain[:, 2] = kept[:, first]
+        if kind in ("stress", "bar"):
+            return axes, self._without_lateral_stress(axes.strain, state, dt, kind)
+        return axes, self.respond(axes.strain, state, dt, moduli)
+
+    def _without_lateral_stress(self, strain: Float, state: Float, dt: Float, kind: Kind) -> Response:
+        """Return the response where hidden strains, written into ``strain``, leave no stress across the body.
+
+        The stress grows with the strain, so that every strain tried bounds the one that is looked for.
+        """
+        mu, K = self.shear_and_bulk
+        lam = K - 2.0 * mu / 3.0
+        hidden = [2] if kind == "stress" else [1, 2]
+
+        def lateral(x: Float, rows: GlobalIndex) -> tuple[Float, Float, Float]:
+            strain[rows[:, None], hidden] = x[:, None]
+            tau, moduli, _, _ = self.respond(strain[rows], state[rows], dt[rows], True)
+            assert moduli is not None
+            return tau[:, 2], moduli[:, 2, hidden].sum(axis=1), np.abs(tau).max(axis=1)
+
+        elastic = -lam / (lam + 2.0 * mu) * (strain[:, 0] + strain[:, 1])
+        x = rising_roots(lateral, elastic if kind == "stress" else -self.nu * strain[:, 0], lam + 2.0 * mu)
+        strain[:, hidden] = x[:, None]
+        return self.respond(strain, state, dt, True)
+
+
+def _blocks(select: GlobalIndex, history: Float) -> Iterator[tuple[GlobalIndex, Float]]:
+    """Yield points with their rows of the history, which may be written."""
+    for first in range(0, len(select), BLOCK):
+        yield select[first : first + BLOCK], history[first : first + BLOCK]
+
+
+def _condensed(moduli: Float, kind: Kind) -> Float:
+    """Return the moduli of a body without stress across it (n, 3, 3), whose hidden strains follow the others."""
+    if kind == "stress":
+        return np.asarray(moduli - moduli[:, :, 2:] * moduli[:, 2:, :] / moduli[:, 2:, 2:])
+    if kind == "bar":
+        lateral = (moduli[:, 0, 1] + moduli[:, 0, 2]) * moduli[:, 2, 0] / (moduli[:, 2, 1] + moduli[:, 2, 2])
+        return np.asarray((moduli[:, 0, 0] - lateral)[:, None, None] * np.ones((1, 3, 3)))
+    return moduli
+
+
+def _shear(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:
+    """Return ``(tau_a - tau_b) / (eps_a - eps_b)`` (n, dim, dim) [stress], its limit where strains are equal."""
+    shear = np.zeros((len(strain), dim, dim))
+    for a in range(dim):
+        for b in range(a + 1, dim):
+            apart = strain[:, a] - strain[:, b]
+            equal = np.abs(apart) < EQUAL
+            limit = 0.5 * (moduli[:, a, a] + moduli[:, b, b] - moduli[:, a, b] - moduli[:, b, a])
+            quotient = (tau[:, a] - tau[:, b]) / np.where(equal, 1.0, apart)
+            shear[:, a, b] = shear[:, b, a] = np.where(equal, limit, quotient)
+    return shear

@@ -1,0 +1,115 @@
+"""Viscoelasticity at finite strain: Maxwell elements beside a spring."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.material.lagrangian import DEVIATOR, ONE, LagrangianMaterial, TensorResponse
+
+
+@dataclass(frozen=True)
+class Maxwell(LagrangianMaterial):
+    r"""Generalised Maxwell material in the Lagrangian logarithmic strain E; changes of volume are elastic.
+
+    A Hencky spring and any number of branches, a spring and a dashpot each, with the deviator e of E::
+
+        T = K tr(E) I + 2 mu e + sum_k q_k,   dq_k/dt + q_k / times_k = 2 shear_k de/dt
+
+    which is integrated exactly for a strain that grows evenly in a step: a strain that is held relaxes as
+    ``sum_k exp(-t / times_k)`` in steps of any size. E and nu are those of slow loading, with which zero-energy
+    controls are scaled; fast loading has the shear modulus ``mu + sum_k shear_k``.
+
+    Parameters
+    ----------
+    E, nu, plane
+        Young's modulus of slow loading [stress], its Poisson's ratio [-] and ``"strain"`` or ``"stress"``.
+    shear : sequence of float
+        Shear modulus of each branch [stress], positive.
+    times : sequence of float
+        Relaxation time of each branch [time], positive.
+    duration : float
+        Time from step time 0 to 1 [time], positive: step times order load steps and are no times.
+
+    Raises
+    ------
+    CaseError
+        A constant is out of range.
+
+    Notes
+    -----
+    The energy is elastic energy and the integral of the branch stresses over a step whose derivative the stress is: in
+    steps much shorter than the relaxation times, stored and lost energy together.
+
+    References
+    ----------
+    Simo1998, chapter 10; Miehe2002.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> gel = pd.Maxwell(E=1.0, nu=0.45, shear=[0.5, 0.2], times=[1.0, 20.0], duration=60.0)
+    >>> gel.symmetric
+    True
+    """
+
+    shear: Sequence[float] = (1.0,)
+    times: Sequence[float] = (1.0,)
+    duration: float = 1.0
+
+    may_fail: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.shear or len(self.shear) != len(self.times):
+            raise CaseError(
+                f"Maxwell takes a shear modulus and a relaxation time for each branch, not {len(self.shear)} and "
+                f"{len(self.times)}."
+            )
+        for value in (*self.shear, *self.times, self.duration):
+            if not (math.isfinite(value) and value > 0.0):
+                raise CaseError(f"Maxwell takes positive moduli, relaxation times and duration, not {value}.")
+        object.__setattr__(self, "shear", tuple(float(value) for value in self.shear))
+        object.__setattr__(self, "times", tuple(float(value) for value in self.times))
+
+    @property
+    def time(self) -> float:
+        """Return the duration."""
+        return self.duration
+
+    def initial_state(self) -> Float:
+        """Return the energy of the branches, the deviator and the stress of each branch."""
+        return np.zeros(7 + 6 * len(self.shear))
+
+    def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> TensorResponse:
+        """Return the stress of spring and branches."""
+        mu, K = self.shear_and_bulk
+        e = strain @ DEVIATOR
+        change = e - state[:, 1:7]
+        T = K * strain[:, :3].sum(axis=1)[:, None] * ONE + 2.0 * mu * e
+        after = state.copy()
+        after[:, 1:7] = e
+        stiffness = np.full(len(e), 2.0 * mu)
+        for branch, (shear, time) in enumerate(zip(self.shear, self.times, strict=True)):
+            columns = slice(7 + 6 * branch, 13 + 6 * branch)
+            x = dt / time
+            left = np.exp(-x)[:, None] * state[:, columns]
+            share = 2.0 * shear * np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
+            stiffness += share
+            after[:, columns] = left + share[:, None] * change
+            after[:, 0] += (left * change).sum(axis=1) + 0.5 * share * (change * change).sum(axis=1)
+            T += after[:, columns]
+        found = K * np.outer(ONE, ONE) + stiffness[:, None, None] * DEVIATOR if moduli else None
+        return TensorResponse(T, found, after)
+
+    def energy(self, strain: Float, state: Float) -> Float:
+        """Return the energy of the spring and what the branches have taken up."""
+        mu, K = self.shear_and_bulk
+        volume = strain[:, :3].sum(axis=1)
+        return np.asarray(0.5 * K * volume * volume + mu * (state[:, 1:7] ** 2).sum(axis=1) + state[:, 0])

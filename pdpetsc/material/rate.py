@@ -1,0 +1,211 @@
+"""Rate dependence: how much more stress flow takes, the faster it is.
+
+A law is a declared object; one of your own derives from ``RateLaw``. It names the ``duration`` of the load, the time
+from step time 0 to 1, because step times order load steps and are no times.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared
+from pdpetsc.errors import CaseError
+
+# Points of the quadrature for the energy of a law whose integral has no closed form.
+QUADRATURE = 40
+
+
+@dataclass(frozen=True)
+class RateLaw(Declared, ABC):
+    """What stress flows at a rate, given the yield stress of slow flow.
+
+    Parameters
+    ----------
+    duration : float
+        Time from step time 0 to 1 [time], positive.
+    """
+
+    duration: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._positive("duration")
+
+    @abstractmethod
+    def resistance(self, slow: Float, rate: Float) -> tuple[Float, Float, Float]:
+        """Return the stress at which plastic strain grows at a rate, and its derivatives by both arguments.
+
+        Parameters
+        ----------
+        slow : (n,) float64
+            Yield stress of slow flow, with hardening [stress].
+        rate : (n,) float64
+            Rate of the accumulated plastic strain [1 / time], from 0 on. The stress does not fall with it.
+        """
+
+    @abstractmethod
+    def potential(self, slow: Callable[[Float], Float], slow_work: Float, growth: Float, dt: Float) -> Float:
+        """Return the integral of the resistance over a growth of plastic strain in a step (n,) [energy / volume].
+
+        Parameters
+        ----------
+        slow : callable
+            Yield stress of slow flow after a growth (k, n) of the plastic strain.
+        slow_work : (n,) float64
+            Integral of ``slow`` from 0 to ``growth``.
+        growth, dt : (n,) float64
+            Growth of the plastic strain in the step [-] and its time [time]; the rate is their quotient.
+        """
+
+    def _positive(self, *names: str) -> None:
+        for name in names:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise CaseError(f"{type(self).__name__} takes a positive {name}, not {value}.")
+
+
+@dataclass(frozen=True)
+class Perzyna(RateLaw):
+    r"""Overstress: ``d alpha / dt = rate_0 <(q - y) / drag>^exponent`` with the yield stress y of slow flow.
+
+    Parameters
+    ----------
+    duration : float
+        Time from step time 0 to 1 [time].
+    rate_0 : float
+        Rate at which the overstress is ``drag`` [1 / time].
+    drag : float
+        Overstress at that rate [stress].
+    exponent : float
+        From 1 on [-]; for 1 ``drag / rate_0`` is a viscosity.
+
+    References
+    ----------
+    Perzyna1966.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> slow = pd.rate.Perzyna(duration=10.0, rate_0=1e-3, drag=50.0, exponent=2.0)
+    >>> steel = pd.J2(E=200e3, nu=0.3, yield_stress=250.0, rate=slow)
+    """
+
+    rate_0: float
+    drag: float
+    exponent: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._positive("rate_0", "drag", "exponent")
+        if self.exponent < 1.0:
+            raise CaseError(f"Perzyna takes an exponent from 1 on, not {self.exponent}.")
+
+    def resistance(self, slow: Float, rate: Float) -> tuple[Float, Float, Float]:
+        """Return ``y + drag (rate / rate_0)^(1 / exponent)``."""
+        x = np.asarray(rate / self.rate_0)
+        over = self.drag * x ** (1.0 / self.exponent)
+        with np.errstate(divide="ignore"):
+            slope = self.drag / (self.exponent * self.rate_0) * x ** (1.0 / self.exponent - 1.0)
+        return slow + over, np.ones_like(over), slope
+
+    def potential(self, slow: Callable[[Float], Float], slow_work: Float, growth: Float, dt: Float) -> Float:
+        """Return the work of slow flow and ``exponent / (exponent + 1)`` of that of the overstress."""
+        over = self.drag * (growth / (self.rate_0 * dt)) ** (1.0 / self.exponent)
+        return np.asarray(slow_work + over * growth * self.exponent / (self.exponent + 1.0))
+
+
+@dataclass(frozen=True)
+class JohnsonCook(RateLaw):
+    """Johnson and Cook's factors: ``y (1 + C ln(rate / rate_0)) (1 - T*^m)``, the first one from ``rate_0`` on.
+
+    ``T* = (temperature - room) / (melting - room)``, 0 below ``room``; the temperature does not change with the flow.
+    Their hardening ``B alpha^n`` is ``pd.hardening.Power(B, n)``.
+
+    Parameters
+    ----------
+    duration : float
+        Time from step time 0 to 1 [time].
+    C : float
+        Logarithmic sensitivity [-], not negative.
+    rate_0 : float
+        Rate of the test that the yield stress is from [1 / time].
+    temperature, room, melting : float
+        Temperature of the body, of that test, and of melting [temperature].
+    m : float
+        Exponent of the temperature [-].
+
+    Raises
+    ------
+    CaseError
+        A constant is out of range, or the body has melted.
+
+    References
+    ----------
+    Johnson1983.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> copper = pd.J2(
+    ...     E=124e3, nu=0.34, yield_stress=90.0, hardening=pd.hardening.Power(292.0, 0.31),
+    ...     rate=pd.rate.JohnsonCook(duration=1e-3, C=0.025, rate_0=1.0, temperature=500.0, melting=1356.0, m=1.09),
+    ... )
+    """
+
+    C: float
+    rate_0: float
+    temperature: float = 293.0
+    room: float = 293.0
+    melting: float = 1800.0
+    m: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._positive("rate_0", "m")
+        if not (math.isfinite(self.C) and self.C >= 0.0):
+            raise CaseError(f"JohnsonCook takes C >= 0, not {self.C}.")
+        if not (self.room < self.melting and self.temperature < self.melting and math.isfinite(self.heat)):
+            raise CaseError(
+                f"JohnsonCook takes room and body temperatures below that of melting, not {self.room}, "
+                f"{self.temperature} and {self.melting}."
+            )
+
+    @property
+    def heat(self) -> float:
+        """Return ``1 - T*^m``."""
+        share = max(self.temperature - self.room, 0.0) / (self.melting - self.room)
+        return float(1.0 - share**self.m)
+
+    def resistance(self, slow: Float, rate: Float) -> tuple[Float, Float, Float]:
+        """Return the yield stress times both factors."""
+        x = np.maximum(rate / self.rate_0, 1.0)
+        factor = self.heat * (1.0 + self.C * np.log(x))
+        slope = np.where(rate > self.rate_0, self.heat * self.C * slow / np.maximum(rate, self.rate_0), 0.0)
+        return slow * factor, factor, slope
+
+    def potential(self, slow: Callable[[Float], Float], slow_work: Float, growth: Float, dt: Float) -> Float:
+        """Return the work of slow flow, and that of the logarithm beyond ``rate_0``, both with the factor of heat.
+
+        The latter is ``C`` times the integral of ``y ln(s / s_0)`` from ``s_0 = rate_0 dt`` to the growth.
+        """
+        first = self.rate_0 * dt
+        reach = np.log(np.maximum(growth / first, 1.0))
+        x, w = _gauss()
+        z = x[:, None] * reach
+        s = first * np.exp(z)
+        more = (w[:, None] * slow(s) * z * s).sum(axis=0) * reach
+        return np.asarray(self.heat * (slow_work + self.C * more))
+
+
+@lru_cache
+def _gauss() -> tuple[Float, Float]:
+    """Return Gauss's points and weights on [0, 1]."""
+    x, w = np.polynomial.legendre.leggauss(QUADRATURE)  # type: ignore[no-untyped-call]
+    return 0.5 * (x + 1.0), 0.5 * w

@@ -1,0 +1,168 @@
+"""Finite elements of elastic-plastic bodies, for comparison: biquadratic quadrilaterals (scikit-fem), full Newton.
+
+The law is written anew here, in terms of ``b_e = F C_p^-1 F^T`` with a return in principal logarithmic strains
+(Simo 1992), its tangent by central differences. A body is in plane strain or a solid of revolution: then x is the
+radius, the third direction goes round, and every integral has the factor ``2 pi x``.
+"""
+
+import numpy as np
+from scipy.sparse.linalg import splu
+from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm
+
+DIFFERENCE = 1e-7
+# Largest residual on the free nodes over the reactions.
+TOLERANCE = 1e-8
+# Largest number of Newton steps, for a load step and for the flow of a point.
+STEPS = 30
+# Components of F that move, the hoop stretch the last one.
+PARTS = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))
+
+
+class Law:
+    """J2 plasticity in Hencky strain at many points; ``hardening(alpha)`` returns the yield stress and its slope."""
+
+    def __init__(self, E, nu, hardening, points):
+        self.lam, self.mu = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), E / (2.0 * (1.0 + nu))
+        self.hardening = hardening
+        self.inverse_plastic = np.tile(np.eye(3), (points, 1, 1))
+        self.alpha = np.zeros(points)
+
+    def respond(self, F):
+        """Return P, Kirchhoff stress, C_p^-1 and alpha (n, ...) after a step to F (n, 3, 3) from the kept state."""
+        b = F @ self.inverse_plastic @ np.swapaxes(F, 1, 2)
+        squares, n = np.linalg.eigh(b)
+        strain = 0.5 * np.log(squares)
+        volume = strain.sum(axis=1, keepdims=True)
+        deviator = 2.0 * self.mu * (strain - volume / 3.0)
+        q = np.sqrt(1.5 * (deviator**2).sum(axis=1))
+        flow = np.zeros(len(q))
+        for _ in range(STEPS):
+            y, slope = self.hardening(self.alpha + flow)
+            change = (q - 3.0 * self.mu * flow - y) / (3.0 * self.mu + slope)
+            flow = np.maximum(flow + change, 0.0)
+            if np.abs(np.where(flow > 0.0, change, 0.0)).max() < 1e-15:
+                break
+        deviator *= (1.0 - 3.0 * self.mu * flow / np.maximum(q, 1e-300))[:, None]
+        principal = (self.lam + 2.0 * self.mu / 3.0) * volume + deviator
+        elastic = volume / 3.0 + deviator / (2.0 * self.mu)
+        tau = np.einsum("pia,pa,pja->pij", n, principal, n)
+        b = np.einsum("pia,pa,pja->pij", n, np.exp(2.0 * elastic), n)
+        inverse = np.linalg.inv(F)
+        return tau @ np.swapaxes(inverse, 1, 2), tau, inverse @ b @ np.swapaxes(inverse, 1, 2), self.alpha + flow
+
+    def keep(self, F):
+        """Take the state at F as the one that further steps start from."""
+        _, _, self.inverse_plastic, self.alpha = self.respond(F)
+
+    def tangent(self, F):
+        """Return the derivatives of the moving parts of P by those of F (5, 5, n)."""
+        A = np.empty((5, 5, len(F)))
+        for column, (k, m) in enumerate(PARTS):
+            d = np.zeros((3, 3))
+            d[k, m] = DIFFERENCE
+            change = (self.respond(F + d)[0] - self.respond(F - d)[0]) / (2.0 * DIFFERENCE)
+            A[:, column] = [change[:, i, j] for i, j in PARTS]
+        return A
+
+
+def _parts(v, w):
+    """Return the moving parts of the gradient of v; the hoop strain is none in plane strain."""
+    hoop = v[0] / w.x[0] if w.round else 0.0 * v[0]
+    return [v.grad[0, 0], v.grad[0, 1], v.grad[1, 0], v.grad[1, 1], hoop]
+
+
+def _weight(w):
+    return 2.0 * np.pi * w.x[0] if w.round else 1.0
+
+
+@LinearForm
+def internal(v, w):
+    return sum(w.P[a] * part for a, part in enumerate(_parts(v, w))) * _weight(w)
+
+
+@BilinearForm
+def stiffness(u, v, w):
+    left, right = _parts(v, w), _parts(u, w)
+    return sum(w.A[a, b] * left[a] * right[b] for a in range(5) for b in range(5)) * _weight(w)
+
+
+@LinearForm
+def shear(v, w):
+    return w.along * v[1]
+
+
+class Body:
+    """An elastic-plastic body of a mesh, marched by ``step``.
+
+    Attributes
+    ----------
+    u : (n,) float64
+        Displacements.
+    force : (n,) float64
+        Internal forces on all degrees of freedom.
+    """
+
+    def __init__(self, mesh, E, nu, hardening, round_axis):
+        self.mesh, self.round = mesh, round_axis
+        self.basis = Basis(mesh, ElementVector(ElementQuad2()), intorder=4)
+        self.shape = self.basis.dx.shape
+        self.law = Law(E, nu, hardening, int(np.prod(self.shape)))
+        self.u = np.zeros(self.basis.N)
+        vertical = np.zeros(self.basis.N, dtype=bool)
+        for group in (self.basis.nodal_dofs, self.basis.facet_dofs, self.basis.interior_dofs):
+            vertical[group[1]] = True
+        self.vertical, self.x = vertical, self.basis.doflocs
+        self.force = self._forces(self.u)[1]
+
+    def gradient(self, u):
+        """Return F (n, 3, 3) at all Gauss points."""
+        field = self.basis.interpolate(u)
+        H = np.asarray(field.grad)
+        F = np.tile(np.eye(3), (int(np.prod(self.shape)), 1, 1))
+        F[:, :2, :2] += np.moveaxis(H, (0, 1), (-2, -1)).reshape(-1, 2, 2)
+        if self.round:
+            radius = np.asarray(self.basis.global_coordinates())[0]
+            F[:, 2, 2] += (np.asarray(field)[0] / radius).ravel()
+        return F
+
+    def _forces(self, u):
+        F = self.gradient(u)
+        P = self.law.respond(F)[0]
+        parts = np.stack([P[:, i, j].reshape(self.shape) for i, j in PARTS])
+        return F, internal.assemble(self.basis, P=parts, round=self.round)
+
+    def _stiff(self, F):
+        A = self.law.tangent(F).reshape(5, 5, *self.shape)
+        return stiffness.assemble(self.basis, A=A, round=self.round).tocsr()
+
+    def step(self, held, values, load=0.0):
+        """March to prescribed displacements and a load (n,); return whether Newton's method converged."""
+        free = np.setdiff1d(np.arange(self.basis.N), held)
+        start, u = self.u, self.u.copy()
+        K = self._stiff(self.gradient(u))
+        # The supports move with the linear response of the last state, so that no layer takes the whole increment.
+        increment = np.zeros(self.basis.N)
+        increment[held] = values - u[held]
+        u += increment
+        load = load * np.ones(self.basis.N)
+        right = (K @ increment + self.force - load)[free]
+        u[free] -= splu(K[free][:, free].tocsc()).solve(right)
+        F, force = self._forces(u)
+        for _ in range(STEPS):
+            size = np.linalg.norm((force - load)[free])
+            if size < TOLERANCE * np.linalg.norm(force[held]):
+                self.u, self.force = u, force
+                self.law.keep(F)
+                return True
+            if not np.isfinite(size):
+                break
+            change = splu(self._stiff(F)[free][:, free].tocsc()).solve((force - load)[free])
+            for length in (1.0, 0.5, 0.25, 0.125):
+                moved = u.copy()
+                moved[free] -= length * change
+                F, force = self._forces(moved)
+                if np.linalg.norm((force - load)[free]) < size:
+                    break
+            u = moved
+        self.u = start
+        return False

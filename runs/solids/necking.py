@@ -1,0 +1,142 @@
+"""Simo's bar that necks, of steel that hardens and saturates, against finite elements. Units mm, N.
+
+A round bar, radius 6.413 and length 53.334 mm, is pulled by 14 mm; its ends may contract, and its radius is smaller by
+up to ``1 - waist`` towards the middle, so that it necks there. An eighth of the bar is computed, ``n`` cells across the
+radius, between three mirror planes. Without a waist it is strained uniformly and its force has a maximum of 79.6 kN at
+7.1 mm, Considere's.
+
+Results, ``_error`` against finite elements (``necking_elements.py``): ``peak_force`` of the whole bar, its
+``elongation_at_peak``, and at the end ``end_force`` and ``neck_radius``. The elongation is that of the end face, half a
+cell beyond the particles that are pulled.
+"""
+
+import json
+import math
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+import pdpetsc as pd
+
+sys.path.append(str(Path(__file__).parent.parent / "convergence"))
+import common
+
+RADIUS, LENGTH, END = 6.413, 53.334, 14.0
+E, NU = 206.9e3, 0.29
+YIELD, LINEAR, SATURATION, RATE = 450.0, 129.24, 265.0, 16.93
+WAIST = 0.982
+
+
+def radius(z, waist=WAIST):
+    """Return the radius of the bar at a distance from its middle."""
+    return RADIUS * (waist + (1.0 - waist) * np.asarray(z) / (0.5 * LENGTH))
+
+
+def steel():
+    law = pd.hardening.Linear(LINEAR) + pd.hardening.Voce(SATURATION, RATE)
+    return pd.J2(E=E, nu=NU, yield_stress=YIELD, hardening=law)
+
+
+@lru_cache
+def reference(name="waist"):
+    """Return what necking_elements.py stored."""
+    return json.loads(Path(__file__).with_name("necking_elements.json").read_text())[name]
+
+
+def in_disc(square):
+    """Return points of the quarter of the unit disc for those of the unit square: rays to rays, areas to areas."""
+    a, b = square[:, 0], square[:, 1]
+    outer = np.maximum(a, b)
+    angle = 0.25 * math.pi * np.divide(np.minimum(a, b), outer, out=np.zeros(len(a)), where=outer > 0.0)
+    angle = np.where(a >= b, angle, 0.5 * math.pi - angle)
+    return outer[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def particles(n, waist):
+    """Return the cells of an eighth of the bar, n across the radius and as long as wide."""
+    layers = max(round(0.5 * LENGTH / (RADIUS / n)), 2)
+    axes = [np.linspace(0.0, 1.0, n + 1)] * 2 + [np.linspace(0.0, 0.5 * LENGTH, layers + 1)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points[:, :2] = in_disc(points[:, :2]) * radius(points[:, 2], waist)[:, None]
+    return common.of_cells(points, common.cubes((n, n, layers))), 0.5 * LENGTH / layers
+
+
+@dataclass(frozen=True)
+class Elongation(pd.Quantity):
+    """Elongation of the whole bar: its end is half a cell beyond the last layer of particles [length]."""
+
+    cell: float
+
+    def evaluate(self, solution):
+        z, u = solution.x[:, 2], pd.displacement(solution)[:, 2]
+        layers = [np.abs(z - 0.5 * LENGTH + (number + 0.5) * self.cell) < 0.1 * self.cell for number in (0, 1)]
+        sums = solution.cloud.comm.allgather([(u[layer].sum(), np.count_nonzero(layer)) for layer in layers])
+        last, before = (total / count for total, count in np.sum(sums, axis=0))
+        return float(2.0 * last + (last - before))
+
+
+@dataclass(frozen=True)
+class Neck(pd.Quantity):
+    """Radius of the bar in its middle, from the outer particles of the first layer of cells [length]."""
+
+    n: int
+    cell: float
+    waist: float
+
+    def evaluate(self, solution):
+        x = solution.x
+        first = x[:, 2] < self.cell
+        distance = np.linalg.norm(x[:, :2], axis=1)
+        outer = first & (distance > RADIUS * (1.0 - 1.0 / self.n) * 0.95)
+        now = np.linalg.norm((x + pd.displacement(solution))[:, :2], axis=1)
+        ratios = solution.cloud.comm.allgather((now[outer] / distance[outer]).tolist())
+        ratio = float(np.mean([value for part in ratios for value in part]))
+        return ratio * float(radius(0.0, self.waist))
+
+
+def case(
+    n=4, waist=WAIST, scheme="correspondence", weights="conforming", horizon=2.015, G=0.1, steps=70,
+    growth=0.0, end=END,
+):  # fmt: skip
+    cloud, cell = particles(n, waist)
+    pulled = pd.region.Slab("z", low=0.5 * LENGTH - 0.6 * cell)
+    return pd.Case(
+        particles=cloud,
+        material=steel(),
+        symmetry=[pd.Symmetry(axis) for axis in "xyz"],
+        conditions=[pd.Displacement(pulled, z=0.5 * end)],
+        steps=pd.Steps(steps, plastic_growth=growth or None),
+        history={
+            "elongation": Elongation(cell),
+            "quarter_force": pd.Reaction("z", pulled),
+            "radius": Neck(n, cell, waist),
+            "plastic": pd.Largest(pd.plastic_strain),
+        },
+        results=lambda history: results(history, waist),
+        fields=[pd.displacement, pd.stress, pd.plastic_strain],
+        picture=pd.Picture(pd.plastic_strain, ""),
+        **common.common(scheme, weights, horizon, G, RADIUS / n),
+    )
+
+
+def results(history, waist):
+    """Return the numbers of the curve of force over elongation, with the peak on a parabola through three points."""
+    x, force = np.array(history["elongation"]), 4.0 * np.abs(history["quarter_force"])
+    top = int(np.argmax(force))
+    found = {"peak_force": float(force[top]), "elongation_at_peak": float(x[top])}
+    if 0 < top < len(x) - 1:
+        a, b, c = np.polyfit(x[top - 1 : top + 2], force[top - 1 : top + 2], 2)
+        found = {"peak_force": float(c - 0.25 * b * b / a), "elongation_at_peak": float(-0.5 * b / a)}
+    found |= {"end_force": float(force[-1]), "neck_radius": history["radius"][-1], "elongation": float(x[-1])}
+    known = reference("waist" if waist < 1.0 else "perfect")
+    peak = int(np.argmax(known["force"]))
+    exact = {
+        "peak_force": known["force"][peak],
+        "elongation_at_peak": known["elongation"][peak],
+        "end_force": float(np.interp(x[-1], known["elongation"], known["force"])),
+        "neck_radius": float(np.interp(x[-1], known["elongation"], known["radius"])),
+    }
+    return found | {f"{name}_error": found[name] / value - 1.0 for name, value in exact.items()}

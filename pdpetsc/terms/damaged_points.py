@@ -18,7 +18,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
-from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
+from pdpetsc.terms.falling import Falling, falling_parts
 from pdpetsc.terms.kept_history import KeptHistory
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
@@ -146,7 +146,7 @@ class DamagedPoints(MaterialPoints):
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
         return DamagedTangent(self, state)
 
-    def falling(self, state: State) -> list[FallingBonds | FallingBeyond]:
+    def falling(self, state: State) -> list[Falling]:
         """Return what the bonds whose integrity falls add to the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.

@@ -422,3 +422,61 @@ def test_a_fracture_energy_of_several_materials_is_refused(graded):
     )  # fmt: skip
     with pytest.raises(pd.CaseError, match="FractureEnergy gives one critical stretch, for one material"):
         pd.prepare(case)
+
+
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+@pytest.mark.parametrize("dim", DIMS)
+@pytest.mark.parametrize("nu", [0.1, 0.4])
+def test_ordinary_state_based_bonds_fail_with_exact_tangents_and_energies(dim, kinematics, nu, rng):
+    """The dilatation counts bonds with their integrity; forces at a given one are the derivative of the energy."""
+    material = pd.LinearSolid(E=10.0, nu=nu, kinematics=kinematics)
+    for criterion in (Elongation(0.02), FamilyStretch(0.02, mean=False)):
+        model = bond_body(dim, material, rng=rng, damage=pd.LinearSoftening(criterion, 3.0))
+        u = pulled(model, rng, 0.025)
+        K = check_tangent(model, u, rng)
+        assert not model.problem.symmetric
+        assert np.abs(K - K.T).max() > 1e-6 * np.abs(K).max()
+        model.break_bonds(4.0 * u, {1: 2, 2: 20, 3: 60}[dim])
+        assert 0 < model.failure.count_broken() < np.count_nonzero(model.failure.integrity)
+        check_tangent(model, u, rng, least=0)
+        model.soften(u)
+        model.freeze(True)
+        K = dense_tangent(model, u)
+        assert np.abs(K - K.T).max() < 1e-12 * np.abs(K).max()
+        du = rng.standard_normal(u.shape)
+        rate = (sum(model.energy(u + 1e-6 * du)) - sum(model.energy(u - 1e-6 * du))) / 2e-6
+        assert (model.internal_force(u) * du).sum() == pytest.approx(rate, rel=1e-6)
+
+
+def test_a_family_that_has_lost_its_bonds_has_no_dilatation(rng):
+    model = bond_body(2, pd.LinearSolid(E=10.0, nu=0.4), damage=pd.Brittle(Elongation(0.02)))
+    u = 0.1 * model.cloud.x
+    while model.break_bonds(u):
+        pass
+    assert np.abs(model.matter.dilatation(model.at(u))).max() == 0.0
+    assert np.abs(model.internal_force(u)).max() == 0.0
+    assert model.matter.dissipated_energy() is None
+
+
+def test_a_body_of_state_based_bonds_comes_apart_and_its_energies_balance(tmp_path):
+    """What the supports have done is stored or dissipated; the pieces carry nothing and store nothing."""
+    changes = {"scheme": None, "control": None, "material": pd.LinearSolid(E=100.0, nu=0.2)}
+    case = strip(damage=pd.LinearSoftening(pd.FractureEnergy(0.05), 3.0), **changes)
+    more = {
+        "work": pd.ExternalWork(), "stored": pd.StrainEnergy(), "dissipated": pd.DissipatedEnergy(), **case.history,
+    }  # fmt: skip
+    found = pd.run(dataclasses.replace(case, history=more), output=tmp_path)
+    h = history(tmp_path)
+    assert found["broken"] > 10
+    assert abs(found["force"]) < 1e-6 * found["peak"]
+    assert h["stored"][-1] < 1e-6 * h["work"][-1]
+    assert np.allclose(h["dissipated"], h["work"] - h["stored"], atol=1e-12)
+
+
+def test_events_refuse_bonds_with_a_dilatation(tmp_path):
+    case = strip(
+        scheme=None, control=None, material=pd.LinearSolid(E=100.0, nu=0.2), damage=pd.Brittle(Elongation(0.02)),
+        conditions=strip().conditions, solver=pd.EventDriven(),
+    )  # fmt: skip
+    with pytest.raises(pd.CaseError, match="bonds without dilatation"):
+        pd.run(case, output=tmp_path)

@@ -206,11 +206,11 @@ def test_bonds_across_a_pull_break_with_the_strain_of_their_gradient(scheme):
     assert np.all(np.abs(model.families.bonds(model.cloud.x)[kept, 0]) < 0.5)
 
 
-def test_history_and_some_controls_are_refused():
-    with pytest.raises(pd.CaseError, match="history"):
-        damaged_body(2, pd.Brittle(CRITICAL), material=pd.J2(E=1.0, nu=0.3, yield_stress=0.1, hardening=0.1))
-    with pytest.raises(pd.CaseError, match="cannot take bond damage"):
-        damaged_body(2, pd.Brittle(CRITICAL), control=pd.Wan())
+def test_controls_that_cannot_fade_with_the_present_stretch_are_refused():
+    law = pd.LinearSoftening(CRITICAL, effect=pd.PresentStretch())
+    model = damaged_body(2, law, control=pd.Wan())
+    with pytest.raises(pd.CaseError, match="cannot follow bonds that fade with their present stretch"):
+        model.internal_force(0.01 * model.cloud.x)
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())

@@ -350,7 +350,7 @@ def refused(**changes):
             ),
             "proportional to the step time",
         ),
-        (refused(material=pd.LinearSolid(E=1.0, nu=0.2)), "LinearSolid has no damage"),
+        (refused(material=pd.LinearSolid(E=1.0, nu=0.2)), "bonds without dilatation"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 0.0 * length))), "not positive"),
         (refused(damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: 1.0))), "one number per bond"),
         (refused(material=pd.LinearElastic(E=1.0)), "those of deformation gradients fail in load steps"),

@@ -107,6 +107,8 @@ class _Averaged(Control):
     def __init__(self, cloud: Cloud, families: Families, omega: Float, c: Float) -> None:
         stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
         self._cloud = cloud
+        self._families = families
+        self._weight = omega
         self._c = c
         self._stencils = stencils.point_ptr, stencils.members
         self._b = stencils.weight
@@ -133,3 +135,7 @@ class _Averaged(Control):
         each = np.bincount(members, np.repeat(self._c, np.diff(ptr)) * self._b**2, self._cloud.n_local)
         blocks += each[:, None, None] * np.eye(self._cloud.dim)
         return True
+
+    def damaged(self, integrity: Float) -> Control:
+        """Return the control whose averages count every bond with its integrity."""
+        return _Averaged(self._cloud, self._families, self._weight * integrity, self._c)

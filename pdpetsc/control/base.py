@@ -21,7 +21,10 @@ from pdpetsc.kernels.assembly import add_diagonal_kernel
 from pdpetsc.kernels.sparsity import transpose
 
 Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
-_NO_DAMAGE = "This zero-energy control cannot take bond damage; take Silling, springs, the penalty or none."
+_NO_DAMAGE = (
+    "This zero-energy control cannot follow bonds that fade with their present stretch; take Silling, springs, the "
+    "penalty or none, or let damage keep the largest stretch (effect=LargestStretch())."
+)
 
 
 @dataclass(frozen=True)

@@ -163,3 +163,15 @@ class Directed(Control):
         family, kernel = self._families, directed_blocks_kernel(self._cloud.dim)
         kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, blocks)
         return True
+
+    def damaged(self, integrity: Float) -> Control:
+        """Return the control with ``S_ij`` times the integrity, which is in its gradient too.
+
+        ``g'_ij = T_ij M_i^-1 g_ij`` with ``M_i = sum_j T_ij g_ij (x) xi_ij``, so that ``sum_j xi_ij (x) g'_ij = I``:
+        affine displacements have no force; H is zero in directions without bonds left.
+        """
+        centres, xi = self._families.centres, self._families.bonds(self._cloud.x)
+        g = integrity[:, None] * self._g
+        M = sum_by(centres, g[:, :, None] * xi[:, None, :], self._cloud.n_owned)
+        g = np.einsum("bmn,bn->bm", np.linalg.pinv(M, rcond=FLAT)[centres], g)
+        return Directed(self._cloud, self._families, self._S * integrity[:, None, None], g)

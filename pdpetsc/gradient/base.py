@@ -57,6 +57,22 @@ class Stencils:
 
 
 @dataclass(frozen=True)
+class Parts:
+    """Parts that families are divided into, such as sectors, of which not all have a gradient point.
+
+    Attributes
+    ----------
+    of_point : (n_points,) int64
+        The part that each point is of.
+    served_by : (n_owned, n_parts) int64
+        The point of each part of a particle: its own, or that of the part that took its bonds over.
+    """
+
+    of_point: GlobalIndex
+    served_by: GlobalIndex
+
+
+@dataclass(frozen=True)
 class GradientOperator:
     """Sparse operator from displacements to deformation gradients, ``F_p = I + sum_k u_k (x) g_pk``.
 
@@ -70,6 +86,9 @@ class GradientOperator:
         Quadrature volumes ``W_p = V_i / (points of i)`` [volume].
     note : str
         What the scheme had to adapt to this body, for the log; the same on all ranks.
+    parts : Parts or None
+        Which parts of its particle a point is of, where bonds that break may leave a part without a point; None where
+        particles have the same points whichever bonds are left.
     """
 
     owner: LocalIndex
@@ -78,6 +97,7 @@ class GradientOperator:
     g: Float
     volume: Float
     note: str = ""
+    parts: Parts | None = None
 
     @property
     def n_points(self) -> int:

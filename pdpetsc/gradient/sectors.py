@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
-from pdpetsc.gradient.base import THIN, GradientOperator, flat, operator, refuse_flat, whole_families, with_centres
+from pdpetsc.gradient.base import (
+    THIN,
+    GradientOperator,
+    Parts,
+    flat,
+    operator,
+    refuse_flat,
+    whole_families,
+    with_centres,
+)
 
 
 def sector_operator(
@@ -39,13 +50,18 @@ def sector_operator(
     singular = lost & flat(whole_families(cloud, families, weight).shape_tensors(cloud.x))
     refuse_flat(cloud, np.flatnonzero(singular), name)
     centres = families.centres
-    share = np.einsum("ba,bac->bc", share, _merging(empty, distance)[centres])
+    merging = _merging(empty, distance)
+    share = np.einsum("ba,bac->bc", share, merging[centres])
     share[lost[centres], 0] = 1.0
     points = ~empty
     points[lost, 0] = True
     merged, particles = cloud.counted(empty.sum(axis=1)), cloud.counted(empty.any(axis=1))
     note = f"{merged} sectors at {particles} particles are too flat and merged with others" if merged else ""
-    return operator(cloud, with_centres(*_listed(points, centres, families.neighbours, weight, share)), note)
+    owner, sector, number = _numbered(points)
+    stencils = with_centres(*_listed(owner, number, centres, families.neighbours, weight, share))
+    # Of a particle without a gradient in any sector argmax gives the first, which has its point.
+    served_by = np.take_along_axis(number, merging.argmax(axis=2), axis=1)
+    return replace(operator(cloud, stencils, note), parts=Parts(sector, served_by))
 
 
 def _merging(empty: Mask, distance: Float) -> Float:
@@ -56,13 +72,18 @@ def _merging(empty: Mask, distance: Float) -> Float:
     return np.asarray(nearest / np.maximum(nearest.sum(axis=2, keepdims=True), 1))
 
 
-def _listed(
-    points: Mask, centres: LocalIndex, neighbours: LocalIndex, weight: Float, share: Float
-) -> tuple[LocalIndex, GlobalIndex, LocalIndex, Float]:
-    """Return owners, pointers, members and weights of the points, sorted by owner, sector and bond."""
+def _numbered(points: Mask) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
+    """Return owner and sector of the points, and the point of each sector of a particle, -1 where it has none."""
     owner, sector = np.nonzero(points)
     number = np.full(points.shape, -1, dtype=np.int64)
     number[owner, sector] = np.arange(len(owner))
+    return owner, sector, number
+
+
+def _listed(
+    owner: GlobalIndex, number: GlobalIndex, centres: LocalIndex, neighbours: LocalIndex, weight: Float, share: Float
+) -> tuple[LocalIndex, GlobalIndex, LocalIndex, Float]:
+    """Return owners, pointers, members and weights of the points, sorted by owner, sector and bond."""
     bond, taken = np.nonzero(share)
     point = number[centres[bond], taken]
     order = np.argsort(point, kind="stable")

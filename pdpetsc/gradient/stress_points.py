@@ -60,6 +60,8 @@ class StressPoints(Scheme):
         np.add.at(mean, families.centres, weight[:, None] * xi)
         np.add.at(size, families.centres, weight * length)
         unbalanced = np.linalg.norm(mean, axis=1) > UNBALANCED * size
+        # Towards the same side as the drawn one: bonds that break then leave either half its place and history.
+        mean[np.einsum("id,id->i", mean, diagonal) < 0.0] *= -1.0
         diagonal[unbalanced] = mean[unbalanced]
         diagonal /= np.linalg.norm(diagonal, axis=1, keepdims=True)
         along = np.einsum("bd,bd->b", xi, diagonal[families.centres])

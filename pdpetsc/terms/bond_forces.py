@@ -21,13 +21,14 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm
-from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_beyond
+from pdpetsc.terms.falling import Falling, FallingDilatation, falling_beyond
 
 
 class BondForces(Matter):
-    """The energy ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, ``theta_i = sum_j a_ij e_ij``.
+    """The energy ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, ``theta_i = sum_j mu_ij a_ij e_ij``.
 
-    A pair of particles counts from both ends. The integrity ``mu`` is 1 without damage.
+    A pair of particles counts from both ends. The integrity ``mu`` is 1 without damage; at a given one forces are the
+    derivative of this energy.
 
     Parameters
     ----------
@@ -98,18 +99,10 @@ class BondForces(Matter):
         return self._bonds.omega
 
     def take_damage(self, damage: Damage) -> None:
-        """Let the bonds fail (not collective).
-
-        Raises
-        ------
-        CaseError
-            The material has a dilatation.
-        """
-        if self.a is not None:
-            raise CaseError("Bond damage takes bond-based materials; LinearSolid has no damage.")
+        """Let the bonds fail (not collective)."""
         self.damage = damage
         self._reaches = damage.drive.reaches
-        self.horizons = 2 if self._reaches else 1
+        self.horizons = 2 if self._reaches or self.a is not None else 1
 
     @property
     def n_points(self) -> int:
@@ -129,8 +122,9 @@ class BondForces(Matter):
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Return whether the force of a bond depends on its own elongation alone."""
-        return not self._reaches
+        """Return whether what bonds that fade lose depends on their own elongation alone."""
+        fades = self.damage is not None and self.damage.softens
+        return not self._reaches and not (fades and self.a is not None)
 
     @property
     def within_families(self) -> bool:
@@ -181,39 +175,59 @@ class BondForces(Matter):
         return self.k if self.damage is None else self.damage.integrity(state) * self.k
 
     def tangent(self, state: State) -> Float:
-        """Return ``d(T k e)/de`` of every bond (n_bonds,) [force / length]."""
+        """Return ``dt/de`` of every bond at the dilatation of its particle (n_bonds,) [force / length]."""
         if self.damage is None:
             return self.k
         gradient = self.damage.gradient(state)
-        rate = self.damage.integrity(state).copy()
-        rate[gradient.bonds] += gradient.along * self.elongation(state)[gradient.bonds]
-        return np.asarray(self.k * rate)
+        rate = self.k * self.damage.integrity(state)
+        rate[gradient.bonds] += gradient.along * self._whole_tension(state)[gradient.bonds]
+        return np.asarray(rate)
 
-    def falling(self, state: State) -> list[FallingBonds | FallingBeyond]:
-        """Return what the tangent has besides where the integrity of a bond depends on more than its elongation."""
-        if not self._reaches:
+    def falling(self, state: State) -> list[Falling]:
+        """Return what the tangent has besides where the integrity of a bond is in more than its own force.
+
+        That is, where it depends on more than the elongation of the bond, or where there is a dilatation.
+        """
+        if self.damage is None or not (self._reaches or (self.a is not None and self.damage.bonds.softens)):
             return []
-        assert self.damage is not None
         gradient, families = self.damage.gradient(state), self.body.families
         bonds = gradient.bonds
-        y = (families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local))[bonds]
-        v = (self.k * self.elongation(state))[bonds, None] * y / np.linalg.norm(y, axis=1)[:, None]
-        return falling_beyond(self.body, gradient, v)
+        y = families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local)
+        n = y / np.linalg.norm(y, axis=1)[:, None]
+        found = falling_beyond(self.body, gradient, self._whole_tension(state)[bonds, None] * n[bonds])
+        a = self.shares(state)
+        if a is not None and self.a is not None and self.B is not None:
+            force = (a * self.B[families.centres])[:, None] * n
+            found.append(FallingDilatation(self.body, gradient, force, n, (self.a * self.elongation(state))[bonds]))
+        return found
+
+    def shares(self, state: State) -> Float | None:
+        """Return what elongations add to the dilatation with the integrity of their bonds (n_bonds,) [1 / length]."""
+        if self.a is None or self.damage is None:
+            return self.a
+        return np.asarray(self.damage.integrity(state) * self.a)
+
+    def _whole_tension(self, state: State) -> Float:
+        """Return the tension that every bond had without damage of its own (n_bonds,) [force]."""
+        e = self.elongation(state)
+        t = self.k * e
+        if self.a is None or self.B is None:
+            return t
+        return np.asarray(t + self.a * (self.B * self.dilatation(state))[self.body.families.centres])
 
     def tension(self, state: State) -> Float:
         """Return the tension of every bond of every own particle (n_bonds,) [force]."""
-        e = self.elongation(state)
-        t = self.secant(state) * e
-        if self.a is None or self.B is None:
+        t, a = self.secant(state) * self.elongation(state), self.shares(state)
+        if a is None or self.B is None:
             return t
-        return np.asarray(t + self.a * (self.B * self.dilatation(e))[self.body.families.centres])
+        return np.asarray(t + a * (self.B * self.dilatation(state))[self.body.families.centres])
 
-    def dilatation(self, e: Float) -> Float:
+    def dilatation(self, state: State) -> Float:
         """Return ``theta`` of the own particles (n_owned,) [-]; zeros for a material without it."""
-        n = self.body.cloud.n_owned
-        if self.a is None:
+        n, a = self.body.cloud.n_owned, self.shares(state)
+        if a is None:
             return np.zeros(n)
-        return np.asarray(np.bincount(self.body.families.centres, self.a * e, n), dtype=float)
+        return np.asarray(np.bincount(self.body.families.centres, a * self.elongation(state), n), dtype=float)
 
     def admissible(self, state: State) -> bool:
         """Return whether every bond on this rank has a length above zero."""
@@ -253,7 +267,9 @@ class BondForces(Matter):
 
     def dissipated_energy(self) -> float | None:
         """Return what bonds have dissipated in failing [energy]; None where their drive does not tell (collective)."""
-        return 0.0 if self.damage is None else self.damage.dissipated(self.k)
+        if self.damage is None:
+            return 0.0
+        return None if self.a is not None else self.damage.dissipated(self.k)
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
@@ -309,7 +325,7 @@ class BondForces(Matter):
         e, n = self.elongation(state), self.body.cloud.n_owned
         psi = np.bincount(self.body.families.centres, 0.5 * self.secant(state) * e**2, n)
         if self.B is not None:
-            psi += 0.5 * self.B * self.dilatation(e) ** 2
+            psi += 0.5 * self.B * self.dilatation(state) ** 2
         return np.asarray(psi / self.body.cloud.volume[:n])
 
     def uniform_stress_force(self, P: Float) -> Float:
@@ -328,7 +344,8 @@ class BondTangent(LinearisedTerm):
     def __init__(self, term: BondForces, state: State) -> None:
         self._term = term
         none = np.empty(0)
-        a, B = (none, none) if term.a is None or term.B is None else (term.a, term.B)
+        shares = term.shares(state)
+        a, B = (none, none) if shares is None or term.B is None else (shares, term.B)
         families = term.body.families
         self._u = state.u_local
         self._data = families.indptr, families.neighbours, term.body.cloud.x, self._u
@@ -380,7 +397,7 @@ class BondTangent(LinearisedTerm):
         assert term.a is not None and term.B is not None
         families, whole, dim = body.families, body.with_centres, body.dim
         y = families.bonds(body.cloud.x) + term.finite * families.bonds(self._u)
-        bond = term.a[:, None] * y / np.linalg.norm(y, axis=1)[:, None]
+        bond = self._dilatation[0][:, None] * y / np.linalg.norm(y, axis=1)[:, None]
         g = np.insert(bond, families.indptr[:-1], -sum_by(families.centres, bond, body.cloud.n_owned), axis=0)
         one = np.eye(dim)
         A = np.tile(np.einsum("im,kn->imkn", one, one), (body.cloud.n_owned, 1, 1, 1, 1))

@@ -15,7 +15,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm, Term
-from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
+from pdpetsc.terms.falling import Falling, falling_parts
 
 
 class ControlForces(Term):
@@ -109,7 +109,7 @@ class ControlForces(Term):
     def linearised(self, state: State) -> LinearisedTerm:
         """Return its constant matrix, and what the derivative of the integrity adds where it fades."""
         control = self.at(state)
-        falling: list[FallingBonds | FallingBeyond] = []
+        falling: list[Falling] = []
         if self.damage is not None and self._fades and self.damage.bonds.softens:
             gradient = self.damage.gradient(state)
             falling = falling_parts(state, gradient, self.control.bond_forces(state.u_local)[gradient.bonds])
@@ -136,7 +136,7 @@ class ControlForces(Term):
 class ControlTangent(LinearisedTerm):
     """The tangent of a zero-energy control."""
 
-    def __init__(self, term: ControlForces, control: Control, falling: list[FallingBonds | FallingBeyond]) -> None:
+    def __init__(self, term: ControlForces, control: Control, falling: list[Falling]) -> None:
         self._term, self._control, self._falling = term, control, falling
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.communicator import total
-from pdpetsc.errors import CaseError, FlatFamilies
+from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.errors import FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
 from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.kernels.sparsity import sum_by
@@ -17,8 +17,9 @@ from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, LinearisedTerm, Term
-from pdpetsc.terms.falling import FallingBeyond, FallingBonds, falling_parts
+from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
+from pdpetsc.terms.falling import Falling, falling_parts
+from pdpetsc.terms.kept_history import KeptHistory
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
 
@@ -47,7 +48,7 @@ class DamagedPoints(MaterialPoints):
     Raises
     ------
     CaseError
-        A family is too small or flat, on every rank; or a material has a history.
+        A family is too small or flat, on every rank.
 
     References
     ----------
@@ -67,8 +68,9 @@ class DamagedPoints(MaterialPoints):
         operator = scheme.build(body.cloud, body.families, omega)
         super().__init__(body, operator if weigh is None else weigh(operator), materials, material_of, factor)
         self._whole = None if weigh is None else self.operator
-        if any(at_points.has_history for at_points in self.materials):
-            raise CaseError("Bond damage takes elastic materials; a material with history cannot lose bonds.")
+        remembers = any(at_points.has_history for at_points in self.materials)
+        kept = KeptHistory(self.operator, self.materials, material_of, body.cloud.x) if remembers else None
+        self._history: KeptHistory | None = kept
         self._omega = omega
         self._scheme = scheme
         self._material_of = material_of
@@ -94,6 +96,34 @@ class DamagedPoints(MaterialPoints):
         """Return True."""
         return True
 
+    def deformation(self, state: State) -> Float:
+        """Return ``F_p`` (n_points, dim, dim) [-]; I where a particle has no gradient any more."""
+        F = super().deformation(state)
+        F[self._dead] = np.eye(self.body.dim)
+        return F
+
+    def commit(self, state: State) -> None:
+        """Let materials with history remember a converged state; a particle without gradient keeps what it had."""
+        if self._history is None:
+            super().commit(state)
+            return
+        before = [at_points.history.copy() for at_points in self.materials]
+        super().commit(state)
+        for at_points, history in zip(self.materials, before, strict=True):
+            dead = self._dead[at_points.points]
+            at_points.history[dead] = history[dead]
+        self._history.take(self.operator, self.materials)
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return the histories of the materials that have one, by the number of the material."""
+        return {} if self._history is None else self._history.arrays(self.materials)
+
+    def restored(self) -> None:
+        """Put the histories that have been read at the points of the bonds that are left."""
+        super().restored()
+        if self._history is not None:
+            self._history.give(self.operator, self.materials)
+
     def scaled_weights(self, of_bond: Float) -> Float:
         """Return ``h_pk = T_ij g_pk`` for numbers per bond (n_bonds,), centres included (not collective)."""
         h: Float = self.operator.g * np.append(of_bond, 0.0)[self.bond_of_entry][:, None]
@@ -116,7 +146,7 @@ class DamagedPoints(MaterialPoints):
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
         return DamagedTangent(self, state)
 
-    def falling(self, state: State) -> list[FallingBonds | FallingBeyond]:
+    def falling(self, state: State) -> list[Falling]:
         """Return what the bonds whose integrity falls add to the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
@@ -173,7 +203,7 @@ class DamagedPoints(MaterialPoints):
 
     def mean_stress(self, stress: Float) -> Float:
         """Return the mean of ``T_p`` times the stress over the points of each own particle (not collective)."""
-        T = self._at_points(self.damage.bonds.integrity)
+        T = np.where(self._dead, 0.0, self._at_points(self.damage.bonds.integrity))
         return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
 
     def _at_points(self, T: Float) -> Float:
@@ -188,6 +218,7 @@ class DamagedPoints(MaterialPoints):
 
     def _take_operator(self, operator: GradientOperator) -> None:
         self.operator = operator
+        self._dead = operator.volume <= 0.0
         self.bond_of_entry = np.empty(len(operator.members), dtype=np.int64)
         families = self.body.families
         bonds_of_entries(
@@ -199,6 +230,9 @@ class DamagedPoints(MaterialPoints):
             points = np.flatnonzero(number_of == number)
             of = operator.owner[points]
             at_points.put_at(points, None if self._factor is None else self._factor[of], self.body.cloud.x[of])
+        if self._history is not None:
+            with agreed(self.body.cloud.comm):
+                self._history.give(operator, self.materials)
 
     def _rebuilt(self) -> GradientOperator:
         """Return the gradient over the bonds that are left; a particle whose family is too flat gets no volume."""

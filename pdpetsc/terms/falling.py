@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.damage.criterion import Beyond, Gradient
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import outer_rows_kernel
-from pdpetsc.kernels.sparsity import transpose
+from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.kernels.tangent import outer_times_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -103,7 +105,75 @@ class FallingBeyond:
             )  # fmt: skip
 
 
-def falling_parts(state: State, gradient: Gradient, v: Float) -> list[FallingBonds | FallingBeyond]:
+class FallingDilatation:
+    """``sum_b q_b (x) sum_c s_c dT_c`` in every family: bonds whose integrity falls leave the dilatation that all share.
+
+    Parameters
+    ----------
+    body : Body
+        Whose bonds they are.
+    gradient : Gradient
+        Of the integrity of those that fall.
+    q : (n_bonds, dim) float64
+        Force of every bond on its second end for a dilatation of 1 [force].
+    n : (n_bonds, dim) float64
+        Directions of the bonds [-].
+    s : (n,) float64
+        What those that fall would add to the dilatation if they were intact [-].
+    """
+
+    def __init__(self, body: Body, gradient: Gradient, q: Float, n: Float, s: Float) -> None:
+        self._body, self._q = body, q
+        families, whole, bonds = body.families, body.with_centres, gradient.bonds
+        centres = families.centres
+        # Entries of the families with their centres: the b-th bond is one further for each family before it.
+        of_bond = np.arange(len(centres)) + centres + 1
+        g = np.zeros((len(whole.members), body.dim))
+        own = (s * gradient.along)[:, None] * n[bonds]
+        g[of_bond[bonds]] += own
+        np.subtract.at(g, whole.point_ptr[:-1][centres[bonds]], own)
+        if gradient.beyond is not None:
+            count = np.diff(gradient.beyond.ptr)
+            key = np.repeat(np.arange(len(families.indptr) - 1), np.diff(whole.point_ptr)) * body.cloud.n_local
+            key += whole.members
+            order = np.argsort(key)
+            asked = np.repeat(centres[bonds].astype(np.int64), count) * body.cloud.n_local + gradient.beyond.particles
+            at = order[np.searchsorted(key[order], asked)]
+            np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.beyond.by)
+        self._g = g
+        self._h = np.insert(q, families.indptr[:-1], -sum_by(centres, q, len(families.indptr) - 1), axis=0)
+        self._falls = np.zeros(len(families.indptr) - 1)
+        self._falls[centres[bonds]] = 1.0
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the families of some own particles (not collective)."""
+        whole = self._body.with_centres
+        asked = np.zeros(len(self._falls), dtype=bool)
+        asked[particles] = True
+        families = np.flatnonzero(asked & (self._falls > 0.0))
+        size = np.diff(whole.point_ptr)[families]
+        entries = np.repeat(whole.point_ptr[families] - np.cumsum(size) + size, size) + np.arange(size.sum())
+        of, members = np.repeat(np.arange(len(families)), size), whole.members[entries]
+        change = np.bincount(of, np.einsum("ei,ei->e", self._g[entries], du[members]), len(families))
+        np.add.at(f, members, change[of, None] * self._h[entries])
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the matrix (not collective)."""
+        body, whole, dim = self._body, self._body.with_centres, self._body.dim
+        one = np.eye(dim)
+        A = np.tile(np.einsum("im,kn->imkn", one, one), (len(self._falls), 1, 1, 1, 1))
+        by_particle = transpose(whole.point_ptr, whole.members, body.cloud.n_local)
+        for rows, own in entries.row_sets():
+            assemble_kernel(dim)(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *entries.sparsity.locals_of_columns, *by_particle,
+                whole.point_ptr, whole.members, self._h, self._g, self._falls, A, own, entries.off,
+            )  # fmt: skip
+
+
+Falling: TypeAlias = FallingBonds | FallingBeyond | FallingDilatation
+
+
+def falling_parts(state: State, gradient: Gradient, v: Float) -> list[Falling]:
     """Return what the derivative of the integrity adds where elongations are those of the current length.
 
     Parameters
@@ -122,6 +192,6 @@ def falling_parts(state: State, gradient: Gradient, v: Float) -> list[FallingBon
     return [FallingBonds(body, bonds, v, m), *falling_beyond(body, gradient, v)]
 
 
-def falling_beyond(body: Body, gradient: Gradient, v: Float) -> list[FallingBonds | FallingBeyond]:
+def falling_beyond(body: Body, gradient: Gradient, v: Float) -> list[Falling]:
     """Return what is left where the part of the own elongation is counted elsewhere; nothing for most drives."""
     return [] if gradient.beyond is None else [FallingBeyond(body, gradient.bonds, v, gradient.beyond)]

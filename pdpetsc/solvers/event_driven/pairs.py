@@ -65,6 +65,8 @@ def make_pairs(term: BondForces) -> Pairs:
     cloud, families = term.body.cloud, term.body.families
     if term.damage is None:
         raise CaseError("This body has no bonds that fail.")
+    if term.a is not None:
+        raise CaseError("The event-driven solver takes bonds without dilatation: BondBased, or Newton for LinearSolid.")
     failure, limit = term.damage.bonds, term.damage.limit
     keys, first, of_bond = np.unique(failure.keys, axis=0, return_index=True, return_inverse=True)
     of_bond = of_bond.reshape(-1)

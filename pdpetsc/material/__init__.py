@@ -17,6 +17,7 @@ from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.material.named_laws import HolzapfelGasserOgden, MooneyRivlin, Ogden, Yeoh
 from pdpetsc.material.neo_hookean import NeoHookean
 from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
+from pdpetsc.material.thermal import Thermal
 
 __all__ = [
     "J2",
@@ -37,5 +38,6 @@ __all__ = [
     "Orthotropic",
     "PointKernels",
     "SaintVenantKirchhoff",
+    "Thermal",
     "Yeoh",
 ]

@@ -8,6 +8,8 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.problem.expansion import StressFree
 from tests import scenes
+from tests.commands import results
+from tests.test_durable import Stop
 
 DIMS = scenes.DIMS
 FIBRES = {
@@ -297,3 +299,62 @@ def test_heat_alone_breaks_no_bond_and_cold_that_is_held_does(rng):
     assert np.abs(hot.driven(u)).max() < 1e-12
     cold = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), -0.06 * np.eye(3))
     assert np.abs(cold.driven(np.zeros_like(u)) - 0.06 / 0.05).max() < 1e-12
+
+
+def test_strip_of_two_metals_bends_as_timoshenko_says(tmp_path):
+    found = results("runs/thermal/bimetal.py", "ny=8", "length=20", output=tmp_path / "one")["results"]
+    assert abs(found["curvature_over_exact"] - 1.0) < 0.07
+    again = results("runs/thermal/bimetal.py", "ny=8", "length=20", ranks=2, output=tmp_path / "two")["results"]
+    assert abs(again["curvature"] - found["curvature"]) < 1e-9 * abs(found["curvature"])
+    without = results(
+        "runs/thermal/bimetal.py", "ny=8", "length=20", "law=hencky", "-pd_jacobian=matfree", "-pc_type=gamg",
+        output=tmp_path / "free",
+    )["results"]  # fmt: skip
+    matrix = results("runs/thermal/bimetal.py", "ny=8", "length=20", "law=hencky", output=tmp_path / "matrix")[
+        "results"
+    ]
+    assert abs(without["curvature"] - matrix["curvature"]) < 1e-7 * abs(matrix["curvature"])
+    assert abs(matrix["curvature"] / found["curvature"] - 1.0) < 1e-2
+
+
+def test_cylinder_that_is_hot_inside(tmp_path):
+    found = results("runs/thermal/cylinder.py", "n=8", output=tmp_path / "run")["results"]
+    assert found["error_u"] < 0.02 and found["error_stress"] < 0.13 and found["error_axial"] < 0.035
+
+
+def hot_plate(folder, steps, force=1.0, length=1.0, restart=None, **changes):
+    """Run a clamped plate that heats unevenly, yields and softens, in some units."""
+    stress = force / length**2
+    material = pd.Thermal(
+        pd.J2(E=100.0 * stress, nu=0.3, yield_stress=0.5 * stress, hardening=5.0 * stress), 1e-3, reference=10.0,
+        factor=pd.Table([0.0, 100.0], [1.0, 0.8]),
+    )  # fmt: skip
+    given = {
+        "particles": pd.Lattice((0.0, 0.0), (6.0 * length, 4.0 * length), length, thickness=length),
+        "horizon": 2.015 * length,
+        "material": material,
+        "conditions": [
+            pd.Displacement(pd.region.Slab("x", high=length), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=5.0 * length), x=0.0),
+            pd.Temperature(pd.region.All(), lambda x, t: 10.0 + t * (5.0 + 4.0 * x[:, 1] / length)),
+        ],
+        "steps": pd.Steps(steps),
+        "fields": [pd.displacement, pd.stress, pd.plastic_strain, pd.temperature],
+        "history": {"R": pd.Reaction("x", pd.region.Slab("x", high=length))},
+    }
+    return pd.run(pd.Case(**{**given, **changes}), output=folder, restart=restart)
+
+
+def test_a_hot_plate_in_other_units_and_after_a_restart(tmp_path):
+    whole = hot_plate(tmp_path / "whole", 4)
+    plastic = pd.plastic_strain(whole.solution)
+    assert plastic.max() > 1e-4 and abs(whole.history["R"][-1]) > 0.1
+    for force, length in ((2.0**67, 2.0**-67), (1e-5, 1e4)):
+        other = hot_plate(tmp_path / "units", 4, force, length)
+        assert np.abs(np.array(other.history["R"]) / force - whole.history["R"]).max() < 1e-9
+        assert np.abs(pd.plastic_strain(other.solution) - plastic).max() < 1e-9
+    with pytest.raises(pd.Interrupted):
+        hot_plate(tmp_path / "part", 4, history={"until": Stop(0.5)})
+    rest = hot_plate(tmp_path / "rest", 4, restart=tmp_path / "part")
+    assert np.array_equal(rest.solution.u, whole.solution.u)
+    assert np.array_equal(pd.plastic_strain(rest.solution), plastic)

@@ -29,8 +29,8 @@ class Thermal(Declared):
 
     Its stress-free deformation is ``F_theta = I + alpha (T - T_ref)``. At finite strain the law sees what is left of
     the deformation gradient, ``F_e = F F_theta^-1``, and ``P = J_theta P_e(F_e) F_theta^-T``; the linear material has
-    the strain less ``alpha (T - T_ref)``. The deformation across a plane body or a bar counts: in plane strain it is held,
-    in plane stress and in a bar it is free.
+    the strain less ``alpha (T - T_ref)``. The deformation across a plane body or a bar counts: in plane strain it is
+    held, in plane stress and in a bar it is free.
 
     Parameters
     ----------

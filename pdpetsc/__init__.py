@@ -44,6 +44,7 @@ from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, Eve
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.declare.thermal import Eigenstrain, Temperature
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
@@ -78,6 +79,7 @@ from pdpetsc.post.solution import (
     reach,
     reaction,
     stress,
+    temperature,
 )
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTangent, Term
@@ -116,6 +118,7 @@ __all__ = [
     "Displacement",
     "DissipatedEnergy",
     "DynamicRelaxation",
+    "Eigenstrain",
     "EventDriven",
     "ExponentialSoftening",
     "ExternalWork",
@@ -170,6 +173,7 @@ __all__ = [
     "SurfacePressure",
     "Symmetry",
     "Table",
+    "Temperature",
     "Term",
     "TextFile",
     "Traction",
@@ -189,6 +193,7 @@ __all__ = [
     "region",
     "run",
     "stress",
+    "temperature",
 ]
 # What these rooms list is public: adding to one of them needs no line here.
 __all__ += control.__all__

@@ -21,17 +21,18 @@ from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.declare.thermal import ThermalCondition
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
-from pdpetsc.material import Graded, Material
+from pdpetsc.material import Graded, Material, Thermal
 from pdpetsc.output.picture import Picture
 from pdpetsc.post.quantities import Quantity, refuse_component
 from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm
 
-AnyMaterial: TypeAlias = Material | BondMaterial | Graded
+AnyMaterial: TypeAlias = Material | BondMaterial | Graded | Thermal
 # What stands between the columns of the history, and in quotes.
 _NOT_IN_NAMES = set(",;\"'")
 # What a table or file of a run has anyway.
@@ -39,9 +40,15 @@ _COLUMNS, _ATTRIBUTES = {"step", "t"}, {"volume"}
 Results = Callable[[Mapping[str, list[float]]], Mapping[str, float]]
 
 
+def isothermal(material: AnyMaterial) -> Material | BondMaterial | Graded:
+    """Return the material without what it does with temperature."""
+    return material.material if isinstance(material, Thermal) else material
+
+
 def ungraded(material: AnyMaterial) -> Material | BondMaterial:
-    """Return the material without its grading."""
-    return material.material if isinstance(material, Graded) else material
+    """Return the material without its grading and what it does with temperature."""
+    found = isothermal(material)
+    return found.material if isinstance(found, Graded) else found
 
 
 def _named(name: str, function: Field) -> Field:
@@ -68,10 +75,10 @@ class Case(Declared):
     horizon : float, Horizon, callable or (n,) array
         Radius of the families [length]: one for all, ``Horizon(ratio)`` local spacings, a function of positions
         (n, dim) that returns lengths (n,), or one length per particle in the order of creation.
-    material : Material, BondMaterial, Graded, or sequence of (Region, one of these)
+    material : Material, BondMaterial, Graded, Thermal, or sequence of (Region, one of these)
         One material, or one per region; every particle needs exactly one. Materials of bonds do not mix with others.
     conditions : sequence of Condition
-        Displacements and loads.
+        Displacements and loads, temperatures and strains without stress.
     scheme : Scheme, optional
         Where deformation gradients are evaluated; sub-horizons by default, which need no control and no coefficient.
         Materials of bonds have none.
@@ -115,7 +122,7 @@ class Case(Declared):
     particles: Particles
     horizon: AnyHorizon
     material: AnyMaterial | Sequence[tuple[Region, AnyMaterial]]
-    conditions: Sequence[Condition]
+    conditions: Sequence[Condition | ThermalCondition]
     scheme: Scheme | None = None
     influence: Influence = field(default_factory=Constant)
     weights: Weights | None = None
@@ -145,6 +152,17 @@ class Case(Declared):
     def of_bonds(self) -> bool:
         """Return whether the forces act along bonds."""
         return any(isinstance(ungraded(material), BondMaterial) for _, material in self.materials)
+
+    @property
+    def thermals(self) -> list[Thermal | None]:
+        """Return what each material does with temperature, None for nothing."""
+        return [material if isinstance(material, Thermal) else None for _, material in self.materials]
+
+    @property
+    def expands(self) -> bool:
+        """Return whether a body may deform without stress."""
+        of_conditions = any(isinstance(condition, ThermalCondition) for condition in self.conditions)
+        return of_conditions or any(thermal is not None for thermal in self.thermals)
 
     @property
     def needs_surface(self) -> bool:

@@ -22,6 +22,7 @@ FOLDERS = {
     "convergence": "Orders of convergence against exact solutions and finite elements",
     "hard": "Large strains and shaken clouds: what every method makes of hard cases",
     "solids": "Hyperelastic solids against closed forms",
+    "thermal": "Temperature: strains without stress, heat conduction, quenching",
     "bonds": "Bond-based and state-based materials against closed forms",
     "fracture": "Cracks, softening, complete separation",
     "localisation": "Where damage localises: periodic cells, event by event",

@@ -75,5 +75,6 @@ class Table(Declared):
             raise CaseError("A schedule Table needs at least two ascending times and as many factors.")
 
     def __call__(self, t: float) -> float:
-        """Return the interpolated factor."""
-        return float(np.interp(t, self.times, self.factors))
+        """Return the interpolated factor; factors (n,) for an array (n,), as of temperatures."""
+        found = np.interp(t, self.times, self.factors)
+        return float(found) if np.ndim(found) == 0 else found  # type: ignore[return-value]

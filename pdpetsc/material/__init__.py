@@ -25,6 +25,7 @@ from pdpetsc.material.named_laws import HolzapfelGasserOgden, MooneyRivlin, Ogde
 from pdpetsc.material.neo_hookean import NeoHookean
 from pdpetsc.material.rate import RateLaw
 from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
+from pdpetsc.material.thermal import Thermal
 
 __all__ = [
     "J2",
@@ -54,6 +55,7 @@ __all__ = [
     "Response",
     "SaintVenantKirchhoff",
     "TensorResponse",
+    "Thermal",
     "Yeoh",
     "hardening",
     "rate",

@@ -121,6 +121,12 @@ class AnisotropicLinear(Material):
             return np.empty((len(x), 0))
         return self._reduced(dim, x)
 
+    def history_in_space(self, x: Float) -> Float:
+        """Return the stiffness of the solid, whose orientation is a function of places in the plane."""
+        if not callable(self.orientation):
+            return np.empty((len(x), 0))
+        return _of_body(self._solids(2, x), 3, self.plane)
+
     def _reduced(self, dim: int, x: Float) -> Float:
         """Return ``C`` (dim^4) and what gives stress or strain across the body (dim^2), one row per position."""
         return _of_body(self._solids(dim, x), dim, self.plane)

@@ -108,6 +108,10 @@ class Material(Declared, ABC):
         """
         return np.empty((len(x), 0))
 
+    def history_in_space(self, x: Float) -> Float:
+        """Return ``history_at`` of a solid for points of a plane body at ``x`` (n, 2), in the plane of x and y."""
+        return self.history_at(3, np.pad(x, ((0, 0), (0, 1))))
+
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
         """Return whether it has a stress at the points ``select`` of F, whose determinants are positive already."""
         return True

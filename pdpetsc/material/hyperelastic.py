@@ -101,6 +101,11 @@ class EnergyMaterial(Material):
         columns = [self._direction_at(direction, dim, x) for direction in self.directions()]
         return np.ascontiguousarray(np.concatenate(columns, axis=1)) if columns else np.empty((len(x), 0))
 
+    def history_in_space(self, x: Float) -> Float:
+        """Return the fibre directions of a plane body as vectors in space (n, 3 n_fibres)."""
+        plane = self.history_at(2, x).reshape(len(x), len(self.directions()), 2)
+        return np.ascontiguousarray(np.pad(plane, ((0, 0), (0, 0), (0, 1))).reshape(len(x), -1))
+
     def _direction_at(self, direction: Direction, dim: int, x: Float) -> Float:
         name = type(self).__name__
         if not callable(direction):

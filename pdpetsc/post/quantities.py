@@ -30,17 +30,18 @@ from pdpetsc.post.solution import (
     reach,
     reaction,
     stress,
+    temperature,
 )
 
 EVERYWHERE = All()
 # Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
 _LETTERS: dict[Field, int] = {
-    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach), 0),
+    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach, temperature), 0),
     **dict.fromkeys((displacement, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
 # Fields that next to a surface are as good as inside.
-_NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lost_bonds)
+_NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lost_bonds, temperature)
 
 
 class Quantity(Declared, ABC):
@@ -259,6 +260,11 @@ class DissipatedEnergy(Quantity):
         """Return the energy."""
         problem = solution.problem
         known = problem.matter.dissipated_energy()
+        if known is None and problem.body.expansion is not None:
+            raise CaseError(
+                "The energy that this body dissipates is not the external work less the stored energy: strains without "
+                "stress store energy too; leave DissipatedEnergy out."
+            )
         others = any(term.has_history for term in problem.terms if term is not problem.matter)
         return solution.work - sum(solution.energies.values()) if known is None or others else known
 

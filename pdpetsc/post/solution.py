@@ -13,6 +13,7 @@ from pdpetsc.declare.region import Region
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.selection import select
+from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 
@@ -224,6 +225,21 @@ def reaction(solution: Solution) -> Float:
 def plastic_strain(solution: Solution) -> Float:
     """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
     return solution.problem.matter.plastic_strain()
+
+
+def temperature(solution: Solution) -> Float:
+    """Return the temperature of each particle (n_owned,).
+
+    Raises
+    ------
+    CaseError
+        The case says nothing of temperature.
+    """
+    expansion = solution.problem.body.expansion
+    found = None if expansion is None else expansion.temperature(solution.t)
+    if found is None:
+        raise CaseError("The case says nothing of temperature; leave the field temperature out.")
+    return found
 
 
 def local_damage(solution: Solution) -> Float:

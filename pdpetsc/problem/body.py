@@ -13,6 +13,7 @@ from pdpetsc.discrete.overlap import Overlap, start_displacements, start_forces
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.gradient.base import Stencils, whole_families
 from pdpetsc.kernels.bonds import elongation_kernel
+from pdpetsc.problem.expansion import StressFree
 
 
 class Body:
@@ -25,7 +26,14 @@ class Body:
     ----------
     cloud, families
         Particles of this rank and their bonds.
+
+    Attributes
+    ----------
+    expansion : StressFree or None
+        The deformation that it has without stress, where it is not none.
     """
+
+    expansion: StressFree | None = None
 
     def __init__(self, cloud: Cloud, families: Families, surface: Surface | None = None) -> None:
         self.cloud = cloud

@@ -55,6 +55,7 @@ class Problem:
         self.springs: LooseSprings | None = None
         self._last: State | None = None
         self._last_version = -1
+        self._unstrained: tuple[tuple[float, int, int], Float] | None = None
 
     @property
     def dim(self) -> int:
@@ -146,6 +147,20 @@ class Problem:
         """Return the forces of loads (n_rows, dim) [force]."""
         loads = [term for term in self.terms if term.load]
         return -self.force_of(loads, state)
+
+    def force_without_strain(self, t: float) -> Float | None:
+        """Return the forces of an expanding body's material at no displacement (n_rows, dim) [force], else None.
+
+        They are what a residual is compared with where neither loads nor supports act.
+        """
+        expansion = self.body.expansion
+        if expansion is None:
+            return None
+        key = t, expansion.version, self.rebuilds
+        if self._unstrained is None or self._unstrained[0] != key:
+            zero = np.zeros((self.body.cloud.n_rows, self.dim))
+            self._unstrained = key, self.force_of([self.matter], State(self.body, zero, t))
+        return self._unstrained[1]
 
     def force_of(self, terms: Sequence[Term], state: State) -> Float:
         """Return what terms add to the residual at a state that they admit (n_rows, dim) [force]."""

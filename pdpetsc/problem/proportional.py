@@ -33,6 +33,11 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
     beyond : bool
         Also at step times that load steps do not reach.
     """
+    if problem.body.expansion is not None:
+        raise CaseError(
+            f"{who} needs a body without stress where it is undeformed; with temperatures and eigenstrains take load "
+            f"steps with Newton."
+        )
     zero = np.zeros(problem.supports.fixed.shape)
     times = (*PROBES, *(BEYOND if beyond else ()))
 

@@ -49,9 +49,19 @@ class State:
         return self._u_local
 
     def elongated(self, finite: bool) -> tuple[Float, float]:
-        """Return the elongations (n_bonds,) and the least current length of a bond on this rank [length]."""
-        u_local = self.u_local
-        return self.kept(("elongation", finite), lambda: self.body.elongated(u_local, finite))
+        """Return the elongations (n_bonds,) and the least current length of a bond on this rank [length].
+
+        Of a body that expands they are those beyond what its bonds have without force (collective).
+        """
+        u_local, expansion = self.u_local, self.body.expansion
+        if expansion is None:
+            return self.kept(("elongation", finite), lambda: self.body.elongated(u_local, finite))
+
+        def make() -> tuple[Float, float]:
+            e, least = self.body.elongated(u_local, finite)
+            return e - expansion.elongation(self.t, finite), least
+
+        return self.kept(("elongation", finite, expansion.version), make)
 
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what was kept under ``key``, or make and keep it."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
-from pdpetsc.case import Case, ungraded
+from pdpetsc.case import Case, isothermal, ungraded
 from pdpetsc.control.base import Control
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
@@ -19,6 +19,8 @@ from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
+from pdpetsc.declare.region import All
+from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, total
@@ -49,6 +51,7 @@ from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
@@ -174,7 +177,11 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 if case.damage is not None:
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
                 weights = case.chosen_weights
-                bare = replace(case, damage=damage, conditions=[], cell=None, symmetry=(), terms=(), weights=weights)
+                strained = [Eigenstrain(All(), xx=1e-3)] if case.expands else []
+                bare = replace(
+                    case, damage=damage, conditions=strained, cell=None, symmetry=(), terms=(), weights=weights,
+                    material=[(All(), material) for material in materials],
+                )  # fmt: skip
                 families = find_families(cloud, repeated=None if share is None else 0.0, in_order=_in_order(case))
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
                 problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
@@ -205,11 +212,15 @@ def _problem(
         bonds = _neighbourhood(case, body.cloud, body.families)
         listed = _bonds if case.of_bonds else partial(_points, options=options)
         matter, others, damage = listed(case, body, bonds, materials, material_of, factor)
-    supports, loads = apply(body, matter, case.conditions, case.particles)
+    applied = apply(body, matter, case.conditions, case.particles)
+    supports = applied.supports
+    if case.expands:
+        body.expansion = stress_free(body, applied, case.thermals, material_of, materials)
+        matter.expand()
     extra = []
     for number, declared in enumerate(case.terms, 1):
         extra.append(build_extra(declared, number, body))
-    problem = Problem(body, matter, [*others, *loads, *extra], supports, damage)
+    problem = Problem(body, matter, [*others, *applied.terms, *extra], supports, damage)
     if damage is not None:
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
         problem.terms.append(problem.springs)
@@ -237,6 +248,8 @@ def repeated_share(case: Case) -> float | None:
     if case.damage is not None:
         return None
     if case.of_bonds:
+        if case.expands:  # every bond has a length without force of its own
+            return None
         one = case.materials[0][1]
         alike = len(case.materials) == 1 and isinstance(one, BondMaterial) and one.of_family
         return LEAST_REPEATED if alike else None
@@ -375,14 +388,15 @@ def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial],
         index[mask] = number
         with agreed(cloud.comm):
             # A function of positions need not know what to make of none.
-            if isinstance(material, Graded) and mask.any():
-                factor[mask] = _factors(material, x[mask])
+            grading = isothermal(material)
+            if isinstance(grading, Graded) and mask.any():
+                factor[mask] = _factors(grading, x[mask])
     with agreed(cloud.comm):
         wrong = np.flatnonzero(count != 1)
         if len(wrong):
             gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
             raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
-    graded = any(isinstance(material, Graded) for _, material in case.materials)
+    graded = any(isinstance(isothermal(material), Graded) for _, material in case.materials)
     return [ungraded(material) for _, material in case.materials], index, factor if graded else None
 
 

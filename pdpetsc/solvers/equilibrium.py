@@ -173,10 +173,13 @@ class Equilibrium:
         values = self.at_prescribed(x)
         diagonal = self.tangent.diagonal.reshape(values.shape)
         round_off = np.where(self.free, diagonal * (np.abs(values) + self.spacing), 0.0)
+        unstrained = self.problem.force_without_strain(self.t)
+        held = 0.0 if unstrained is None else float((unstrained**2).sum())
         squares = total(
-            self.problem.body.cloud.comm, [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum()]
+            self.problem.body.cloud.comm,
+            [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum(), held],
         )
-        self.reference = float(np.sqrt(max(squares[0], squares[1])))
+        self.reference = float(np.sqrt(max(squares[0], squares[1], squares[3])))
         return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
 
     def interrupted(self) -> int:

@@ -104,6 +104,20 @@ class BondForces(Matter):
         self._reaches = damage.drive.reaches
         self.horizons = 2 if self._reaches or self.a is not None else 1
 
+    def expand(self) -> None:
+        """Take elongations as those beyond what bonds have without force, as states give them (not collective).
+
+        Raises
+        ------
+        CaseError
+            The moduli depend on temperature.
+        """
+        if self.body.expansion is not None and self.body.expansion.softens:
+            raise CaseError(
+                "The stiffness of bonds does not depend on temperature; leave the factor of Thermal out, or take a "
+                "material of deformation gradients."
+            )
+
     @property
     def n_points(self) -> int:
         """Return 0: there are no gradient points."""
@@ -302,8 +316,7 @@ class BondForces(Matter):
         if self.linear:
             return P
         F = self.deformation_gradient(state)
-        stretch = np.array([elastic.thickness_stretch(F) for elastic in self._elastic])
-        J = np.linalg.det(F) * stretch[self._material_of, np.arange(len(F))]
+        J = np.linalg.det(F) * self._hidden_stretch(F, state)
         return np.asarray(np.einsum("pik,pjk->pij", P, F) / J[:, None, None])
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
@@ -311,14 +324,31 @@ class BondForces(Matter):
 
         In plane strain the stress is Poisson's ratio times the trace of that in the plane.
         """
-        dim, here = self.body.dim, np.arange(self.body.cloud.n_owned)
-        F = self.deformation_gradient(state)
-        across = np.array([elastic.thickness_stretch(F) for elastic in self._elastic])[self._material_of, here]
+        dim, expansion = self.body.dim, self.body.expansion
+        across = self._hidden_stretch(self.deformation_gradient(state), state)
         strained = [elastic.nu if dim == 2 and elastic.plane == "strain" else 0.0 for elastic in self._elastic]
         ratio = np.array(strained)[self._material_of]
         P, sigma = self.first_piola_stress(state), self.cauchy_stress(state)
         traces = [ratio * np.einsum("pii->p", stress) for stress in (P, sigma)]
+        if expansion is not None:
+            young = np.array(
+                [elastic.E if elastic.plane == "strain" and dim == 2 else 0.0 for elastic in self._elastic]
+            )
+            held = (young[self._material_of] * self._factor) * expansion.strain(state.t)[:, 2, 2]
+            traces = [trace - held for trace in traces]
         return np.sqrt(across) if dim == 1 else across, traces[0], traces[1]
+
+    def _hidden_stretch(self, F: Float, state: State) -> Float:
+        """Return the product of the stretches that F (n_owned, dim, dim) does not show, to first order (collective)."""
+        dim, expansion = self.body.dim, self.body.expansion
+        elastic = F if expansion is None else F - expansion.in_body(state.t)
+        stretch = np.array([one.thickness_stretch(elastic) for one in self._elastic])
+        across = stretch[self._material_of, np.arange(len(F))]
+        if expansion is not None:
+            free = [float(dim == 1 or (dim == 2 and one.plane == "stress")) for one in self._elastic]
+            hidden = expansion.strain(state.t)[:, range(dim, 3), range(dim, 3)].sum(axis=1)
+            across = across + np.array(free)[self._material_of] * hidden
+        return np.asarray(across)
 
     def energy_density(self, state: State) -> Float:
         """Return the strain energy density of the own particles (n_owned,) [energy / volume]."""

@@ -19,6 +19,7 @@ from pdpetsc.declare.conditions import (
     Value,
 )
 from pdpetsc.declare.particles import Particles
+from pdpetsc.declare.thermal import Eigenstrain, Temperature, ThermalCondition
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
@@ -54,6 +55,13 @@ class Applied:
         self.loads = DeadLoads(body, matter, particles, self.cell)
         self.surface_loads = SurfaceLoads(body)
         self._of_cell: set[int] = set()
+        self.temperatures: list[tuple[str, Temperature, Mask]] = []
+        self.eigenstrains: list[tuple[str, Eigenstrain, Mask]] = []
+
+    @property
+    def terms(self) -> list[Term]:
+        """Return the loads."""
+        return [self.loads, self.surface_loads] if self.body.surface is not None else [self.loads]
 
     def displacement(self, condition: Displacement, name: str) -> None:
         """Prescribe displacements."""
@@ -93,6 +101,16 @@ class Applied:
         """Let a mean stress act on the cell."""
         self.loads.add_stress(condition, self._components(condition, name))
 
+    def temperature(self, condition: Temperature, name: str) -> None:
+        """Note a prescribed temperature."""
+        self.temperatures.append((name, condition, select(self.body.cloud, condition.region, name)))
+
+    def eigenstrain(self, condition: Eigenstrain, name: str) -> None:
+        """Note a strain without stress."""
+        with agreed(self.body.cloud.comm):
+            condition.refuse_beyond(self.body.dim, name)
+        self.eigenstrains.append((name, condition, select(self.body.cloud, condition.region, name)))
+
     def _where(
         self, condition: Displacement | Force | BodyForce | Traction, name: str
     ) -> tuple[Mask, list[tuple[int, Value]]]:
@@ -116,9 +134,9 @@ class Applied:
 
 
 def apply(
-    body: Body, matter: Matter, conditions: Sequence[Condition], particles: Particles
-) -> tuple[Supports, list[Term]]:
-    """Return the supports and the loads of conditions (collective).
+    body: Body, matter: Matter, conditions: Sequence[Condition | ThermalCondition], particles: Particles
+) -> Applied:
+    """Return supports, loads and what else conditions prescribe (collective).
 
     Raises
     ------
@@ -136,4 +154,4 @@ def apply(
             onto.surface_loads.forces(1.0)
     except SolveError as error:
         raise CaseError(str(error)) from error
-    return onto.supports, [onto.loads, onto.surface_loads] if body.surface is not None else [onto.loads]
+    return onto

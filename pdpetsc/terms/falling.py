@@ -106,7 +106,7 @@ class FallingBeyond:
 
 
 class FallingDilatation:
-    """``sum_b q_b (x) sum_c s_c dT_c`` in every family: bonds whose integrity falls leave the dilatation that all share.
+    """``sum_b q_b (x) sum_c s_c dT_c`` in every family: bonds that lose integrity leave the dilatation that all share.
 
     Parameters
     ----------
@@ -165,8 +165,8 @@ class FallingDilatation:
         by_particle = transpose(whole.point_ptr, whole.members, body.cloud.n_local)
         for rows, own in entries.row_sets():
             assemble_kernel(dim)(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *entries.sparsity.locals_of_columns, *by_particle,
-                whole.point_ptr, whole.members, self._h, self._g, self._falls, A, own, entries.off,
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *entries.sparsity.locals_of_columns,
+                *by_particle, whole.point_ptr, whole.members, self._h, self._g, self._falls, A, own, entries.off,
             )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from pdpetsc.kernels.gradient import determinant_kernel
 from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
+from pdpetsc.material.expanded import ExpandedAtPoints
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
@@ -63,12 +64,36 @@ class MaterialPoints(Matter):
             with agreed(body.cloud.comm):  # a function of place may fail on one rank
                 self.materials.append(MaterialAtPoints(material, points, body.dim, factors, body.cloud.x[of]))
         self._linear = all(material.linear for material in materials)
+        self._expanded: tuple[Float, GradientOperator] | None = None
         self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
         """Return whether all materials are linear."""
-        return self._linear
+        return self._linear and (self.body.expansion is None or not self.body.expansion.softens)
+
+    def expand(self) -> None:
+        """Let the materials see what is left of F when the stress-free deformation is taken off (collective)."""
+        x, owner = self.body.cloud.x, self.operator.owner
+        with agreed(self.body.cloud.comm):
+            self.materials = [
+                ExpandedAtPoints(one.material, one.points, self.body.dim, one.factor, x[owner[one.points]])
+                for one in self.materials
+            ]
+
+    def _at_time(self, t: float) -> None:
+        """Give the points their stress-free deformation at a step time (collective)."""
+        expansion = self.body.expansion
+        if expansion is None:
+            return
+        strain, factor, operator = expansion.strain(t), expansion.factor(t), self.operator
+        if self._expanded is not None and self._expanded[0] is strain and self._expanded[1] is operator:
+            return
+        for one in self.materials:
+            assert isinstance(one, ExpandedAtPoints)
+            of = operator.owner[one.points]
+            one.expand(strain[of], None if factor is None else factor[of])
+        self._expanded = strain, operator
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
@@ -96,10 +121,11 @@ class MaterialPoints(Matter):
         return self.operator.point_ptr, self.operator.members
 
     def deformation(self, state: State) -> Float:
-        """Return ``F_p`` (n_points, dim, dim) [-]."""
+        """Return ``F_p`` (n_points, dim, dim) [-]; the materials are then those of the step time of the state."""
         u_local, operator = state.u_local, self.operator
         for at_points in self.materials:
             at_points.at_time(state.t)
+        self._at_time(state.t)
 
         def make() -> Float:
             F = operator.gradient(u_local)

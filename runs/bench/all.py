@@ -26,7 +26,8 @@ FAR = 1.5
 STUDIES = (
     ["assembly.py"], ["events.py"], ["nonlinear.py", "{folder}/nonlinear"], ["implicit.py"],
     ["conforming.py", "300000", "{folder}/conforming"], ["fronts.py", "{folder}/fronts"],
-    ["levels.py", "1", "1", "{folder}/levels"], ["kernels.py"], ["explicit.py"], ["local.py"], ["robustness.py"], ["performance_model.py"],
+    ["levels.py", "1", "1", "{folder}/levels"], ["kernels.py"], ["explicit.py"], ["local.py"],
+    ["robustness.py"], ["performance_model.py"],
     ["footprint.py"], ["scaling.py", "{folder}/scaling"],
     ["../beams/speed.py", "{folder}/speed"],
 )  # fmt: skip

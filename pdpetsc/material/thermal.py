@@ -1,0 +1,168 @@
+"""What a material does with temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declared import Declared, numbers_from, real_numbers, shown
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import Material
+from pdpetsc.material.graded import Graded
+
+if TYPE_CHECKING:
+    from pdpetsc.bond_based import BondMaterial
+
+# A number for all directions, three for the axes, or a function of temperatures (n,) that returns (n,) or (n, 3).
+Expansion: TypeAlias = float | Sequence[float] | Callable[[Float], Float]
+# Columns of an orientation are unit vectors up to this.
+NEARLY = 1e-9
+
+
+@dataclass(frozen=True)
+class Thermal(Declared):
+    """A material that expands with temperature, and whose moduli may depend on it.
+
+    Its stress-free deformation is ``F_theta = I + alpha (T - T_ref)``. At finite strain the law sees what is left of
+    the deformation gradient, ``F_e = F F_theta^-1``, and ``P = J_theta P_e(F_e) F_theta^-T``; the linear material has
+    the strain less ``alpha (T - T_ref)``. The deformation across a plane body or a bar counts: in plane strain it is
+    held, in plane stress and in a bar it is free.
+
+    Parameters
+    ----------
+    material : Material, BondMaterial or Graded
+        The law at the stress-free temperature.
+    expansion : float, sequence of three float, or callable
+        ``alpha``, the mean coefficient of expansion from ``T_ref`` to T [1 / temperature]: one for all directions, one
+        for each axis of the material, or a function of temperatures (n,) that returns (n,) or (n, 3) numbers. Plane
+        bodies and bars need the coefficients across them too.
+    orientation : float or (3, 3) matrix, optional
+        Axes of the material in columns, or the angle of the first about z [rad]; those of the body by default.
+    reference : float
+        ``T_ref``, the temperature without stress, which is also that of the body before anything is said of it.
+    factor : callable or Table, optional
+        What multiplies all moduli, the yield stress among them, as a function of temperatures (n,) that returns
+        positive numbers (n,) [-]; 1 by default.
+
+    Raises
+    ------
+    CaseError
+        A number is not finite, or the orientation has no orthogonal unit vectors.
+
+    References
+    ----------
+    Holzapfel2000, section 7.6.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steel = pd.Thermal(pd.NeoHookean(E=200e3, nu=0.3), expansion=1.2e-5, reference=20.0)
+    >>> ply = pd.Orthotropic((40.0, 8.0, 8.0), (0.25, 0.25, 0.25), (4.0, 4.0, 4.0), orientation=0.5)
+    >>> turned = pd.Thermal(ply, (6e-6, 3e-5, 3e-5), orientation=0.5)
+    >>> softer = pd.Thermal(pd.Hencky(E=70e3, nu=0.3), 2.4e-5, factor=pd.Table([20.0, 300.0], [1.0, 0.7]))
+    """
+
+    material: Material | BondMaterial | Graded
+    expansion: Expansion = 0.0
+    orientation: float | Sequence[Sequence[float]] | None = None
+    reference: float = 0.0
+    factor: Callable[[Float], Float] | None = None
+
+    def __post_init__(self) -> None:
+        # ``bond_based`` imports this package, so its type cannot be imported above, and the field is checked here.
+        from pdpetsc.bond_based import BondMaterial
+
+        super().__post_init__()
+        if not isinstance(self.material, Material | BondMaterial | Graded):
+            raise CaseError(
+                f"Thermal takes a Material, a BondMaterial or a Graded as material, not {shown(self.material)}."
+            )
+        for name in ("expansion", "factor"):
+            if isinstance(getattr(self, name), type):
+                raise CaseError(f"Thermal takes an object as {name}, not {shown(getattr(self, name))}.")
+        zero = real_numbers(self.reference)
+        if zero is None or zero.shape != () or not np.isfinite(zero):
+            raise CaseError(f"Thermal takes a finite temperature as reference, not {shown(self.reference)}.")
+        if self.factor is not None and not callable(self.factor):
+            raise CaseError(f"Thermal takes a function of temperatures as factor, not {shown(self.factor)}.")
+        if not callable(self.expansion):
+            values = real_numbers(self.expansion)
+            if values is None or values.shape not in ((), (3,)) or not np.isfinite(values).all():
+                raise CaseError(
+                    f"Thermal takes one finite coefficient, three, or a function of temperatures as expansion, not "
+                    f"{shown(self.expansion)}."
+                )
+        _ = self.axes
+
+    @property
+    def axes(self) -> Float | None:
+        """Return the axes of the material in columns (3, 3); None for those of the body."""
+        if self.orientation is None:
+            return None
+        values = real_numbers(self.orientation)
+        if values is not None and values.shape == () and np.isfinite(values):
+            c, s = np.cos(float(values)), np.sin(float(values))
+            return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        if values is not None and values.shape == (3, 3) and np.abs(values.T @ values - np.eye(3)).max() <= NEARLY:
+            return values
+        raise CaseError(
+            f"Thermal takes an angle, or a matrix (3, 3) with orthogonal unit vectors as columns, as orientation, not "
+            f"{shown(self.orientation)}."
+        )
+
+    def strain(self, T: Float) -> Float:
+        """Return ``alpha (T - T_ref)`` at temperatures (n,) as tensors in the axes of the body (n, 3, 3) [-].
+
+        Raises
+        ------
+        CaseError
+            The function of the expansion fails or does not return one or three finite numbers per temperature.
+        """
+        alpha = self._coefficients(T)
+        strain = np.zeros((len(T), 3, 3))
+        for axis in range(3):
+            strain[:, axis, axis] = alpha[:, axis] * (T - self.reference)
+        R = self.axes
+        return strain if R is None else np.asarray(np.einsum("ia,pab,jb->pij", R, strain, R))
+
+    def _coefficients(self, T: Float) -> Float:
+        if not callable(self.expansion):
+            return np.broadcast_to(np.asarray(self.expansion, dtype=float), (len(T), 3))
+        if len(T) == 0:
+            return np.zeros((0, 3))
+        values = numbers_from("expansion of a Thermal material", self.expansion, T)
+        if values.shape == (len(T),):
+            values = values[:, None]
+        if values.shape not in ((len(T), 1), (len(T), 3)) or not np.isfinite(values).all():
+            raise CaseError(
+                f"The expansion of a Thermal material must return one or three finite numbers per temperature, not "
+                f"shape {values.shape}."
+            )
+        return np.broadcast_to(values, (len(T), 3))
+
+    def factors(self, T: Float) -> Float:
+        """Return what multiplies the moduli at temperatures (n,) [-].
+
+        Raises
+        ------
+        CaseError
+            The function fails or does not return one positive number per temperature.
+        """
+        if self.factor is None or len(T) == 0:
+            return np.ones(len(T))
+        values = numbers_from("factor of a Thermal material", self.factor, T)
+        if values.shape != T.shape:
+            raise CaseError(
+                f"The factor of a Thermal material must return one number per temperature, not shape {values.shape}."
+            )
+        bad = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+        if len(bad):
+            raise CaseError(
+                f"The factor of a Thermal material is {values[bad[0]]:g} at temperature {T[bad[0]]:g}; it must be "
+                f"positive."
+            )
+        return values

@@ -1,0 +1,360 @@
+"""Strains without stress: free bodies have no stress, the tangent is exact, held ones have the stress they should."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.problem.expansion import StressFree
+from tests import scenes
+from tests.commands import results
+from tests.test_durable import Stop
+
+DIMS = scenes.DIMS
+FIBRES = {
+    1: (1.0,), 2: (0.6, 0.8), 3: (0.6, 0.0, 0.8),
+}  # fmt: skip
+
+
+def turning(x):
+    return 0.3 * x[:, 0]
+
+
+def laws(dim):
+    """Yield (name, material) of every kind of law in a dimension, in plane strain and plane stress."""
+    everywhere = scenes.MATERIALS | (scenes.PLANE_STRESS if dim == 2 else {})
+    yield from everywhere.items()
+    constants = (30.0, 10.0, 8.0), (0.2, 0.25, 0.3), (4.0, 5.0, 3.0)
+    for plane in ("strain", "stress") if dim == 2 else ("strain",):
+        yield f"orthotropic {plane}", pd.Orthotropic(*constants, 0.3, plane=plane)
+        yield f"orthotropic by place {plane}", pd.Orthotropic(*constants, turning, plane=plane)
+        yield f"mooney {plane}", pd.MooneyRivlin(1.0, 0.3, 8.0, plane=plane)
+        energy = "mu/2*(I1 - 3 - 2*log(J)) + lam/2*log(J)**2 + k*(I4 - 1)**2"
+        yield f"fibres {plane}", pd.Hyperelastic(energy, fibre=FIBRES[dim], mu=3.0, lam=5.0, k=1.0, plane=plane)
+
+
+class Given(StressFree):
+    """A strain without stress that a test gives."""
+
+    @property
+    def softens(self):
+        return self.given[1] is not None
+
+    def strain(self, t):
+        return self.given[0]
+
+    def factor(self, t):
+        return self.given[1]
+
+
+def expanded(model, strain, factor=None, across=0.0):
+    """Give a small model the same strain without stress everywhere, or one per particle (n, 3, 3)."""
+    n = model.cloud.n_owned
+    strain = np.broadcast_to(strain, (n, 3, 3))
+
+    of = np.zeros(n, dtype=int)
+    given = Given(model.cloud, model.families, [], of, None, [], np.full(n, across))
+    given.given = strain, factor
+    model.problem.body.expansion = given
+    model.matter.expand()
+    return model
+
+
+def tensor(rng, dim, size=0.2):
+    """Return a random strain that a body can have: none that shears it out of itself."""
+    made = size * rng.uniform(-1.0, 1.0, (3, 3))
+    made = 0.5 * (made + made.T)
+    for a in range(3):
+        for b in range(3):
+            if a != b and max(a, b) >= dim:
+                made[a, b] = 0.0
+    return made
+
+
+@pytest.mark.parametrize("dim", DIMS)
+@pytest.mark.parametrize("scheme", scenes.SCHEMES)
+def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
+    # Whatever expands freely across is free across: solids, bars and plane stress; any stress-free deformation turned.
+    control = pd.Silling(0.5)
+    for name, material in laws(dim):
+        if dim == 2 and material.plane == "strain":
+            continue
+        strain = tensor(rng, dim)
+        model = expanded(scenes.body(dim, scenes.SCHEMES[scheme], control, material, rng=rng), strain)
+        G = np.eye(dim) + strain[:dim, :dim]
+        if not material.linear:
+            G = scenes.rotation(dim, rng) @ G
+        u = model.cloud.x[: model.cloud.n_owned] @ (G - np.eye(dim)).T
+        size = 10.0 * np.abs(strain).max()
+        assert np.abs(model.internal_force(u)).max() < 1e-12 * size * 10.0, name
+        assert np.abs(model.matter.cauchy_stress(model.at(u))).max() < 1e-12 * size, name
+        assert abs(sum(model.energy(u))) < 1e-12 * size, name
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_tangent_against_differences_and_force_against_energy(dim, rng):
+    for name, material in laws(dim):
+        n = int(np.prod(scenes.SIDES[dim]))
+        strain = np.array([tensor(rng, dim, 0.1) for _ in range(n)])
+        factor = rng.uniform(0.5, 1.5, n)
+        scheme = pd.SubHorizons() if dim < 3 else pd.Correspondence()
+        model = expanded(scenes.body(dim, scheme, None, material, rng=rng), strain, factor)
+        u = scenes.displacement(model, rng)
+        if material.has_history:
+            model.commit(u)
+            u = scenes.displacement(model, rng)
+        columns = rng.choice(u.size, size=min(5, u.size), replace=False)
+        exact = scenes.dense_tangent(model, u)[:, columns]
+        found = scenes.differences(model, u, columns)
+        assert np.abs(exact - found).max() < 1e-7 * np.abs(exact).max(), name
+        du = rng.standard_normal(u.shape)
+        ends = [sum(model.energy(u + s * scenes.STEP * du)) for s in (1.0, -1.0)]
+        slope = (ends[0] - ends[1]) / (2.0 * scenes.STEP)
+        assert abs((model.internal_force(u) * du).sum() - slope) < 1e-6 * max(abs(slope), 1.0), name
+
+
+def test_plane_strain_is_a_solid_held_across(rng):
+    # One law in the plane and as a solid with the same in-plane deformation and F_zz = 1: the same stress.
+    strain = tensor(rng, 2)
+    for material in scenes.MATERIALS.values():
+        plane = expanded(scenes.body(2, pd.Correspondence(), None, material), strain)
+        solid = expanded(scenes.body(3, pd.Correspondence(), None, material), strain)
+        H = 0.1 * rng.uniform(-1.0, 1.0, (2, 2))
+        u = plane.cloud.x[: plane.cloud.n_owned] @ H.T
+        whole = np.pad(H, ((0, 1), (0, 1)))
+        v = solid.cloud.x[: solid.cloud.n_owned] @ whole.T
+        for _ in range(2):
+            a, b = plane.matter.cauchy_stress(plane.at(u))[0], solid.matter.cauchy_stress(solid.at(v))[0]
+            across = plane.matter.out_of_plane(plane.at(u))
+            assert np.abs(a - b[:2, :2]).max() < 1e-12
+            assert abs(across[2][0] - b[2, 2]) < 1e-12
+            assert across[0][0] == 1.0
+            plane.commit(u), solid.commit(v)
+
+
+def test_without_strain_nothing_changes(rng):
+    for dim in DIMS:
+        for name, material in laws(dim):
+            seed = int(rng.integers(2**31))
+            bare = scenes.body(dim, pd.SubHorizons(), None, material, rng=np.random.default_rng(seed))
+            same = scenes.body(dim, pd.SubHorizons(), None, material, rng=np.random.default_rng(seed))
+            expanded(same, np.zeros((3, 3)))
+            u = scenes.displacement(bare, rng)
+            f = bare.internal_force(u)
+            assert np.abs(same.internal_force(u) - f).max() < 1e-12 * np.abs(f).max(), name
+            for one, other in zip(
+                bare.matter.out_of_plane(bare.at(u)), same.matter.out_of_plane(same.at(u)), strict=True
+            ):
+                assert np.abs(one - other).max() < 1e-11, name
+
+
+HELD = [
+    pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0),
+    pd.Displacement(pd.region.Nearest((5.5, 0.5)), y=0.0),
+]
+BLOCK = pd.Lattice((0.0, 0.0), (6.0, 5.0), 1.0)
+
+
+def block(material, *conditions, **changes):
+    given = {"particles": BLOCK, "horizon": 2.015, "material": material, "fields": [pd.stress, pd.temperature]}
+    return pd.Case(**{**given, "conditions": [*HELD, *conditions], **changes})
+
+
+def test_free_and_held_blocks_in_closed_form(tmp_path):
+    E, nu, alpha, rise = 10.0, 0.3, 1e-3, 50.0
+    everywhere, e = pd.region.All(), alpha * rise
+    heated = pd.Temperature(everywhere, 20.0 + rise)
+    for material, growth, across in (
+        (pd.LinearElastic(E, nu), (1.0 + nu) * e, -E * e),
+        (pd.LinearElastic(E, nu, plane="stress"), e, 0.0),
+        (pd.BondBased(E), 1.25 * e, -E * e),
+        (pd.BondBased(E, plane="stress", kinematics="finite"), e, 0.0),
+        (pd.LinearSolid(E, 0.2), 1.2 * e, -E * e),
+        (pd.LinearSolid(E, 0.2, plane="stress"), e, 0.0),
+    ):
+        result = pd.run(block(pd.Thermal(material, alpha, reference=20.0), heated), output=tmp_path / "free")
+        end = result.solution
+        assert abs(np.ptp(end.u[:, 0]) - 5.0 * growth) < 1e-9, material
+        assert np.abs(pd.stress(end)).max() < 1e-9, material
+        assert np.abs(end.out_of_plane[1] - across).max() < 1e-9, material
+        assert np.all(pd.temperature(end) == 20.0 + rise)
+        # Held everywhere: the stress of the whole strain.
+        clamped = pd.Displacement(everywhere, x=0.0, y=0.0)
+        held = block(pd.Thermal(material, alpha, reference=20.0), heated, conditions=[clamped, heated])
+        found = pd.stress(pd.run(held, output=tmp_path / "held").solution)[17]
+        ratio = {pd.BondBased: 0.25 if material.plane == "strain" else 1.0 / 3.0, pd.LinearSolid: 0.2}.get(
+            type(material), nu
+        )
+        expected = E * e / (1.0 - 2.0 * ratio) if material.plane == "strain" else E * e / (1.0 - ratio)
+        if isinstance(material, pd.LinearElastic):
+            assert np.abs(found + expected * np.eye(2)).max() < 1e-12
+        else:  # of bonds a family of a few particles is not the whole ball
+            assert abs(found[0, 0] + expected) < 0.35 * expected
+
+
+def test_a_temperature_goes_from_the_stress_free_one_to_its_value(tmp_path):
+    steps = pd.Steps(4)
+    history = {"T": pd.Mean(pd.temperature), "x": pd.Largest(pd.displacement, "x")}
+    material = pd.Thermal(pd.NeoHookean(10.0, 0.3, plane="stress"), 1e-3, reference=300.0)
+    number = block(material, pd.Temperature(pd.region.All(), 500.0), steps=steps, history=history)
+    array = block(material, pd.Temperature(pd.region.All(), np.full(30, 500.0)), steps=steps, history=history)
+    function = block(
+        material, pd.Temperature(pd.region.All(), lambda x, t: 300.0 + 200.0 * t + 0.0 * x[:, 0]), steps=steps,
+        history=history,
+    )  # fmt: skip
+    table = block(
+        material, pd.Temperature(pd.region.All(), 500.0, pd.Table([0.0, 1.0], [0.0, 1.0])), steps=steps, history=history
+    )
+    for n, case in enumerate((number, array, function, table)):
+        result = pd.run(case, output=tmp_path / str(n))
+        assert np.allclose(result.history["T"], [300.0, 350.0, 400.0, 450.0, 500.0], atol=1e-10)
+        assert np.allclose(result.history["x"], 5.0 * 1e-3 * np.array([0.0, 50.0, 100.0, 150.0, 200.0]), atol=1e-10)
+
+
+def test_an_array_follows_the_particles(tmp_path):
+    x = np.random.default_rng(3).permutation(30)
+    case = block(pd.Thermal(pd.LinearElastic(10.0), 1e-3), pd.Temperature(pd.region.All(), x.astype(float), pd.Hold()))
+    result = pd.run(case, output=tmp_path / "run")
+    assert np.array_equal(result.field("temperature"), x)
+
+
+def test_eigenstrain_is_what_expansion_is(tmp_path):
+    strain = 0.07
+    hot = block(
+        pd.Thermal(pd.Hencky(10.0, 0.3), (1e-3, 2e-3, 3e-3)), pd.Temperature(pd.region.All(), 10.0), fields=[pd.stress]
+    )
+    swollen = block(
+        pd.Hencky(10.0, 0.3), pd.Eigenstrain(pd.region.All(), xx=0.01, yy=0.02, zz=0.03), fields=[pd.stress]
+    )
+    a, b = (pd.run(case, output=tmp_path / name).solution for name, case in (("a", hot), ("b", swollen)))
+    assert np.abs(a.u - b.u).max() < 1e-12 and np.abs(a.u).max() > 0.05
+    assert strain > 0.0
+
+
+def test_axes_of_the_material_turn_its_expansion():
+    for angle in (0.4, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])):
+        one = pd.Thermal(pd.Hencky(1.0), (1e-3, 2e-3, 3e-3), orientation=angle)
+        R = one.axes
+        found = one.strain(np.array([100.0]))[0]
+        assert np.allclose(R.T @ found @ R, np.diag([0.1, 0.2, 0.3]), atol=1e-15)
+
+
+def test_what_cannot_be_is_refused(tmp_path):
+    everywhere = pd.region.All()
+    hot = pd.Temperature(everywhere, 10.0)
+    thermal = pd.Thermal(pd.LinearElastic(10.0, 0.3), 1e-3)
+    for case, message in (
+        (block(thermal), "needs a temperature"),
+        (block(pd.LinearElastic(10.0, 0.3), hot), "acts on no material that knows temperature"),
+        (block(thermal, hot, pd.Temperature(pd.region.Slab("x", high=1.0), 1.0)), "5 particles a second time"),
+        (block(thermal, pd.Temperature(everywhere, np.zeros(7))), "7 numbers for 30 particles"),
+        (block(thermal, pd.Temperature(everywhere, lambda x, t: 1.0 / x[:, 0] / 0.0)), "is inf for 30"),
+        (block(pd.LinearElastic(1.0), pd.Eigenstrain(everywhere, xz=0.1)), "a 2-dimensional body cannot have"),
+        (block(pd.LinearElastic(1.0), pd.Eigenstrain(everywhere, xx=-1.5)), "leaves no volume"),
+        (block(pd.Thermal(pd.BondBased(1.0), 1e-3, factor=lambda T: 1.0 + 0.0 * T), hot), "does not depend on temp"),
+        (block(pd.Thermal(pd.LinearElastic(1.0), 1e-3, factor=lambda T: -T), hot), "must be positive"),
+        (block(thermal, hot, solver=pd.PathFollowing(), damage=pd.LinearSoftening(pd.ConstantCritical(1.0))), "Newton"),
+    ):
+        with pytest.raises(pd.CaseError, match=message):
+            pd.run(dataclasses.replace(case, fields=[]), output=tmp_path / "refused")
+    with pytest.raises(pd.CaseError, match="says nothing of temperature"):
+        pd.run(block(pd.LinearElastic(1.0)), output=tmp_path / "refused")
+
+
+def test_bonds_free_to_expand_have_no_force(rng):
+    for dim in DIMS:
+        for name, material in (scenes.BONDS | (scenes.PLANE_STRESS_BONDS if dim == 2 else {})).items():
+            model = scenes.bond_body(dim, material, rng=rng)
+            strain = tensor(rng, dim)
+            nu = material.elastic(dim).nu if dim == 2 and material.plane == "strain" else 0.0
+            expanded(model, strain, across=nu)
+            G = strain[:dim, :dim] + nu * strain[2, 2] * np.eye(dim)
+            u = model.cloud.x[: model.cloud.n_owned] @ G.T
+            assert np.abs(model.internal_force(u)).max() < 1e-12, f"{dim}D {name}"
+            assert np.abs(model.internal_force(np.zeros_like(u))).max() > 1e-3
+
+
+def test_tangent_of_bonds_and_of_damage_beyond_what_they_expand(rng):
+    for dim in (1, 2, 3):
+        strain = np.array([tensor(rng, dim, 0.05) for _ in range(int(np.prod(scenes.SIDES[dim])))])
+        law = pd.LinearSoftening(pd.LinearCritical(0.01, 0.2, 0.3))
+        for model in (
+            scenes.bond_body(dim, pd.BondBased(10.0, kinematics="finite"), rng=rng),
+            scenes.bond_body(dim, pd.BondBased(10.0, kinematics="finite"), rng=rng, damage=law),
+            scenes.damaged_body(dim, law, material=pd.Hencky(10.0, 0.3), rng=rng),
+        ):
+            expanded(model, strain)
+            u = scenes.displacement(model, rng, 0.02)
+            columns = rng.choice(u.size, size=4, replace=False)
+            exact = scenes.dense_tangent(model, u)[:, columns]
+            found = scenes.differences(model, u, columns)
+            assert np.abs(exact - found).max() < 1e-6 * np.abs(exact).max()
+
+
+def test_heat_alone_breaks_no_bond_and_cold_that_is_held_does(rng):
+    law = pd.Brittle(pd.ConstantCritical(0.05))
+    hot = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), 0.2 * np.eye(3))
+    u = 0.2 * hot.cloud.x[: hot.cloud.n_owned]
+    assert np.abs(hot.driven(u)).max() < 1e-12
+    cold = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), -0.06 * np.eye(3))
+    assert np.abs(cold.driven(np.zeros_like(u)) - 0.06 / 0.05).max() < 1e-12
+
+
+def test_strip_of_two_metals_bends_as_timoshenko_says(tmp_path):
+    found = results("runs/thermal/bimetal.py", "ny=8", "length=20", output=tmp_path / "one")["results"]
+    assert abs(found["curvature_over_exact"] - 1.0) < 0.07
+    again = results("runs/thermal/bimetal.py", "ny=8", "length=20", ranks=2, output=tmp_path / "two")["results"]
+    assert abs(again["curvature"] - found["curvature"]) < 1e-9 * abs(found["curvature"])
+    without = results(
+        "runs/thermal/bimetal.py", "ny=8", "length=20", "law=hencky", "-pd_jacobian=matfree", "-pc_type=gamg",
+        output=tmp_path / "free",
+    )["results"]  # fmt: skip
+    matrix = results("runs/thermal/bimetal.py", "ny=8", "length=20", "law=hencky", output=tmp_path / "matrix")[
+        "results"
+    ]
+    assert abs(without["curvature"] - matrix["curvature"]) < 1e-7 * abs(matrix["curvature"])
+    assert abs(matrix["curvature"] / found["curvature"] - 1.0) < 1e-2
+
+
+def test_cylinder_that_is_hot_inside(tmp_path):
+    found = results("runs/thermal/cylinder.py", "n=8", output=tmp_path / "run")["results"]
+    assert found["error_u"] < 0.02 and found["error_stress"] < 0.13 and found["error_axial"] < 0.035
+
+
+def hot_plate(folder, steps, force=1.0, length=1.0, restart=None, **changes):
+    """Run a clamped plate that heats unevenly, yields and softens, in some units."""
+    stress = force / length**2
+    material = pd.Thermal(
+        pd.J2(E=100.0 * stress, nu=0.3, yield_stress=0.5 * stress, hardening=5.0 * stress), 1e-3, reference=10.0,
+        factor=pd.Table([0.0, 100.0], [1.0, 0.8]),
+    )  # fmt: skip
+    given = {
+        "particles": pd.Lattice((0.0, 0.0), (6.0 * length, 4.0 * length), length, thickness=length),
+        "horizon": 2.015 * length,
+        "material": material,
+        "conditions": [
+            pd.Displacement(pd.region.Slab("x", high=length), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=5.0 * length), x=0.0),
+            pd.Temperature(pd.region.All(), lambda x, t: 10.0 + t * (5.0 + 4.0 * x[:, 1] / length)),
+        ],
+        "steps": pd.Steps(steps),
+        "fields": [pd.displacement, pd.stress, pd.plastic_strain, pd.temperature],
+        "history": {"R": pd.Reaction("x", pd.region.Slab("x", high=length))},
+    }
+    return pd.run(pd.Case(**{**given, **changes}), output=folder, restart=restart)
+
+
+def test_a_hot_plate_in_other_units_and_after_a_restart(tmp_path):
+    whole = hot_plate(tmp_path / "whole", 4)
+    plastic = pd.plastic_strain(whole.solution)
+    assert plastic.max() > 1e-4 and abs(whole.history["R"][-1]) > 0.1
+    for force, length in ((2.0**67, 2.0**-67), (1e-5, 1e4)):
+        other = hot_plate(tmp_path / "units", 4, force, length)
+        assert np.abs(np.array(other.history["R"]) / force - whole.history["R"]).max() < 1e-9
+        assert np.abs(pd.plastic_strain(other.solution) - plastic).max() < 1e-9
+    with pytest.raises(pd.Interrupted):
+        hot_plate(tmp_path / "part", 4, history={"until": Stop(0.5)})
+    rest = hot_plate(tmp_path / "rest", 4, restart=tmp_path / "part")
+    assert np.array_equal(rest.solution.u, whole.solution.u)
+    assert np.array_equal(pd.plastic_strain(rest.solution), plastic)

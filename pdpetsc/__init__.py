@@ -49,6 +49,9 @@ from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveE
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
 from pdpetsc.output.picture import Picture
+from pdpetsc.post.fracture import EnergyReleaseRate, JIntegral, StressIntensity
+from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
+from pdpetsc.post.opening import CrackOpening
 from pdpetsc.post.quantities import (
     At,
     BrokenBonds,
@@ -112,6 +115,7 @@ __all__ = [
     "CellStress",
     "ConstantCritical",
     "ControlEnergy",
+    "CrackOpening",
     "CrackTip",
     "CriticalFunction",
     "Disc",
@@ -119,6 +123,7 @@ __all__ = [
     "DissipatedEnergy",
     "DynamicRelaxation",
     "Eigenstrain",
+    "EnergyReleaseRate",
     "EventDriven",
     "ExponentialSoftening",
     "ExternalWork",
@@ -129,6 +134,7 @@ __all__ = [
     "Hold",
     "Horizon",
     "Interrupted",
+    "JIntegral",
     "KeptArray",
     "Largest",
     "LargestError",
@@ -170,6 +176,7 @@ __all__ = [
     "State",
     "Steps",
     "StrainEnergy",
+    "StressIntensity",
     "SurfacePressure",
     "Symmetry",
     "Table",
@@ -178,6 +185,7 @@ __all__ = [
     "TextFile",
     "Traction",
     "choose",
+    "damage_dissipation",
     "deformation_gradient",
     "displacement",
     "energy_density",
@@ -188,12 +196,16 @@ __all__ = [
     "open",
     "plastic_strain",
     "prepare",
+    "principal_strains",
+    "principal_stresses",
     "reach",
     "reaction",
     "region",
     "run",
     "stress",
     "temperature",
+    "triaxiality",
+    "von_mises",
 ]
 # What these rooms list is public: adding to one of them needs no line here.
 __all__ += control.__all__

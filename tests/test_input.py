@@ -48,6 +48,8 @@ VALID = [
     pd.influence.Gaussian(), pd.Mesh("a.msh"), pd.MeshNodes("a.msh"), pd.TextFile("a.txt", {"left": "b.txt"}),
     pd.Mean(pd.stress, "xx"), pd.Largest(pd.stress, "xx"),
     pd.OnSurface(pd.stress, "xx"), pd.Reaction("x"), pd.CellStrain("xx"), pd.CellStress("xx"),
+    pd.JIntegral((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.EnergyReleaseRate((2.0, 2.0), (1.0, 0.0), 1.0, 2.0),
+    pd.StressIntensity((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.CrackOpening((0.0, 2.0), (2.0, 2.0)),
     pd.CrackTip((1.0, 0.0)), pd.RelativeError(pd.stress, ones), pd.LargestError(pd.stress, ones), pd.Picture(),
     pd.Graded(pd.Hencky(1.0), ones), pd.Thermal(pd.Hencky(1.0), 1e-5), pd.Temperature(region.All(), 1.0),
     pd.Eigenstrain(region.All(), xx=0.1), pd.Hencky(1.0, 0.3), pd.NeoHookean(1.0), pd.SaintVenantKirchhoff(1.0),

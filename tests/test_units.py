@@ -44,7 +44,7 @@ CASES = {
     "bond by bond": ("localisation/cell_2d.py", "n=6"),
     "bond by bond in one dimension": ("localisation/periodic_cell.py", "n=20"),
     "centre crack": ("fracture/centre_crack.py", "n=10", "law=linear", "solver=path"),
-    "edge crack": ("fracture/edge_crack.py", "n=8", "solver=path"),
+    "edge crack": ("fracture/edge_crack.py", "n=8", "law=brittle", "solver=path"),
     "L-shaped panel": ("fracture/l_panel.py", "n=10", "end=0.06"),
     "box that can break": ("bench/box.py", "n=5", "breakable=true", "strain=0.02"),
     "bonds in finite stretch": ("bonds/tension_bar.py", "dim=2", "n=6"),

@@ -17,6 +17,7 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.errors import CaseError
+from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
 from pdpetsc.post.solution import (
     Field,
     Solution,
@@ -37,9 +38,12 @@ EVERYWHERE = All()
 # Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
 _LETTERS: dict[Field, int] = {
     **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach, temperature), 0),
-    **dict.fromkeys((displacement, reaction), 1),
+    **dict.fromkeys((damage_dissipation, triaxiality, von_mises), 0),
+    **dict.fromkeys((displacement, principal_strains, principal_stresses, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
+# Fields of three values whatever the dimension of the body, which are not along axes.
+_PRINCIPAL: tuple[Field, ...] = (principal_strains, principal_stresses)
 # Fields that next to a surface are as good as inside.
 _NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lost_bonds, temperature)
 
@@ -418,7 +422,7 @@ class OnSurface(Quantity):
         assert surface is not None
         values = _component_of(solution, self.field, self.component)
         sign = None
-        if len(cloud.sign):
+        if len(cloud.sign) and not any(self.field is known for known in _PRINCIPAL):
             # A component along the normal of a mirror plane changes its sign behind it.
             sign = cloud.sign[:, ["xyz".index(letter) for letter in self.component]].prod(axis=1)
         if any(self.field is known for known in _NOT_OF_GRADIENTS):
@@ -563,7 +567,7 @@ def _component_of(solution: Solution, field: Field, name: str) -> Float:
 
 def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:
     """Raise CaseError where a field of a body of ``dim`` dimensions has no such component."""
-    letters = "xyz"[:dim]
+    letters = "xyz" if any(field is known for known in _PRINCIPAL) else "xyz"[:dim]
     # A field may be an object that cannot be looked up by its hash.
     ours = [number for known, number in _LETTERS.items() if known is field]
     wanted = ours[0] if ours else min(len(component), 2)

@@ -26,6 +26,10 @@ class Body:
     ----------
     cloud, families
         Particles of this rank and their bonds.
+    surface : Surface, optional
+        Its facets, where somebody asks for them.
+    thickness : float
+        Of a plane body, which the volumes contain [length].
 
     Attributes
     ----------
@@ -35,10 +39,13 @@ class Body:
 
     expansion: StressFree | None = None
 
-    def __init__(self, cloud: Cloud, families: Families, surface: Surface | None = None) -> None:
+    def __init__(
+        self, cloud: Cloud, families: Families, surface: Surface | None = None, thickness: float = 1.0
+    ) -> None:
         self.cloud = cloud
         self.families = families
         self.surface = surface
+        self.thickness = thickness
 
     @property
     def dim(self) -> int:

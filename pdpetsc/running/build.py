@@ -138,7 +138,8 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
                 raise
             weights = Unsuited(str(error))
     chosen = replace(case, weights=weights)
-    return _problem(chosen, Body(cloud, families, surface), materials, material_of, factor, options)
+    body = Body(cloud, families, surface, case.particles.thickness)
+    return _problem(chosen, body, materials, material_of, factor, options)
 
 
 def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:

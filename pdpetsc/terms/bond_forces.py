@@ -79,6 +79,16 @@ class BondForces(Matter):
         return combine(self._bonds, self.materials, self._material_of, self._factor)
 
     @property
+    def material_of(self) -> LocalIndex:
+        """Return the number of the material of each own particle (n_owned,)."""
+        return self._material_of
+
+    @property
+    def factor(self) -> Float:
+        """Return what multiplies the moduli of each own particle (n_owned,) [-]."""
+        return self._factor
+
+    @property
     def k(self) -> Float:
         """Return the stiffness of every bond (n_bonds,) [force / length]."""
         return self.constants.k

@@ -1,10 +1,21 @@
-"""Strip with a crack in its middle, pulled at its ends until it breaks: peak load against Griffith. Units mm, N.
+"""Strip with a crack in its middle, pulled at its ends: stress intensity factors, or until it breaks. Units mm, N.
 
-Width 20, length 40, bond-based, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, a crack of length 2 ``a``
-across the middle; the event-driven solver finds the peak exactly, ``solver=path`` follows the crack with Newton's
-method. Bonds snap, or with ``law=linear`` soften to three times their critical stretch.
-Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a sec(pi a / W)))`` at which the crack grows in a
-strip (Feddersen); ``ratio`` of both; ``broken_bonds``.
+Width 20, length 40, E = 1000 MPa, a crack of length 2 ``a`` across the middle.
+
+As it stands the strip is linear elastic (nu = 0.3, ``plane`` stress or strain, deformation gradients by ``scheme``),
+pulled by a uniform stress of 1 MPa, and nothing breaks. Exact is ``K_I = sqrt(pi a) (1 - 0.025 q^2 + 0.06 q^4)
+sqrt(sec(pi q / 2))`` with ``q = 2 a / W`` (Tada, Paris, Irwin), and the opening of the middle ``4 a V / E'``. With an
+``angle`` the crack is turned by so many degrees out of the plane across the pull, in an infinite plate: a square of
+side 4 a, on whose rim the displacements of Westergaard's solution are prescribed. ``K_I = sqrt(pi a) cos^2`` and
+``K_II = sqrt(pi a) sin cos`` there. Results: ``J_over_exact`` and ``J_far_over_exact``, the J-integral on two contours
+over ``(K_I^2 + K_II^2) / E'``; ``G_over_exact`` by virtual crack extension; ``K1``, ``K2`` [MPa mm^1/2], ``K1_exact``,
+``K2_exact``; ``K_error``, the larger difference over the length of both exact ones; ``opening_over_exact``.
+
+With a ``law``, brittle or linear, the strip is bond-based in plane stress, fracture energy 0.1 N / mm; the
+event-driven solver finds the peak exactly, ``solver=path`` follows the crack with Newton's method. Bonds snap, or with
+``law=linear`` soften to three times their critical stretch. Results: ``peak_stress``; ``griffith``, the stress
+``sqrt(E Gc / (pi a sec(pi a / W)))`` at which the crack grows in a strip (Feddersen); ``ratio`` of both;
+``broken_bonds``.
 """
 
 import numpy as np
@@ -12,10 +23,119 @@ import numpy as np
 import pdpetsc as pd
 
 WIDTH, LENGTH = 20.0, 40.0
-E, GC = 1000.0, 0.1
+E, NU, GC = 1000.0, 0.3, 0.1
 
 
-def case(n=20, horizon=3.015, a=5.0, pull=1.0, calibration="family", law="brittle", solver="events"):
+def case(
+    n=120, horizon=3.015, a=5.0, pull=1.0, calibration="family", law="none", solver="events", scheme="sub_horizons",
+    plane="stress", angle=0.0,
+):  # fmt: skip
+    if law == "none":
+        return measured(n, horizon, a, scheme, plane, angle)
+    return broken(n, horizon, a, pull, calibration, law, solver)
+
+
+def in_infinite_plate(x, a, turn, plane):
+    """Return the displacements (n, 2) at ``x`` (n, 2) from the middle of a crack turned by ``turn`` under unit stress.
+
+    In the frame of the crack they are those of ``Z = s z / sqrt(z^2 - a^2)``, opening and sliding, and of the uniform
+    stress along the crack that is left (Westergaard).
+    """
+    mu, nu = 0.5 * E / (1.0 + NU), NU if plane == "stress" else NU / (1.0 - NU)
+    modulus, kappa = plane_modulus(plane), (3.0 - nu) / (1.0 + nu)
+    frame = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    at = x @ frame.T
+    z = at[:, 0] + 1j * at[:, 1]
+    root = np.sqrt(z - a) * np.sqrt(z + a)
+    u = np.zeros_like(at)
+    pulled, sheared = np.cos(turn) ** 2, np.sin(turn) * np.cos(turn)
+    Z, whole = pulled * z / root, pulled * root
+    u[:, 0] = 0.5 * (kappa - 1.0) * whole.real - at[:, 1] * Z.imag
+    u[:, 1] = 0.5 * (kappa + 1.0) * whole.imag - at[:, 1] * Z.real
+    Z, whole = sheared * z / root, sheared * root
+    u[:, 0] += 0.5 * (kappa + 1.0) * whole.imag + at[:, 1] * Z.real
+    u[:, 1] += -0.5 * (kappa - 1.0) * whole.real - at[:, 1] * Z.imag
+    along = (np.sin(turn) ** 2 - pulled) / modulus * np.array([1.0, -nu])
+    return (u / (2.0 * mu) + along * at) @ frame
+
+
+def plane_modulus(plane):
+    """Return E' [MPa]."""
+    return E if plane == "stress" else E / (1.0 - NU**2)
+
+
+def measured(n, horizon, a, scheme, plane, angle):
+    """Return the strip, or the square about a crack that is turned, whose crack is looked at."""
+    turn = np.radians(angle)
+    width, length = (WIDTH, LENGTH) if angle == 0.0 else (4.0 * a, 4.0 * a)
+    dx = width / n
+    # Off the middle a line at 45 degrees runs between the particles, not through them.
+    off = 0.25 * dx * (angle != 0.0) * np.array([1.0, -1.0])
+    middle, along = 0.5 * np.array([width, length]) + off, np.array([np.cos(turn), np.sin(turn)])
+    tip = tuple(middle + a * along)
+    room = min(a, 0.5 * width - a)
+    near, far = (max(0.35 * room, horizon * dx), 0.7 * room), (max(0.6 * room, horizon * dx), 0.95 * room)
+    q, modulus = 2.0 * a / WIDTH, plane_modulus(plane)
+    K = np.sqrt(np.pi * a) * np.array([np.cos(turn) ** 2, np.sin(turn) * np.cos(turn)])
+    opening = 4.0 * a / modulus * np.cos(turn) ** 2
+    if angle == 0.0:
+        K = K * (1.0 - 0.025 * q**2 + 0.06 * q**4) / np.sqrt(np.cos(0.5 * np.pi * q))
+        opening *= -0.071 - 0.535 * q + 0.169 * q**2 + 0.02 * q**3 - 1.071 / q * np.log(1.0 - q)
+        low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=length - dx)
+        conditions = [
+            pd.Displacement(pd.region.Nearest((0.5 * dx, 0.5 * dx)), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Nearest((width - 0.5 * dx, 0.5 * dx)), y=0.0),
+            pd.Force(low, y=-width),
+            pd.Force(high, y=width),
+        ]
+    else:
+        layer = 2.0 * horizon * dx
+        rim = ~pd.region.Box((layer, layer), (width - layer, length - layer))
+
+        def exact(component):
+            return lambda x, t: t * in_infinite_plate(x - middle, a, turn, plane)[:, component]
+
+        conditions = [pd.Displacement(rim, x=exact(0), y=exact(1))]
+    J = K @ K / modulus
+
+    def results(h):
+        found = np.array([h["K1"][-1], h["K2"][-1]])
+        return {
+            "J_over_exact": h["J"][-1] / J,
+            "J_far_over_exact": h["J far"][-1] / J,
+            "G_over_exact": h["G"][-1] / J,
+            "K1": found[0],
+            "K2": found[1],
+            "K1_exact": K[0],
+            "K2_exact": K[1],
+            "K_error": float(np.abs(found - K).max() / np.linalg.norm(K)),
+            "opening_over_exact": h["opening"][-1] / opening,
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (width, length), dx),
+        horizon=horizon * dx,
+        material=pd.LinearElastic(E, NU, plane=pd.choose("plane", plane, {"stress": "stress", "strain": "strain"})),
+        scheme=pd.choose("scheme", scheme, pd.SCHEMES),
+        control=pd.Silling(0.5) if scheme == "correspondence" else None,
+        cracks=[pd.Segment(tuple(middle - a * along), tip)],
+        conditions=conditions,
+        history={
+            "J": pd.JIntegral(tip, tuple(along), *near),
+            "J far": pd.JIntegral(tip, tuple(along), *far),
+            "G": pd.EnergyReleaseRate(tip, tuple(along), *far),
+            "K1": pd.StressIntensity(tip, tuple(along), *far),
+            "K2": pd.StressIntensity(tip, tuple(along), *far, mode="II"),
+            "opening": pd.CrackOpening(tuple(middle - a * along), tip, at=0.5),
+        },
+        results=results,
+        fields=[pd.displacement, pd.stress, pd.von_mises],
+        picture=pd.Picture(pd.von_mises, "", 50.0),
+    )
+
+
+def broken(n, horizon, a, pull, calibration, law, solver):
+    """Return the strip that breaks."""
     dx = WIDTH / n
     layer = 1.5 * dx
     low, high = pd.region.Slab("y", high=layer), pd.region.Slab("y", low=LENGTH - layer)

@@ -1,12 +1,20 @@
-"""Strip with a crack from its edge, pulled at its ends until it breaks: peak load against Griffith. Units mm, N.
+"""Strip with a crack from its edge, pulled at its ends: stress intensity factors, or until it breaks. Units mm, N.
 
-Width 20, length 60, bond-based, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, a crack of length ``a`` from
-the left edge; the ends are pulled by uniform forces, which leave them free to turn. The event-driven solver follows the
-crack. With a ``scheme``, and ``solver=path``, the material has deformation gradients, linear elastic with a Poisson
-ratio of 1/3, ``weights`` and Silling's control of strength ``G``.
-Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)`` with
-``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris, Irwin); ``ratio`` of both;
+Width 20, length 60, E = 1000 MPa, a crack of length ``a`` from the left edge; the ends are pulled by uniform forces,
+which leave them free to turn.
+
+As it stands the strip is linear elastic in plane stress (nu = 1/3, deformation gradients by ``scheme``, sub-horizons by
+default) under 1 MPa, and nothing breaks. Results: ``J_over_exact`` and ``J_far_over_exact``, the J-integral on two
+contours over ``K^2 / E``, ``G_over_exact`` by virtual crack extension; ``K1``, ``K2`` [MPa mm^1/2], ``K1_exact``.
+
+With a ``law``, the fracture energy is 0.1 N / mm and bonds snap; the event-driven solver follows the crack of a
+bond-based strip. With a ``scheme`` besides, and ``solver=path``, the material has deformation gradients, linear elastic
+with a Poisson ratio of 1/3, ``weights`` and Silling's control of strength ``G``.
+Results: ``peak_stress``; ``griffith``, the stress ``sqrt(E Gc / (pi a)) / F(a / W)``; ``ratio`` of both;
 ``straightness``, the largest distance of a broken bond from the line of the crack over the horizon.
+
+Exact is ``K = s sqrt(pi a) F(a / W)`` with ``F = 1.122 - 0.231 q + 10.550 q^2 - 21.710 q^3 + 30.382 q^4`` (Tada, Paris,
+Irwin).
 """
 
 from dataclasses import dataclass
@@ -32,14 +40,74 @@ class Spread(pd.Quantity):
         return solution.largest(float(np.abs(solution.x[damaged, 1] - self.height).max(initial=0.0)))
 
 
-def griffith(a=8.0):
-    """Return the stress at which a crack of length ``a`` grows."""
+def factor(a=8.0):
+    """Return the stress intensity factor of a crack of length ``a`` under unit stress."""
     q = a / WIDTH
     F = 1.122 - 0.231 * q + 10.550 * q**2 - 21.710 * q**3 + 30.382 * q**4
-    return np.sqrt(E * GC / (np.pi * a)) / F
+    return np.sqrt(np.pi * a) * F
 
 
-def case(n=20, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5):
+def griffith(a=8.0):
+    """Return the stress at which a crack of length ``a`` grows."""
+    return np.sqrt(E * GC) / factor(a)
+
+
+def case(n=120, horizon=3.015, a=8.0, solver="events", scheme="", weights="standard", G=0.5, law="none"):
+    if law == "none":
+        return measured(n, horizon, a, scheme, weights, G)
+    pd.choose("law", law, {"brittle": None})
+    return broken(n, horizon, a, solver, scheme, weights, G)
+
+
+def measured(n, horizon, a, scheme, weights, G):
+    """Return the strip whose crack is looked at."""
+    dx = WIDTH / n
+    low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=LENGTH - dx)
+    tip, ahead = (a, 0.5 * LENGTH), (1.0, 0.0)
+    room = min(a, WIDTH - a)
+    near, far = (max(0.3 * room, horizon * dx), 0.6 * room), (max(0.5 * room, horizon * dx), 0.9 * room)
+    J = factor(a) ** 2 / E
+    chosen = scheme or "sub_horizons"
+
+    def results(h):
+        return {
+            "J_over_exact": h["J"][-1] / J,
+            "J_far_over_exact": h["J far"][-1] / J,
+            "G_over_exact": h["G"][-1] / J,
+            "K1": h["K1"][-1],
+            "K2": h["K2"][-1],
+            "K1_exact": factor(a),
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
+        horizon=horizon * dx,
+        material=pd.LinearElastic(E=E, nu=1.0 / 3.0, plane="stress"),
+        scheme=pd.choose("scheme", chosen, pd.SCHEMES),
+        weights=pd.choose("weights", weights, pd.WEIGHTS),
+        control=pd.Silling(G) if G and scheme else None,
+        cracks=[pd.Segment((-1.0, 0.5 * LENGTH), tip)],
+        conditions=[
+            pd.Displacement(pd.region.Nearest((WIDTH - 0.5 * dx, 0.5 * dx)), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Nearest((0.5 * dx, 0.5 * dx)), y=0.0),
+            pd.Force(low, y=-WIDTH),
+            pd.Force(high, y=WIDTH),
+        ],
+        history={
+            "J": pd.JIntegral(tip, ahead, *near),
+            "J far": pd.JIntegral(tip, ahead, *far),
+            "G": pd.EnergyReleaseRate(tip, ahead, *far),
+            "K1": pd.StressIntensity(tip, ahead, *far),
+            "K2": pd.StressIntensity(tip, ahead, *far, mode="II"),
+        },
+        results=results,
+        fields=[pd.displacement, pd.stress, pd.von_mises],
+        picture=pd.Picture(pd.von_mises, "", 20.0),
+    )
+
+
+def broken(n, horizon, a, solver, scheme, weights, G):
+    """Return the strip that breaks."""
     dx = WIDTH / n
     low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=LENGTH - dx)
     ends = pd.region.Slab("y", high=3.0 * horizon * dx) | pd.region.Slab("y", low=LENGTH - 3.0 * horizon * dx)

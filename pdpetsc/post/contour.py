@@ -1,0 +1,389 @@
+"""The domain of an integral about a crack tip: its weight, its particles, and what must not be in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import IsotropicMaterial
+from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.post.solution import Solution
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.material_points import MaterialPoints
+
+# Sums over the cells of the particles give the integral of the weight, and of its slope, up to this share; and the
+# integral of its gradient, which is zero, up to the second one.
+FILLED, CLOSED = 0.03, 0.01
+# Least number of particles between the two radii.
+LEAST = 24
+# A crack runs through the domain where at least this share of the bonds that cross its line there are gone.
+CUT = 0.5
+# Tractions on faces change along a crack by less than this share from one half of the radius to the other.
+UNIFORM = 0.1
+# Loads beside the crack are body forces as elsewhere where they are at most this many times as dense.
+MIXED = 2.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A crack tip, or its image behind mirror planes, as the own particles see it.
+
+    Attributes
+    ----------
+    tip : (2,) float64
+        [length]
+    turn : (2, 2) float64
+        Rows are the direction in which the crack grows and the normal of the crack, both unit vectors.
+    """
+
+    tip: Float
+    turn: Float
+
+    def at(self, x: Float) -> Float:
+        """Return positions (n, 2) from the tip along both axes [length]."""
+        return np.asarray((x - self.tip) @ self.turn.T)
+
+    def tensors(self, T: Float) -> Float:
+        """Return tensors (n, 2, 2) with components along both axes."""
+        return np.asarray(np.einsum("ai,pij,bj->pab", self.turn, T, self.turn))
+
+
+def frames(cloud: Cloud, tip: Float, direction: Sequence[float]) -> list[Frame]:
+    """Return a crack tip and its images: sums over own particles about all of them are sums over the whole body."""
+    along = np.asarray(direction, dtype=float)
+    along = along / np.linalg.norm(along)
+    turn = np.array([along, [-along[1], along[0]]])
+    return [Frame(sign * tip + to, turn * sign) for sign, to in zip(*cloud.places.mirrors, strict=True)]
+
+
+def weight(x: Float, inner: float, outer: float) -> tuple[Float, Float]:
+    """Return the weight q (n,) [-] at positions x (n, 2) from the tip, and its gradient (n, 2) [1 / length].
+
+    q is 1 up to the inner radius and 0 beyond the outer one, ``1 - 3 s^2 + 2 s^3`` between them: its gradient is
+    continuous, which sums over particles integrate better than a jump.
+    """
+    r = np.linalg.norm(x, axis=1)
+    s = np.clip((r - inner) / (outer - inner), 0.0, 1.0)
+    slope = -6.0 * s * (1.0 - s) / (outer - inner)
+    return 1.0 - s**2 * (3.0 - 2.0 * s), slope[:, None] * x / np.where(r > 0.0, r, 1.0)[:, None]
+
+
+@dataclass(frozen=True)
+class Continuum:
+    """What the integrals read of every own particle.
+
+    Attributes
+    ----------
+    H : (n_owned, 2, 2) float64
+        Gradient of the displacement [-].
+    P : (n_owned, 2, 2) float64
+        First Piola-Kirchhoff stress [stress].
+    momentum : (n_owned, 2, 2) float64
+        ``psi I - H^T P``, the energy-momentum tensor [energy / volume].
+    """
+
+    H: Float
+    P: Float
+    momentum: Float
+
+
+def continuum(solution: Solution) -> Continuum:
+    """Return gradient, stress and energy-momentum tensor of the own particles (collective).
+
+    At gradient points each is computed at the points and summed with their volumes, over the volume of the particle;
+    a body of bonds gives the gradient that fits its families best, and their stress and energy density.
+    """
+    return solution.state.kept("continuum", lambda: _continuum(solution))
+
+
+def _continuum(solution: Solution) -> Continuum:
+    matter, state = solution.problem.matter, solution.state
+    one = np.eye(solution.problem.dim)
+    if isinstance(matter, MaterialPoints):
+        operator, F = matter.operator, matter.deformation(state)
+        H, P, psi = F - one, matter.stress(F), matter.point_energy(F)
+        share = (operator.volume / solution.volume[operator.owner])[:, None, None]
+        tensors = [H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P)]
+        return Continuum(*(operator.sum_over_points(share * T) for T in tensors))
+    H = matter.deformation_gradient(state) - one
+    P, psi = matter.first_piola_stress(state), matter.energy_density(state)
+    return Continuum(H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P))
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The particles about a crack tip over which a quantity is summed.
+
+    Attributes
+    ----------
+    frames : list of Frame
+        The tip and its images behind mirror planes.
+    inner, outer : float
+        Where the weight begins to fall, and where it is zero [length].
+    area : (n_owned,) float64
+        Of the cell of each own particle [area].
+    filled, falls : float
+        Sums of the weight and of the size of its gradient over the cells, over their integrals [-].
+    closed : (2,) float64
+        Sum of its gradient over the cells [length], whose integral is zero.
+    ring : float
+        Area of the cells between the radii.
+    count : int
+        Particles there.
+    """
+
+    frames: list[Frame]
+    inner: float
+    outer: float
+    area: Float
+    filled: float
+    falls: float
+    closed: Float
+    ring: float
+    count: int
+
+    @classmethod
+    def of(cls, solution: Solution, tip: Float, direction: Sequence[float], inner: float, outer: float) -> Domain:
+        """Return the domain about a tip (collective)."""
+        area = solution.volume / solution.problem.body.thickness
+        about, sums = frames(solution.cloud, tip, direction), np.zeros(6)
+        for frame in about:
+            q, slope = weight(frame.at(solution.x), inner, outer)
+            falling = slope.any(axis=1)
+            size = np.linalg.norm(slope, axis=1)
+            sums += [area @ q, area @ size, *(area @ slope), area @ falling, np.count_nonzero(falling)]
+        filled, falls, *closed, ring, count = solution.sum(sums)
+        width = outer - inner
+        filled /= np.pi * inner**2 + 2.0 * np.pi * width * (0.5 * inner + 0.15 * width)
+        falls /= np.pi * (inner + outer)
+        return cls(about, inner, outer, area, filled, falls, np.array(closed), float(ring), int(count))
+
+    def weight(self, frame: Frame, x: Float) -> tuple[Float, Float]:
+        """Return the weight q (n,) [-] of own particles and its gradient (n, 2) by the axes of a frame [1 / length].
+
+        Sums of the gradient over the cells are made zero as its integral is: the momentum of a uniform state then gives
+        nothing, to round-off.
+        """
+        q, slope = weight(frame.at(x), self.inner, self.outer)
+        falling = slope.any(axis=1)
+        slope[falling] -= self.closed / self.ring
+        return q, slope
+
+    def between(self, at: Float) -> Mask:
+        """Return which positions (n, 2) from a tip are between the radii (n,)."""
+        r = np.linalg.norm(at, axis=1)
+        return np.asarray((r > self.inner) & (r < self.outer))
+
+    def near(self, x: Float) -> Mask:
+        """Return which positions (n, dim) are inside about any of the frames (n,)."""
+        found = np.zeros(len(x), dtype=bool)
+        for frame in self.frames:
+            found |= np.linalg.norm(frame.at(x), axis=1) < self.outer
+        return found
+
+
+def trouble(solution: Solution, domain: Domain) -> str:
+    """Return why a sum over a domain would be no integral about one crack tip, in words after "it"; empty where none.
+
+    The same on all ranks (collective).
+    """
+    inner, outer = domain.inner, domain.outer
+    cloud = solution.cloud
+    inside = domain.near(solution.x)
+    reach = solution.largest(float(cloud.reach[: cloud.n_owned][inside].max(initial=0.0)))
+    if inner < reach * (1.0 - HORIZON_TOLERANCE):
+        return (
+            f"begins {inner:g} from the tip, within the horizon of {reach:g}, where fields are not those of a "
+            f"continuum; give a larger inner radius"
+        )
+    held = int(solution.sum(np.count_nonzero(solution.problem.held.any(axis=1) & inside)))
+    if held:
+        return f"holds {held} particles with a prescribed displacement; take smaller radii"
+    if domain.count < LEAST:
+        return (
+            f"has {domain.count} particles between its radii, less than {LEAST}; take radii further apart or more "
+            f"particles"
+        )
+    open_by = np.linalg.norm(domain.closed) / (np.pi * (inner + outer))
+    if abs(domain.filled - 1.0) > FILLED or abs(domain.falls - 1.0) > FILLED or open_by > CLOSED:
+        return (
+            f"is filled by the cells of the particles to {domain.filled:.4g}, and its rim to {domain.falls:.4g}: it "
+            f"leaves the body, crosses a hole, or has too few particles; take smaller radii or more particles"
+        )
+    return _trouble_with_cracks(solution, domain)
+
+
+def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
+    """Return what is wrong with the bonds that are gone in a domain (collective)."""
+    stray, crossing, cut, gone, where = 0, 0, 0, 0, np.full(2, np.inf)
+    for frame in domain.frames:
+        pairs, left = _pairs(solution, frame, domain.outer)
+        a, b = frame.at(solution.cloud.x[pairs[:, 0]]), frame.at(solution.cloud.x[pairs[:, 1]])
+        over = a[:, 1] * b[:, 1] < 0.0
+        share = np.where(over, a[:, 1] / np.where(over, a[:, 1] - b[:, 1], 1.0), 0.5)
+        through = a + share[:, None] * (b - a)
+        between = domain.between(through)
+        # A crack between particles is known to a spacing.
+        off = np.sqrt(domain.area[pairs[:, 0]])
+        beside = (np.minimum(a[:, 1], b[:, 1]) <= off) & (np.maximum(a[:, 1], b[:, 1]) >= -off)
+        wrong = np.flatnonzero(between & (left < 1.0) & ~(beside & (through[:, 0] <= off)))
+        stray += len(wrong)
+        if len(wrong):
+            where = np.minimum(where, (frame.tip + through[wrong[:1]] @ frame.turn)[0])
+        on_line = between & over & (through[:, 0] < 0.0)
+        crossing += np.count_nonzero(on_line)
+        cut += np.count_nonzero(on_line & (left == 0.0))
+        gone += np.count_nonzero((np.linalg.norm(through, axis=1) < domain.outer) & (left < 1.0))
+    stray, crossing, cut, gone = (int(n) for n in solution.sum([stray, crossing, cut, gone]))
+    if stray:
+        place = [-solution.largest(-float(one)) for one in where]
+        return (
+            f"has {stray // 2 or 1} bonds that are cut or damaged away from the line of the crack, near ({place[0]:g}, "
+            f"{place[1]:g}): another crack, one that is not straight, or another direction; take smaller radii, or the "
+            f"direction in which the crack grows"
+        )
+    if gone and cut < CUT * max(crossing, 1):
+        return (
+            f"is not crossed by the crack from the tip backwards: {cut // 2} of {crossing // 2} bonds over that line "
+            f"are cut; give the tip of the crack, the direction in which it grows, and radii below its length"
+        )
+    return ""
+
+
+def _pairs(solution: Solution, frame: Frame, outer: float) -> tuple[LocalIndex, Float]:
+    """Return the pairs (n, 2) of an own and a local particle within its reach, and what their bonds hold (n,) [-].
+
+    That is 1 for a whole bond, 0 for a broken one or one that a crack cuts, of the own particles near the domain.
+    """
+    cloud = solution.cloud
+    own, reach = cloud.x[: cloud.n_owned], cloud.reach[: cloud.n_owned]
+    zone = np.flatnonzero(np.linalg.norm(frame.at(own), axis=1) < outer + reach)
+    if not len(zone):
+        return np.empty((0, 2), dtype=np.int64), np.empty(0)
+    widest = float(reach[zone].max()) * (1.0 + HORIZON_TOLERANCE)
+    around = np.flatnonzero(np.linalg.norm(frame.at(cloud.x), axis=1) < outer + 2.0 * widest)
+    found = cKDTree(own[zone]).sparse_distance_matrix(cKDTree(cloud.x[around]), widest, output_type="ndarray")
+    i, j = zone[found["i"]], around[found["j"]]
+    kept = (i != j) & (found["v"] <= reach[i] * (1.0 + HORIZON_TOLERANCE))
+    pairs = np.stack([i[kept], j[kept]], axis=1)
+    key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
+    centres, neighbours, integrity = _bonds(solution, zone)
+    bonded = centres * np.int64(cloud.n_local) + neighbours
+    order = np.argsort(bonded)
+    place = np.minimum(np.searchsorted(bonded[order], key), max(len(bonded) - 1, 0))
+    left = np.zeros(len(key))
+    if len(bonded):
+        same = bonded[order][place] == key
+        left[same] = integrity[order][place[same]]
+    return pairs, left
+
+
+def _bonds(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
+    """Return both ends of the bonds of some own particles, and their integrity (n,) [-]."""
+    families: Families = solution.problem.body.families
+    repeats, damage = families.repeats, solution.problem.damage
+    if repeats is not None:
+        indptr, neighbours = repeats.families(zone.astype(np.int32))
+        return np.repeat(zone, np.diff(indptr)), neighbours.astype(np.int64), np.ones(len(neighbours))
+    size = np.diff(families.indptr)[zone]
+    bonds = np.repeat(families.indptr[zone] - np.cumsum(size) + size, size) + np.arange(int(size.sum()))
+    integrity = np.ones(len(bonds)) if damage is None else damage.bonds.integrity[bonds]
+    return np.repeat(zone, size), families.neighbours[bonds].astype(np.int64), integrity
+
+
+def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
+    """Return whether all loads in a domain act beside the crack, and why they cannot be taken into account, if so.
+
+    Tractions on the faces have to be uniform along the crack: what they do is integrated by parts then, which needs the
+    jump of the displacement far from the tip alone, and not its gradient at the tip. The same on all ranks.
+    Collective.
+    """
+    force, found = loads(solution), np.zeros(5)
+    waves, cloud = np.zeros((2, 2, 2)), solution.cloud
+    for frame in domain.frames:
+        at, f = frame.at(solution.x), force @ frame.turn.T
+        inside = np.linalg.norm(at, axis=1) < domain.outer
+        # A facet spreads its load over the family of the particle behind it.
+        band = 1.5 * cloud.reach[: len(at)]
+        near = inside & (np.abs(at[:, 1]) <= band)
+        size = np.linalg.norm(f, axis=1)
+        found += [
+            size[near].sum(), size[inside & ~near].sum(), domain.area[near].sum(), domain.area[inside & ~near].sum(),
+            size[near & (at[:, 0] > band)].sum(),
+        ]  # fmt: skip
+        wave = np.sin(2.0 * np.pi * at[:, 0] / domain.outer) ** 2
+        for half in (0, 1):
+            here = near & (at[:, 0] <= 0.0) & ((at[:, 0] < -0.5 * domain.outer) == bool(half))
+            for side, on in enumerate((at[:, 1] > 0.0, at[:, 1] < 0.0)):
+                waves[half, side] += (here & on) * wave @ f
+    waves = solution.sum(waves)
+    near, far, beside, away, ahead = solution.sum(found)
+    if far > 0.0 or ahead > 0.0:
+        if near * away > MIXED * far * beside:
+            return False, "holds tractions on the faces of the crack and body forces as well; take one of both"
+        return False, ""
+    if np.abs(waves[0] - waves[1]).max() > UNIFORM * np.abs(waves).max():
+        return True, "holds tractions on the faces of the crack that change along it; take smaller radii"
+    return True, ""
+
+
+def loads(solution: Solution) -> Float:
+    """Return the forces of loads on the own particles (n_owned, dim) [force] (collective)."""
+    state = solution.state
+    return state.kept("loads", lambda: solution.problem.external_force(state)[: len(solution.x)])
+
+
+def materials_in(solution: Solution, inside: Mask) -> tuple[list[int], bool]:
+    """Return the numbers of the materials of some own particles (n_owned,), and whether their moduli are graded.
+
+    The same on all ranks (collective).
+    """
+    numbers, factor = _materials(solution)
+    count = solution.sum(np.bincount(numbers[inside], minlength=1 + int(solution.largest(float(numbers.max())))))
+    high = solution.largest(float(factor[inside].max(initial=-np.inf)))
+    low = -solution.largest(float((-factor[inside]).max(initial=-np.inf)))
+    return np.flatnonzero(count).tolist(), high > low
+
+
+def _materials(solution: Solution) -> tuple[GlobalIndex, Float]:
+    """Return the number of the material of each own particle, and what multiplies its moduli [-]."""
+    matter, n = solution.problem.matter, len(solution.x)
+    numbers, factor = np.zeros(n, dtype=np.int64), np.ones(n)
+    if isinstance(matter, MaterialPoints):
+        for number, at_points in enumerate(matter.materials):
+            of = matter.operator.owner[at_points.points]
+            numbers[of] = number
+            if at_points.factor is not None:
+                factor[of] = at_points.factor
+            elif not at_points.has_history and at_points.history.shape[1]:
+                # Numbers of the place, such as the direction of fibres: any that differ will do.
+                factor[of] = at_points.history @ np.arange(1.0, 1.0 + at_points.history.shape[1])
+    elif isinstance(matter, BondForces):
+        numbers[:], factor[:] = matter.material_of, matter.factor
+    return numbers, factor
+
+
+def elastic_law(solution: Solution, number: int) -> LinearElastic | None:
+    """Return the isotropic linear law that a material is at small strain, None where it is none (not collective)."""
+    matter = solution.problem.matter
+    if isinstance(matter, BondForces):
+        return matter.materials[number].elastic(solution.problem.dim)
+    if not isinstance(matter, MaterialPoints):
+        return None
+    law = matter.materials[number].material
+    if not isinstance(law, IsotropicMaterial):
+        return None
+    return LinearElastic(law.E, law.nu, law.plane)
+
+
+def refuse(who: str, why: str) -> None:
+    """Raise CaseError where there is a reason (the same on all ranks)."""
+    if why:
+        raise CaseError(f"The domain of {who} {why}.")

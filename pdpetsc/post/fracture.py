@@ -1,0 +1,422 @@
+"""Fracture quantities at a crack tip: J-integral, energy release rate, stress intensity factors."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.declared import called
+from pdpetsc.errors import CaseError
+from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.post.contour import (
+    Domain,
+    Frame,
+    continuum,
+    elastic_law,
+    loads,
+    loads_in,
+    materials_in,
+    refuse,
+    trouble,
+    weight,
+)
+from pdpetsc.post.quantities import CrackTip, Quantity
+from pdpetsc.post.solution import Field, Solution
+from pdpetsc.terms.material_points import MaterialPoints
+
+# Largest share by which the stresses of a body may differ from those of linear fracture mechanics [-].
+SMALL = 0.02
+# A crack is moved by this share of the width of the domain, to both sides.
+MOVED = 1e-4
+
+
+@dataclass(frozen=True)
+class AtTip(Quantity):
+    """A quantity of a crack tip in a plane body, summed over the particles between two radii about it.
+
+    The tip, ``direction``, and both radii are in the undeformed body. Mirror planes are seen through: the number is
+    that of the tip of the whole body, whichever part of it is computed.
+    """
+
+    tip: Sequence[float]
+    direction: Sequence[float]
+    inner: float
+    outer: float
+    follows: CrackTip | None = None
+
+    # Whether the number is that of one material alone, whatever the case says of the explicit derivative.
+    of_one_material: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        name = type(self).__name__
+        for what, given in (("tip", self.tip), ("direction", self.direction)):
+            if len(given) != 2 or not all(math.isfinite(one) for one in given):
+                raise CaseError(f"A {name} is of a plane body and takes two finite numbers as {what}, not {given}.")
+        if not 0.0 < math.hypot(*self.direction) < math.inf:
+            raise CaseError(f"A {name} needs a direction that is not zero, not {self.direction}.")
+        if not 0.0 < self.inner < self.outer < math.inf:
+            raise CaseError(f"A {name} takes radii 0 < inner < outer, not {self.inner} and {self.outer}.")
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the body is not plane."""
+        if dim != 2:
+            raise CaseError(f"A {type(self).__name__} is of a crack in a plane body; this one has {dim} dimensions.")
+        if self.follows is not None:
+            self.follows.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the number; nan where a tip that moves has come too near to the boundary or another crack.
+
+        Raises
+        ------
+        CaseError
+            The domain of a tip that stays is not filled, or holds something that is not of one crack.
+        """
+        self.check(solution.problem.dim)
+        domain = self._domain(solution)
+        why = trouble(solution, domain) or self._why_not(solution, domain)
+        if why and self.follows is not None:
+            return math.nan
+        refuse(f"a {type(self).__name__} at {tuple(self.tip)}", why)
+        return self.number(solution, domain)
+
+    @abstractmethod
+    def number(self, solution: Solution, domain: Domain) -> float:
+        """Return the number of a domain that nothing is wrong with (collective)."""
+
+    @property
+    def knows_inhomogeneity(self) -> bool:
+        """Return whether the energy density may depend on place."""
+        return False
+
+    def _domain(self, solution: Solution) -> Domain:
+        """Return the domain about the tip where it is now (collective)."""
+        tip = np.asarray(self.tip, dtype=float)
+        if self.follows is not None:
+            along = np.asarray(self.follows.direction, dtype=float)
+            along = along / np.linalg.norm(along)
+            tip = tip + (self.follows.evaluate(solution) - tip @ along) * along
+        return Domain.of(solution, tip, self.direction, self.inner, self.outer)
+
+    def _why_not(self, solution: Solution, domain: Domain) -> str:
+        """Return why the material or the state forbids the number, in words after "it" (collective)."""
+        _, why = loads_in(solution, domain)
+        if why:
+            return why
+        numbers, graded = materials_in(solution, domain.near(solution.x))
+        if (len(numbers) > 1 or graded) and not self.knows_inhomogeneity:
+            advice = "" if self.of_one_material else ", or the derivative of the energy density as explicit"
+            return f"holds several materials or moduli that change from place to place; take smaller radii{advice}"
+        return ""
+
+
+def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gradient: Float, on_faces: bool) -> float:
+    """Return ``- int q f . v,1`` of loads f on this rank, per thickness.
+
+    ``moved`` (n_owned, 2) is v by the axes of the frame, ``gradient`` its derivative along the crack. Of uniform
+    tractions on the faces it is ``int q,1 f . v``, because the jump of v vanishes at the tip.
+    """
+    q, slope = domain.weight(frame, solution.x)
+    f = loads(solution) @ frame.turn.T
+    work = slope[:, 0] @ (f * moved).sum(axis=1) if on_faces else -(q @ (f * gradient).sum(axis=1))
+    return float(work) / solution.problem.body.thickness
+
+
+@dataclass(frozen=True)
+class _Release(AtTip):
+    """What a crack sets free per area as it grows, with the explicit derivative of the energy density."""
+
+    explicit: Field | None = None
+
+    @property
+    def knows_inhomogeneity(self) -> bool:
+        """Return whether the derivative was given."""
+        return self.explicit is not None
+
+    def _of_loads_and_place(self, solution: Solution, domain: Domain) -> float:
+        """Return ``- int q (f . H e + dpsi/dX . e) dA`` on this rank."""
+        found, explicit = 0.0, None
+        fields, (on_faces, _) = continuum(solution), loads_in(solution, domain)
+        if self.explicit is not None:
+            explicit = np.asarray(called("explicit derivative", self.explicit, solution), dtype=float)
+            if explicit.shape != solution.x.shape:
+                raise CaseError(
+                    f"The explicit derivative of the energy density has the shape {solution.x.shape} of positions, "
+                    f"not {explicit.shape}."
+                )
+        for frame in domain.frames:
+            H, u = frame.tensors(fields.H)[:, :, 0], solution.u @ frame.turn.T
+            found += _of_loads(solution, domain, frame, u, H, on_faces)
+            if explicit is not None:
+                q, _ = domain.weight(frame, solution.x)
+                found -= float((domain.area * q) @ (explicit @ frame.turn[0]))
+        return found
+
+
+@dataclass(frozen=True)
+class JIntegral(_Release):
+    """J-integral of a crack tip as a domain integral [energy / area].
+
+    ``J = - int (psi I - H^T P)_1m q,m dA - int q (b . H e_1 + dpsi/dX_1) dA - int q t . H e_1 dS`` over the undeformed
+    body, with the weight q that falls from 1 to 0 between two radii, the displacement gradient ``H = F - I``, body
+    forces b and tractions t on the faces of the crack, which come from the loads of the case; tractions are uniform
+    along the crack, and dead. It holds at finite strain. It is the energy set free per area of crack in elastic bodies;
+    in bodies with history ``psi`` is the work of the stress, and J depends on the radii where loading is not
+    proportional. A body of bonds gives the gradient that fits its families best, and their stress and energy density.
+
+    Parameters
+    ----------
+    tip : (float, float)
+        The crack tip in the undeformed body [length].
+    direction : (float, float)
+        Where the crack grows to; its length does not matter. The faces behind the tip are straight along it up to the
+        outer radius.
+    inner, outer : float
+        Between them the weight falls [length]. The inner one is at least the horizon: nearer to the tip fields are not
+        those of a continuum.
+    follows : CrackTip, optional
+        The tip of a crack that grows: the domain moves along its direction with it. It gives nan where the domain has
+        left the body or meets something else.
+    explicit : Field, optional
+        Derivative of the energy density by the place at constant F (n_owned, 2) [energy / volume / length], of bodies
+        whose moduli, temperature or eigenstrain depend on it: ``-tr(sigma) alpha grad T`` of small thermal strain;
+        zeros where an interface lies along the crack. Without it such bodies are refused.
+
+    Raises
+    ------
+    CaseError
+        Radii or vectors are wrong; or, of a body, the domain leaves it, has too few particles, holds supports, another
+        crack or several materials.
+
+    References
+    ----------
+    Rice1968, Shih1986.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> tip, ahead = (5.0, 0.0), (1.0, 0.0)
+    >>> history = {f"J{n}": pd.JIntegral(tip, ahead, inner, 4.0) for n, inner in enumerate((1.0, 2.0))}
+    """
+
+    def number(self, solution: Solution, domain: Domain) -> float:
+        """Return J."""
+        fields, share = continuum(solution), 0.0
+        for frame in domain.frames:
+            _, slope = domain.weight(frame, solution.x)
+            share -= float(np.einsum("p,pm,pm->", domain.area, frame.tensors(fields.momentum)[:, 0], slope))
+        return float(solution.sum(share + self._of_loads_and_place(solution, domain)))
+
+
+@dataclass(frozen=True)
+class EnergyReleaseRate(_Release):
+    """Energy release rate by a virtual crack extension [energy / area].
+
+    The particles about the tip are moved along the crack by ``+-d q`` in the undeformed body, their displacements with
+    them, and the strain energy is computed again from the deformation gradients that the gradient points then have:
+    ``G = -(E(d) - E(-d)) / (2 d)`` per thickness, with ``F = I + H (I + d D)^-1`` and volumes ``W det(I + d D)``, where
+    ``D`` is the gradient of ``q e_1`` by the weights of the body. Equilibrium makes the change of the displacements
+    count for nothing. Loads and place count as for ``JIntegral``.
+
+    It tends to J as particles get smaller. It differs in what it reads: energies alone, no stresses; and the weight
+    through the gradient of the scheme at every gradient point, which smooths it, where J has its exact gradient at the
+    particles.
+
+    Parameters
+    ----------
+    tip, direction, inner, outer, follows, explicit
+        As for ``JIntegral``.
+
+    Raises
+    ------
+    CaseError
+        As for ``JIntegral``; or the forces of the body act along bonds, which have no gradient points.
+
+    References
+    ----------
+    Parks1974.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> G = pd.EnergyReleaseRate((5.0, 0.0), (1.0, 0.0), inner=1.0, outer=4.0)
+    """
+
+    def number(self, solution: Solution, domain: Domain) -> float:
+        """Return G."""
+        matter = solution.problem.matter
+        if not isinstance(matter, MaterialPoints):
+            raise CaseError(
+                "An EnergyReleaseRate moves gradient points, and a body of bonds has none; take a JIntegral."
+            )
+        operator, F = matter.operator, matter.deformation(solution.state)
+        H, change, step = F - np.eye(2), 0.0, MOVED * (self.outer - self.inner)
+        for frame in domain.frames:
+            q, _ = weight(frame.at(solution.cloud.x), domain.inner, domain.outer)
+            D = operator.gradient(np.ascontiguousarray(q[:, None] * frame.turn[0]))
+            moved = np.flatnonzero(np.abs(D).max(axis=(1, 2)) > 0.0)
+            for d in (step, -step):
+                by = np.eye(2) + d * D[moved]
+                at = F.copy()
+                at[moved] = np.eye(2) + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
+                energy = matter.point_energy(at)[moved] * np.linalg.det(by)
+                change -= float(operator.volume[moved] @ energy) / (2.0 * d)
+        share = change / solution.problem.body.thickness
+        return float(solution.sum(share + self._of_loads_and_place(solution, domain)))
+
+
+@dataclass(frozen=True)
+class StressIntensity(AtTip):
+    """Stress intensity factor K_I or K_II of a crack tip by the interaction integral [stress length^1/2].
+
+    ``K = E'/2 int (P_im v_i,1 + s_im H_i1 - s_ik H_ik delta_1m) q,m dA - E'/2 int q t . v,1 dS`` with displacement v
+    and stress s of the field of Westergaard with K = 1 of that mode, body forces and tractions on the faces as for
+    ``JIntegral``, ``E' = E`` in plane stress and ``E / (1 - nu^2)`` in plane strain, as the material says. It is of
+    linear fracture mechanics: refused where the material is not isotropic or graded, and where the stresses between
+    the radii differ by more than 0.02 of them from those of small linear strain: by flow, temperature, large strain or
+    turning. Of a nonlinear body of bonds the displacement gradient is at most 0.02.
+
+    Parameters
+    ----------
+    tip, direction, inner, outer, follows
+        As for ``JIntegral``. K_II is positive where the upper face, left of the direction, moves forward.
+    mode : {"I", "II"}
+        Opening or sliding.
+
+    Raises
+    ------
+    CaseError
+        As for ``JIntegral``, and for what linear fracture mechanics does not describe.
+
+    References
+    ----------
+    Westergaard1939, Yau1980.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> K2 = pd.StressIntensity((5.0, 0.0), (1.0, 0.0), inner=1.0, outer=4.0, mode="II")
+    """
+
+    mode: Literal["I", "II"] = "I"
+
+    of_one_material: ClassVar[bool] = True
+
+    def number(self, solution: Solution, domain: Domain) -> float:
+        """Return K."""
+        law = self._law(solution, domain)
+        assert law is not None
+        fields, share, (on_faces, _) = continuum(solution), 0.0, loads_in(solution, domain)
+        for frame in domain.frames:
+            _, slope = domain.weight(frame, solution.x)
+            s, v, w = westergaard(frame.at(solution.x), self.mode, law)
+            H, P = frame.tensors(fields.H), frame.tensors(fields.P)
+            flow = np.einsum("pim,pi->pm", P, v) + np.einsum("pim,pi->pm", s, H[:, :, 0])
+            flow[:, 0] -= np.einsum("pik,pik->p", s, H)
+            share += float(np.einsum("p,pm,pm->", domain.area, flow, slope))
+            share += _of_loads(solution, domain, frame, w, v, on_faces)
+        return float(0.5 * plane_modulus(law) * solution.sum(share))
+
+    def _why_not(self, solution: Solution, domain: Domain) -> str:
+        """Return also why the fields are not those of linear fracture mechanics."""
+        why = super()._why_not(solution, domain)
+        if why:
+            return why
+        if self._law(solution, domain) is None:
+            return "holds a material that is not isotropic; take a JIntegral"
+        departs = self._departs(solution, domain)
+        if departs > SMALL:
+            return (
+                f"has stresses of which a share of {departs:.3g}, beyond {SMALL}, is not of small linear strain: by "
+                f"flow, temperature, large strain or turning; take larger radii, less load, or a JIntegral"
+            )
+        return ""
+
+    def _departs(self, solution: Solution, domain: Domain) -> float:
+        """Return by which share the stresses between the radii are not those of small linear strain (collective).
+
+        The stress of bonds is linear up to the error of their sums; their displacement gradient is looked at.
+        """
+        fields, law, sums = continuum(solution), self._law(solution, domain), np.zeros(2)
+        assert law is not None
+        if solution.problem.matter.linear:
+            return 0.0
+        ring = np.zeros(len(solution.x))
+        for frame in domain.frames:
+            ring[domain.between(frame.at(solution.x))] = 1.0
+        if not solution.problem.matter.n_points:
+            return solution.largest(float((ring * np.abs(fields.H).max(axis=(1, 2))).max(initial=0.0)))
+        lam, mu = law.lame(2)
+        strain = 0.5 * (fields.H + fields.H.transpose(0, 2, 1))
+        exact = lam * np.einsum("pii->p", strain)[:, None, None] * np.eye(2) + 2.0 * mu * strain
+        sums[:] = [ring * domain.area @ np.linalg.norm(T, axis=(1, 2)) for T in (fields.P - exact, fields.P)]
+        apart, whole = solution.sum(sums)
+        return float(apart / whole) if whole > 0.0 else 0.0
+
+    @staticmethod
+    def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
+        """Return the elastic law in the domain (collective)."""
+        numbers, _ = materials_in(solution, domain.near(solution.x))
+        return elastic_law(solution, numbers[0])
+
+
+def plane_modulus(law: LinearElastic) -> float:
+    """Return ``E'`` of ``J = K^2 / E'`` [stress]: E in plane stress, ``E / (1 - nu^2)`` in plane strain."""
+    return law.E if law.plane == "stress" else law.E / (1.0 - law.nu**2)
+
+
+def westergaard(x: Float, mode: str, law: LinearElastic) -> tuple[Float, Float, Float]:
+    """Return the field at a crack tip whose stress intensity factor of one mode is 1.
+
+    Parameters
+    ----------
+    x : (n, 2) float64
+        Positions from the tip, along the crack and across it [length].
+    mode : {"I", "II"}
+        Opening or sliding.
+    law : LinearElastic
+        Its constants, in plane strain or plane stress.
+
+    Returns
+    -------
+    s : (n, 2, 2) float64
+        Stress over the factor [1 / length^1/2].
+    v : (n, 2) float64
+        Derivative of the displacement along the crack over the factor [1 / (stress length^1/2)].
+    w : (n, 2) float64
+        Displacement over the factor [length^1/2 / stress].
+
+    References
+    ----------
+    Westergaard1939.
+    """
+    z = x[:, 0] + 1j * x[:, 1]
+    z = np.where(z == 0.0, np.finfo(float).tiny, z)
+    Z = 1.0 / np.sqrt(2.0 * np.pi * z)
+    whole = 2.0 * z * Z  # the integral of Z
+    turned = x[:, 1] * (-0.5 * Z / z)  # x_2 Z'
+    mu = 0.5 * law.E / (1.0 + law.nu)
+    kappa = (3.0 - law.nu) / (1.0 + law.nu) if law.plane == "stress" else 3.0 - 4.0 * law.nu
+    s, v, w = np.empty((len(x), 2, 2)), np.empty((len(x), 2)), np.empty((len(x), 2))
+    if mode == "I":
+        s[:, 0, 0], s[:, 1, 1] = Z.real - turned.imag, Z.real + turned.imag
+        s[:, 0, 1] = s[:, 1, 0] = -turned.real
+        v[:, 0] = 0.5 * (kappa - 1.0) * Z.real - turned.imag
+        v[:, 1] = 0.5 * (kappa + 1.0) * Z.imag - turned.real
+        w[:, 0] = 0.5 * (kappa - 1.0) * whole.real - x[:, 1] * Z.imag
+        w[:, 1] = 0.5 * (kappa + 1.0) * whole.imag - x[:, 1] * Z.real
+    else:
+        s[:, 0, 0], s[:, 1, 1] = 2.0 * Z.imag + turned.real, -turned.real
+        s[:, 0, 1] = s[:, 1, 0] = Z.real - turned.imag
+        v[:, 0] = 0.5 * (kappa + 1.0) * Z.imag + turned.real
+        v[:, 1] = -0.5 * (kappa - 1.0) * Z.real - turned.imag
+        w[:, 0] = 0.5 * (kappa + 1.0) * whole.imag + x[:, 1] * Z.real
+        w[:, 1] = -0.5 * (kappa - 1.0) * whole.real - x[:, 1] * Z.imag
+    return s, v / (2.0 * mu), w / (2.0 * mu)

@@ -1,0 +1,86 @@
+"""Fields of the stress and strain tensors: von Mises, principal values, triaxiality; and what damage dissipates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.post.solution import Solution, deformation_gradient, in_space, stress
+from pdpetsc.terms.bond_forces import BondForces
+
+# A stress is hydrostatic where its deviator is below this share of it.
+HYDROSTATIC = 1e-12
+
+
+def von_mises(solution: Solution) -> Float:
+    """Return ``sqrt(3/2 s : s)`` of the deviator of the Cauchy stress (n_owned,) [stress].
+
+    The stress is the mean over the points of each particle, with its part across a line or plane body.
+    """
+    sigma = in_space(stress)(solution)
+    deviator = sigma - _mean_stress(sigma)[:, None, None] * np.eye(3)
+    return np.asarray(np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)))
+
+
+def principal_stresses(solution: Solution) -> Float:
+    """Return the principal Cauchy stresses, the largest first (n_owned, 3) [stress].
+
+    ``x``, ``y`` and ``z`` are their components; the one across a line or plane body is among them.
+    """
+    return np.asarray(np.linalg.eigvalsh(in_space(stress)(solution))[:, ::-1])
+
+
+def principal_strains(solution: Solution) -> Float:
+    """Return the principal strains, the largest first (n_owned, 3) [-].
+
+    Logarithms of the stretches of the mean F of each particle; in linear bodies, whose strain is small, the principal
+    values of ``(F + F^T) / 2 - I``. That across a line or plane body is among them: both lateral ones of a line are.
+    """
+    F = in_space(deformation_gradient)(solution)
+    if solution.problem.matter.linear:
+        return np.asarray(np.linalg.eigvalsh(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(3))[:, ::-1])
+    return np.asarray(0.5 * np.log(np.linalg.eigvalsh(np.einsum("pki,pkj->pij", F, F))[:, ::-1]))
+
+
+def triaxiality(solution: Solution) -> Float:
+    """Return the mean stress over the von Mises stress (n_owned,) [-].
+
+    0 where there is no stress, infinite where it is hydrostatic to round-off.
+    """
+    mean = _mean_stress(in_space(stress)(solution))
+    equivalent = von_mises(solution)
+    hydrostatic = equivalent <= HYDROSTATIC * np.abs(mean)
+    ratio = mean / np.where(hydrostatic, 1.0, equivalent)
+    return np.asarray(np.where(hydrostatic & (mean != 0.0), np.copysign(np.inf, mean), ratio))
+
+
+def damage_dissipation(solution: Solution) -> Float:
+    """Return what failing bonds have dissipated per volume, half of it at each end (n_owned,) [energy / volume].
+
+    Its integral over the body is ``pd.DissipatedEnergy()``. Zero where bonds do not fail.
+
+    Raises
+    ------
+    CaseError
+        The damage laws do not tell: bodies of deformation gradients, and drives that are not of linear bonds.
+    """
+    n, matter, damage = len(solution.x), solution.problem.matter, solution.problem.damage
+    if damage is None:
+        return np.zeros(n)
+    lost = damage.bonds.weakened
+    known = damage.drive.elastic_energy(lost, matter.k[lost]) if isinstance(matter, BondForces) else None
+    if known is None:
+        raise CaseError(
+            "The field damage_dissipation is that of bodies of bonds whose laws give their energy; of this body only "
+            "the whole is known, as the quantity DissipatedEnergy."
+        )
+    bonds = damage.bonds
+    x = np.where(bonds.integrity[lost] > 0.0, bonds.worst[lost], np.maximum(bonds.worst[lost], bonds.law.final))
+    energy, degree = known
+    spent = bonds.law.dissipated(bonds.integrity[lost], x, energy, degree)
+    return np.asarray(np.bincount(solution.problem.body.families.centres[lost], spent, n) / solution.volume)
+
+
+def _mean_stress(sigma: Float) -> Float:
+    return np.asarray(np.einsum("pii->p", sigma) / 3.0)

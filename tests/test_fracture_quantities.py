@@ -1,0 +1,271 @@
+"""J, energy release rate, stress intensity factors and openings of known fields; what they refuse."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.post.fracture import plane_modulus, westergaard
+from tests.commands import ROOT
+
+sys.path.append(str(ROOT / "runs" / "fracture"))
+import centre_crack
+
+LAW = pd.LinearElastic(1000.0, 0.3, "strain")
+CONTOURS = ((0.2, 0.5), (0.3, 0.8))
+
+
+def k_field(x, K1, K2, law):
+    """Return the displacements (n, 2) at ``x`` (n, 2) from a crack tip [length], in polar coordinates."""
+    r, t = np.hypot(*x.T), np.arctan2(x[:, 1], x[:, 0])
+    kappa = (3.0 - law.nu) / (1.0 + law.nu) if law.plane == "stress" else 3.0 - 4.0 * law.nu
+    c, s = np.cos(t / 2), np.sin(t / 2)
+    opened = [c * (kappa - 1.0 + 2.0 * s**2), s * (kappa + 1.0 - 2.0 * c**2)]
+    slid = [s * (kappa + 1.0 + 2.0 * c**2), -c * (kappa - 1.0 - 2.0 * s**2)]
+    scale = np.sqrt(r / (2.0 * np.pi)) * (1.0 + law.nu) / law.E
+    return (scale * (K1 * np.array(opened) + K2 * np.array(slid))).T
+
+
+def body(n=40, horizon=2.015, tip=(0.0, 0.0), material=LAW, turn=0.0, thickness=1.0, unit=1.0, **changes):
+    """Return a square of side 2 with a crack from its left side to the tip."""
+    dx = 2.0 / n
+    along = np.array([np.cos(turn), np.sin(turn)])
+    behind = tuple(unit * (np.array(tip) - 3.0 * along))
+    declared = {
+        "particles": pd.Lattice((-unit, -unit), (unit, unit), unit * dx, thickness=thickness),
+        "horizon": unit * horizon * dx,
+        "material": material,
+        "cracks": [pd.Segment(behind, tuple(unit * np.array(tip)))],
+        "conditions": [pd.Displacement(pd.region.Slab("x", high=unit * (dx - 1.0)), x=0.0, y=0.0)],
+    }
+    return pd.prepare(pd.Case(**(declared | changes)))
+
+
+def at(prepared, function):
+    """Return the solution whose displacements are a function of positions."""
+    return prepared.solution(function(prepared.cloud.x[: prepared.cloud.n_owned]), 1.0, 1)
+
+
+@pytest.mark.parametrize("plane", ["strain", "stress"])
+@pytest.mark.parametrize(
+    ("tip", "turn", "thickness", "unit"),
+    [((0.0, 0.0), 0.0, 1.0, 1.0), ((0.013, 0.009), 0.0, 3.0, 1.0), ((0.02, 0.01), 0.4, 1.0, 1e-3)],
+)
+def test_the_field_of_a_crack_tip_gives_its_factors(plane, tip, turn, thickness, unit):
+    """Also of a tip between particles, a crack at any angle, any thickness and unit; on both contours."""
+    law = dataclasses.replace(LAW, plane=plane)
+    K1, K2 = 2.0, -0.7
+    J = (K1**2 + K2**2) / plane_modulus(law)
+    Q = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    prepared = body(tip=tip, turn=turn, material=law, thickness=thickness, unit=unit)
+    solution = at(prepared, lambda x: k_field((x - unit * np.array(tip)) @ Q.T, K1, K2, law) @ Q)
+    for inner, outer in CONTOURS:
+        where = (tuple(unit * np.array(tip)), tuple(5.0 * Q[0]), unit * inner, unit * outer)
+        within = {"rel": 0.015}
+        assert pd.JIntegral(*where).evaluate(solution) == pytest.approx(J, **within)
+        assert pd.EnergyReleaseRate(*where).evaluate(solution) == pytest.approx(J, **within)
+        assert pd.StressIntensity(*where).evaluate(solution) == pytest.approx(K1, **within)
+        assert pd.StressIntensity(*where, mode="II").evaluate(solution) == pytest.approx(K2, abs=0.02)
+
+
+@pytest.mark.parametrize("mode", ["I", "II"])
+@pytest.mark.parametrize("plane", ["strain", "stress"])
+def test_auxiliary_fields_are_those_of_the_displacements(mode, plane, rng):
+    """Stress by Hooke's law and derivatives along the crack, by differences of the displacement."""
+    law = dataclasses.replace(LAW, plane=plane)
+    x, h = rng.uniform(-1.0, 1.0, (50, 2)), 1e-6
+    x = x[(np.abs(x[:, 1]) > 0.01)]
+    K = (1.0, 0.0) if mode == "I" else (0.0, 1.0)
+    H = np.stack([(k_field(x + d, *K, law) - k_field(x - d, *K, law)) / (2 * h) for d in h * np.eye(2)], axis=2)
+    lam, mu = law.lame(2)
+    strain = 0.5 * (H + H.transpose(0, 2, 1))
+    stress = lam * np.einsum("pii->p", strain)[:, None, None] * np.eye(2) + 2.0 * mu * strain
+    s, v, w = westergaard(x, mode, law)
+    assert np.allclose(s, stress, rtol=1e-6, atol=1e-6)
+    assert np.allclose(v, H[:, :, 0], rtol=1e-6, atol=1e-10)
+    assert np.allclose(w, k_field(x, *K, law), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+def test_bonds_give_j_by_the_stress_of_their_families(kinematics):
+    """Within the error of their moduli on a lattice."""
+    bonds = pd.BondBased(1000.0, plane="stress", calibration="family", kinematics=kinematics)
+    law = bonds.elastic(2)
+    solution = at(body(material=bonds, horizon=3.015), lambda x: k_field(x, 1.0, 0.0, law))
+    for inner, outer in CONTOURS:
+        where = ((0.0, 0.0), (1.0, 0.0), inner, outer)
+        assert pd.JIntegral(*where).evaluate(solution) == pytest.approx(1.0 / law.E, rel=0.03)
+        assert pd.StressIntensity(*where).evaluate(solution) == pytest.approx(1.0, rel=0.02)
+        with pytest.raises(pd.CaseError, match="a body of bonds has none; take a JIntegral"):
+            pd.EnergyReleaseRate(*where).evaluate(solution)
+
+
+@pytest.mark.parametrize("crack", [False, True])
+@pytest.mark.parametrize("n", [31, 40])
+def test_uniform_states_give_nothing(n, crack, rng):
+    """At large strain, with a tip anywhere; with a crack where its faces carry nothing: pulled along it."""
+    law = pd.NeoHookean(1000.0, 0.3)
+    F = np.array([[1.4, 0.3], [-0.2, 0.9]])
+    changes = {} if crack else {"cracks": []}
+    prepared = body(n=n, material=law, tip=(0.03, 0.01), **changes)
+    solution = at(prepared, lambda x: x @ (F - np.eye(2)).T)
+    size = np.abs(pd.energy_density(solution)).max()
+    found = pd.JIntegral((0.03, 0.01), (1.0, 0.0), 0.3, 0.8).evaluate(solution)
+    assert abs(found) < 1e-12 * size
+    assert abs(pd.EnergyReleaseRate((0.03, 0.01), (1.0, 0.0), 0.3, 0.8).evaluate(solution)) < 0.01 * size
+
+
+@pytest.mark.parametrize("planes", ["x", "y", "xy"])
+def test_a_part_before_mirror_planes_gives_the_tip_of_the_whole(planes):
+    """The domain reaches over the planes; the crack lies on the one across y, and across it where there is none."""
+    dx, tip, a = 0.05, (0.6, 0.0), 0.6
+    law = LAW
+
+    def u(x):
+        return centre_crack.in_infinite_plate(x, a, 0.0, "strain")
+
+    found = []
+    for part in (True, False):
+        low = [0.0 if part and letter in planes else -2.0 for letter in "xy"]
+        case = pd.Case(
+            particles=pd.Lattice(low, (2.0, 2.0), dx),
+            horizon=2.015 * dx,
+            material=law,
+            cracks=[pd.Segment((-a, 0.0), tip)],
+            symmetry=[pd.Symmetry(letter) for letter in planes] if part else [],
+            conditions=[pd.Displacement(pd.region.Slab("y", low=2.0 - dx), x=0.0, y=0.0)],
+        )
+        solution = at(pd.prepare(case), u)
+        where = (tip, (1.0, 0.0), 0.3, 0.8)
+        kinds = (pd.JIntegral, pd.EnergyReleaseRate, pd.StressIntensity)
+        found.append([kind(*where).evaluate(solution) for kind in kinds])
+        found[-1].append(pd.CrackOpening((-0.5, 0.0), (0.5, 0.0), at=0.8).evaluate(solution))
+        assert found[-1][0] == pytest.approx(np.pi * a / plane_modulus(law), rel=0.01)
+    assert found[0] == pytest.approx(found[1], rel=1e-10)
+
+
+def test_pressure_on_the_faces_counts():
+    """A crack under pressure in an infinite plate: ``K = p sqrt(pi a)``; without its faces J would be another."""
+    dx, a, p = 0.025, 0.6, 3.0
+    tip, law = (a, 0.0), LAW
+    faces = pd.region.Box((-a, -0.4 * dx), (a, 0.4 * dx))
+    case = pd.Case(
+        particles=pd.Lattice((-1.5, -1.5), (1.5, 1.5), dx),
+        horizon=2.015 * dx,
+        material=law,
+        cracks=[pd.Segment((-a, 0.0), tip)],
+        conditions=[
+            pd.Displacement(pd.region.Slab("y", low=1.5 - dx), x=0.0, y=0.0),
+            pd.Pressure(faces, p),
+        ],
+    )
+    lam, mu = law.lame(2)
+    yy = 1.0 / (lam + 2.0 * mu - lam**2 / (lam + 2.0 * mu))
+    strain = np.diag([-lam / (lam + 2.0 * mu) * yy, yy])
+
+    def u(x):
+        return p * (centre_crack.in_infinite_plate(x, a, 0.0, "strain") - x @ strain)
+
+    solution = at(pd.prepare(case), u)
+    where = (tip, (1.0, 0.0), 0.2, 0.5)
+    K, J = p * np.sqrt(np.pi * a), np.pi * a * p**2 / plane_modulus(law)
+    assert pd.JIntegral(*where).evaluate(solution) == pytest.approx(J, rel=0.03)
+    assert pd.StressIntensity(*where).evaluate(solution) == pytest.approx(K, rel=0.02)
+    unloaded = at(pd.prepare(dataclasses.replace(case, conditions=case.conditions[:1])), u)
+    assert abs(pd.JIntegral(*where).evaluate(unloaded) / J - 1.0) > 0.1
+
+
+def test_the_opening_is_the_jump_of_the_displacement():
+    """Exact where both sides move linearly; the profile of a pulled crack is an ellipse."""
+    prepared = body()
+
+    def apart(x):
+        return np.where((x[:, 1] > 0.0)[:, None], [0.01, 0.03] + 0.1 * x, 0.2 * x[:, ::-1])
+
+    solution = at(prepared, apart)
+    line = ((-1.0, 0.0), (0.0, 0.0))
+    assert pd.CrackOpening(*line, at=0.5).evaluate(solution) == pytest.approx(0.03 + 0.2 * 0.5, rel=1e-10)
+    along = pd.CrackOpening(*line, at=0.5, component="along").evaluate(solution)
+    assert along == pytest.approx(0.01 - 0.05, rel=1e-10)
+    dx, a = 0.025, 0.6
+    case = pd.Case(
+        particles=pd.Lattice((-1.0, -1.0), (1.0, 1.0), dx), horizon=2.015 * dx, material=LAW,
+        cracks=[pd.Segment((-a, 0.0), (a, 0.0))],
+        conditions=[pd.Displacement(pd.region.Slab("y", low=1.0 - dx), x=0.0, y=0.0)],
+    )  # fmt: skip
+    solution = at(pd.prepare(case), lambda x: centre_crack.in_infinite_plate(x, a, 0.0, "strain"))
+    s, jump = pd.CrackOpening((-a, 0.0), (a, 0.0)).profile(solution, 9)
+    exact = 4.0 / plane_modulus(LAW) * np.sqrt(a**2 - (s - a) ** 2)
+    assert jump[:, 0] == pytest.approx(exact, rel=0.03)
+    assert np.abs(jump[:, 1]).max() < 1e-10 * exact.max()
+    with pytest.raises(pd.CaseError, match="too few particles on one side"):
+        pd.CrackOpening((0.0, 1.0), (0.5, 1.0)).evaluate(solution)
+
+
+CORNER = [
+    pd.Displacement(pd.region.Nearest((-1.0, -1.0)), x=0.0, y=0.0),
+    pd.Displacement(pd.region.Nearest((1.0, -1.0)), y=0.0),
+]
+WHERE = {"tip": (0.0, 0.0), "direction": (1.0, 0.0), "inner": 0.3, "outer": 0.8}
+
+
+@pytest.mark.parametrize(
+    ("asked", "changes", "message"),
+    [
+        ({"outer": 1.2}, {}, "particles with a prescribed displacement"),
+        ({"outer": 1.2}, {"conditions": CORNER}, "leaves the body"),
+        ({"tip": (-0.5, 0.0)}, {"conditions": CORNER}, "leaves the body"),
+        ({"inner": 0.05}, {}, "within the horizon of 0.10075"),
+        ({"inner": 0.5, "outer": 0.51}, {}, "particles between its radii, less than"),
+        ({}, {"n": 8}, "larger inner radius"),
+        ({"inner": 0.5, "outer": 0.6}, {"n": 16}, "has too few particles"),
+        ({"direction": (-1.0, 0.0)}, {}, "cut or damaged away from the line of the crack"),
+        ({"direction": (0.0, 1.0)}, {}, "cut or damaged away from the line of the crack"),
+        ({"tip": (-0.1, 0.2)}, {}, "cut or damaged away from the line of the crack"),
+        ({}, {"cracks": [pd.Segment((-3.0, 0.0), (0.0, 0.0)), pd.Segment((0.3, 0.3), (0.5, 0.52))]}, "another crack"),
+        ({}, {"cracks": [pd.Segment((-0.2, 0.0), (0.0, 0.0))]}, "not crossed by the crack from the tip backwards"),
+        ({}, {"conditions": [pd.Displacement(pd.region.Sphere((0.0, 0.5), 0.1), x=0.0, y=0.0)]}, "prescribed"),
+        (
+            {},
+            {"material": [(pd.region.Slab("x", high=0.0), LAW), (pd.region.Slab("x", low=0.0), pd.Hencky(2.0, 0.3))]},
+            "several materials",
+        ),
+        ({}, {"material": pd.Graded(LAW, lambda x: 1.0 + 0.1 * x[:, 0])}, "moduli that change"),
+        ({}, {"cut": pd.region.Sphere((0.4, 0.4), 0.15)}, "crosses a hole"),
+    ],
+)  # fmt: skip
+def test_a_domain_that_is_not_of_one_crack_tip_is_refused(asked, changes, message):
+    changes = dict(changes)
+    cut = changes.pop("cut", None)
+    if cut is not None:
+        changes["particles"] = pd.Lattice((-1.0, -1.0), (1.0, 1.0), 0.05, cut=cut)
+    solution = body(**changes).solution()
+    for kind in (pd.JIntegral, pd.EnergyReleaseRate, pd.StressIntensity):
+        with pytest.raises(pd.CaseError, match=message) as refused:
+            kind(**(WHERE | asked)).evaluate(solution)
+        assert str(refused.value).endswith(".")
+
+
+def test_factors_are_refused_beyond_small_strain():
+    law = pd.NeoHookean(1000.0, 0.3, "strain")
+    prepared = body(material=law)
+    small = at(prepared, lambda x: k_field(x, 1.0, 0.0, law))
+    assert pd.StressIntensity(**WHERE).evaluate(small) == pytest.approx(1.0, rel=0.02)
+    large = at(prepared, lambda x: k_field(x, 100.0, 0.0, law))
+    turned = at(prepared, lambda x: x @ np.array([[-0.005, 0.1], [-0.1, -0.005]]) + k_field(x, 1.0, 0.0, law))
+    for solution in (large, turned):
+        with pytest.raises(pd.CaseError, match="is not of small linear strain"):
+            pd.StressIntensity(**WHERE).evaluate(solution)
+    fibres = pd.Orthotropic((3.0, 2.0, 1.0), (0.1, 0.1, 0.1), (1.0, 1.0, 1.0))
+    with pytest.raises(pd.CaseError, match="not isotropic; take a JIntegral"):
+        pd.StressIntensity(**WHERE).evaluate(body(material=fibres).solution())
+
+
+@pytest.mark.parametrize("what", [{"inner": 2.0}, {"outer": np.inf}, {"direction": (0.0, 0.0)}, {"tip": (0.0,)}])
+def test_wrong_contours_are_refused_where_they_are_declared(what):
+    with pytest.raises(pd.CaseError):
+        pd.JIntegral(**(WHERE | what))
+    with pytest.raises(pd.CaseError, match="3 dimensions"):
+        pd.JIntegral(**WHERE).check(3)

@@ -19,6 +19,7 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.following import control_forces
 from pdpetsc.terms.material_points import MaterialPoints
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
@@ -187,7 +188,7 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     if control is not None:
         stiffness = stiffness_of(whole, materials, material_of, None)
         built = control.build(cloud, families, omega, stiffness)
-        terms = [ControlForces(whole, type(control).__name__, built, damage)]
+        terms = [control_forces(control, whole, built, matter, damage)]
     return Small(Problem(whole, matter, terms, Supports(whole), damage))
 
 

@@ -2,6 +2,7 @@
 
 from pdpetsc.control.averaged_displacement import AveragedDisplacement, RelativeAverage
 from pdpetsc.control.base import Control, ZeroEnergyControl
+from pdpetsc.control.following import Following
 from pdpetsc.control.littlewood import Littlewood
 from pdpetsc.control.penalty import Penalty
 from pdpetsc.control.silling import Silling, SillingMicromodulus
@@ -12,6 +13,7 @@ __all__ = [
     "CONTROLS",
     "AveragedDisplacement",
     "Control",
+    "Following",
     "Littlewood",
     "Penalty",
     "RelativeAverage",

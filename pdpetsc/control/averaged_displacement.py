@@ -106,9 +106,7 @@ class _Averaged(Control):
 
     def __init__(self, cloud: Cloud, families: Families, omega: Float, c: Float) -> None:
         stencils = whole_families(cloud, families, omega * cloud.volume[families.neighbours])
-        self._cloud = cloud
-        self._families = families
-        self._weight = omega
+        self._cloud, self._families, self._omega = cloud, families, omega
         self._c = c
         self._stencils = stencils.point_ptr, stencils.members
         self._b = stencils.weight
@@ -124,6 +122,16 @@ class _Averaged(Control):
         kernel = average_force_kernel(self._cloud.dim)
         return float(kernel(particles, *self._stencils, self._b, self._c, u, f))
 
+    def scaled(self, share: Float) -> _Averaged:
+        """Return the control with ``c_i`` times the share of ``i``."""
+        return _Averaged(self._cloud, self._families, self._omega, self._c * share)
+
+    def family_forces(self, u: Float) -> Float:
+        """Return ``c_i a_i b_ik``."""
+        ptr, members = self._stencils
+        a = np.add.reduceat(self._b[:, None] * u[members], ptr[:-1], axis=0)
+        return np.asarray(np.repeat(self._c[:, None] * a, np.diff(ptr), axis=0) * self._b[:, None])
+
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the scalar matrix ``sum_i c_i b_ij b_ik`` (collective)."""
         data = self._b[:, None], self._b[:, None], self._c, np.ones((len(self._c), 1, 1, 1, 1))
@@ -138,4 +146,4 @@ class _Averaged(Control):
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control whose averages count every bond with its integrity."""
-        return _Averaged(self._cloud, self._families, self._weight * integrity, self._c)
+        return _Averaged(self._cloud, self._families, self._omega * integrity, self._c)

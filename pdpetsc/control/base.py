@@ -25,6 +25,10 @@ _NO_DAMAGE = (
     "This zero-energy control cannot follow bonds that fade with their present stretch; take Silling, springs, the "
     "penalty or none, or let damage keep the largest stretch (effect=LargestStretch())."
 )
+_NOT_FOLLOWING = (
+    "This zero-energy control has no form that follows the material: it gives neither its forces family by family nor "
+    "itself with the stiffness of each family scaled; take one without Following, or give it scaled and family_forces."
+)
 
 
 @dataclass(frozen=True)
@@ -189,6 +193,36 @@ class Control(ABC):
         """
         return False
 
+    def scaled(self, share: Float) -> Control:
+        """Return the control with the stiffness of the family of each own particle times a positive share (n_owned,).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NOT_FOLLOWING)
+
+    def family_forces(self, u: Float) -> Float:
+        """Return the force of every family on each of its members (n_entries, dim) [force].
+
+        Parameters
+        ----------
+        u : (n_local, dim) float64
+            Displacements with ghosts [length].
+
+        Returns
+        -------
+        forces : (n_entries, dim) float64
+            In the order of ``stencils``; those of a family sum to zero (not collective).
+
+        Raises
+        ------
+        CaseError
+            It has no such form.
+        """
+        raise CaseError(_NOT_FOLLOWING)
+
     def damaged(self, integrity: Float) -> Control:
         """Return the control with the stiffness of every bond times its integrity (n_bonds,).
 
@@ -237,6 +271,16 @@ class ZeroEnergyControl(Declared, ABC):
 
     of_kappa: ClassVar[bool] = False
 
+    @property
+    def elastic(self) -> ZeroEnergyControl:
+        """Return the control of a body whose materials have no history: itself."""
+        return self
+
+    @property
+    def least_share(self) -> float | None:
+        """Return down to which share of its stiffness it follows a material that yields [-]; None where it does not."""
+        return None
+
     @abstractmethod
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Return the control for influence ``omega`` (n_bonds,) and the stiffness of the own particles.
@@ -245,3 +289,11 @@ class ZeroEnergyControl(Declared, ABC):
         -----
         Collective.
         """
+
+
+def with_centre_forces(indptr: GlobalIndex, forces: Float) -> Float:
+    """Return forces on the members of families, centre first, from those on the second ends of bonds (n_bonds, dim)."""
+    found = np.insert(forces, indptr[:-1], 0.0, axis=0)
+    first = indptr[:-1] + np.arange(len(indptr) - 1)
+    found[first] = -np.add.reduceat(found, first, axis=0)
+    return np.asarray(found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
-from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic
+from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic, with_centre_forces
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
@@ -46,6 +46,7 @@ class NonUniform(Control):
         self._families = families
         self._stiffness = stiffness
         self._K_inverse = K_inverse
+        self._integrity = integrity
         self._forces = stiffness if integrity is None else stiffness * integrity
 
     @property
@@ -96,6 +97,20 @@ class NonUniform(Control):
         if deviation(*data) > SAME:
             return None
         return BondGradient(self._stiffness, np.linalg.inv(self._K_inverse))
+
+    def scaled(self, share: Float) -> NonUniform:
+        """Return the control with ``s_ij`` times the share of ``i``; H stays the gradient that it is."""
+        stiffness = self._stiffness * share[self._families.centres]
+        return NonUniform(
+            self._cloud, self._families, stiffness, self._K_inverse / share[:, None, None], self._integrity
+        )
+
+    def family_forces(self, u: Float) -> Float:
+        """Return ``T_ij s_ij z_ij`` on ``j`` and minus their sum on ``i``."""
+        forces = self.bond_forces(u)
+        if self._integrity is not None:
+            forces *= self._integrity[:, None]
+        return with_centre_forces(self._families.indptr, forces)
 
     def damaged(self, integrity: Float) -> Control:
         """Return the control with ``s_ij`` times the integrity; H is zero in directions without bonds left."""
@@ -148,6 +163,21 @@ class Directed(Control):
         family = self._families
         kernel = directed_force_kernel(self._cloud.dim)
         return float(kernel(particles, family.indptr, family.neighbours, self._S, self._g, self._cloud.x, u, f))
+
+    def scaled(self, share: Float) -> Directed:
+        """Return the control with ``S_ij`` times the share of ``i``."""
+        of_bonds = share[self._families.centres]
+        return Directed(self._cloud, self._families, self._S * of_bonds[:, None, None], self._g)
+
+    def family_forces(self, u: Float) -> Float:
+        """Return ``S_ij z_ij - (sum_l S_il z_il (x) xi_il) g_ij`` on ``j`` and minus their sum on ``i``."""
+        family, n = self._families, self._cloud.n_owned
+        xi, eta = family.bonds(self._cloud.x), family.bonds(u)
+        H = sum_by(family.centres, np.einsum("bi,bj->bij", eta, self._g), n)
+        forces = np.einsum("bij,bj->bi", self._S, eta - np.einsum("bij,bj->bi", H[family.centres], xi))
+        moment = sum_by(family.centres, np.einsum("bi,bj->bij", forces, xi), n)
+        forces -= np.einsum("bij,bj->bi", moment[family.centres], self._g)
+        return with_centre_forces(family.indptr, forces)
 
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the block matrix of the control (collective)."""

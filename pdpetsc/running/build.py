@@ -12,7 +12,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.case import Case, isothermal, ungraded
-from pdpetsc.control.base import Control
+from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
 from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
@@ -49,9 +49,10 @@ from pdpetsc.problem.term import Term
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
-from pdpetsc.terms.control import ControlForces, stiffness_of
+from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.expansion import stress_free
+from pdpetsc.terms.following import control_forces
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
@@ -256,7 +257,15 @@ def repeated_share(case: Case) -> float | None:
         return LEAST_REPEATED if alike else None
     if case.chosen_weights.conform or not case.gradients.of_family:
         return None
-    return LEAST_REPEATED if case.control is None or case.control.of_kappa else None
+    control = control_of(case)
+    return LEAST_REPEATED if control is None or control.of_kappa else None
+
+
+def control_of(case: Case) -> ZeroEnergyControl | None:
+    """Return the control of a case: one that follows what yields only where a material has a history."""
+    if case.control is None or any(cast(Material, ungraded(one)).has_history for _, one in case.materials):
+        return case.control
+    return case.control.elastic
 
 
 def _in_order(case: Case) -> bool:
@@ -284,7 +293,7 @@ def _repeated_points(
     omega = _neighbourhood(case, edge.cloud, families).omega
     operator = RepeatedOperator(case.gradients.build(edge.cloud, families, omega), repeats)
     matter = MaterialPoints(body, operator, continuum, material_of, factor)
-    control = case.control
+    control = control_of(case)
     if control is None:
         return matter, []
     stiffness = stiffness_of(body, continuum, material_of, factor)
@@ -295,7 +304,7 @@ def _repeated_points(
         return control.build(body.cloud, body.families, everything, stiffness)
 
     repeated = RepeatedControl(repeats, built, relative_scale(stiffness, repeats), listed)
-    return matter, [ControlForces(body, type(control).__name__, repeated)]
+    return matter, [control_forces(control, body, repeated, matter)]
 
 
 def _repeated_bonds(
@@ -346,11 +355,12 @@ def _points(
     else:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
         matter = MaterialPoints(body, operator, continuum, material_of, factor)
-    if case.control is None:
+    control = control_of(case)
+    if control is None:
         return matter, [], damage
     stiffness = stiffness_of(body, continuum, material_of, factor)
-    built = case.control.build(body.cloud, body.families, bonds.omega, stiffness)
-    return matter, [ControlForces(body, type(case.control).__name__, built, damage)], damage
+    built = control.build(body.cloud, body.families, bonds.omega, stiffness)
+    return matter, [control_forces(control, body, built, matter, damage)], damage
 
 
 def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.control.following import tangent_share
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli
@@ -39,6 +40,11 @@ class MaterialPoints(Matter):
     factor : (n_owned,) float64, optional
         What multiplies the moduli of each own particle [-].
 
+    Attributes
+    ----------
+    followers : list of callable
+        Called with a converged state before materials with history take it for good.
+
     Notes
     -----
     Construction is collective.
@@ -65,6 +71,7 @@ class MaterialPoints(Matter):
                 self.materials.append(MaterialAtPoints(material, points, body.dim, factors, body.cloud.x[of]))
         self._linear = all(material.linear for material in materials)
         self._expanded: tuple[Float, GradientOperator] | None = None
+        self.followers: list[Callable[[State], None]] = []
         self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
 
     @property
@@ -191,6 +198,20 @@ class MaterialPoints(Matter):
         """Return ``G^T W A G`` with the moduli A at a state."""
         return PointsTangent(self, self.moduli_sets(self.deformation(state)))
 
+    def tangent_share(self, state: State) -> Float:
+        """Return what is left of the elastic modulus of the own particles (n_owned,) [-] (``control.tangent_share``).
+
+        Elastic materials have all of it (not collective).
+        """
+        F = self.deformation(state)
+        P, A, share = self.stress(F), self.moduli(F), np.ones(len(F))
+        for one in self.materials:
+            if one.has_history and len(one.points):
+                at, A_0 = one.points, one.material.moduli(self.body.dim)
+                factor = 1.0 if one.factor is None else one.factor
+                share[at] = tangent_share(F[at], P[at], A[at], A_0) / factor
+        return self._mean(share)
+
     def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
         """Return the entries of the operator by particle (not collective)."""
         if self._by_particle is None or self._by_particle[0] is not self.operator:
@@ -216,6 +237,8 @@ class MaterialPoints(Matter):
     def commit(self, state: State) -> None:
         """Let materials with history remember a converged state."""
         if self.has_history:
+            for follow in self.followers:
+                follow(state)
             F = self.deformation(state)
             for at_points in self.materials:
                 at_points.commit(F)

@@ -1,0 +1,178 @@
+"""A zero-energy control that follows the stiffness of a material that yields."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.families import Families
+from pdpetsc.errors import CaseError
+
+# Shares that differ from one by less are those of an elastic point.
+ROUND = 1e-9
+
+
+@dataclass(frozen=True)
+class Following(ZeroEnergyControl):
+    """A zero-energy control whose stiffness falls with that of the material at each particle.
+
+    A control with the stiffness of the elastic material holds a body that yields: what is not uniform in a family
+    meets forces that the material has long lost. Here the control of a particle yields with it. Let ``2 W`` be the
+    energy of the elastic control of its family, ``e = sqrt(2 W)`` the size of what it resists and ``q = dW/de`` their
+    force; elastic is ``q = e``. In a load step ``e_0`` is the largest ``e`` of the steps before, ``c_0`` the share
+    ``q / e`` there and ``c_t`` the share of the tangent modulus that the material has left at the last equilibrium::
+
+        q = c_0 e                          e <= e_0
+        q = c_0 e_0 + c_t (e - e_0)        e > e_0,       f = (q / e) f_elastic
+
+    ``c_t`` is the smallest ``d : A : d / d : A_0 : d`` over all strains d, the mean of the points of the particle, with
+    the moduli A of the Jaumann rate of Kirchhoff stress in the frame of the material and A_0 those at F = I; in J2
+    plasticity of a solid it is ``H / (3 mu + H)``. It lies between ``least`` and ``c_0`` and stays during a load step.
+
+    Why so: the force is continuous from step to step and in equilibrium with what was found there, because what changes
+    between steps is the slope ahead and never the force. It derives from an energy, which makes its tangent exact and
+    symmetric, and positive. That energy counts what is lost, ``(q de - e dq) / 2 >= 0``: a force of the present modulus
+    times the whole ``e`` would jump where a point begins to flow and give energy back where it unloads, and increments
+    summed up as vectors would not turn with the body. What turns the control turns these forces, so the same holds of
+    rotations as of the control that it follows. The price: unloading goes back to e = 0 with the secant ``c_0``, not
+    with the elastic stiffness, and in the step in which a point begins to flow the control is still elastic.
+
+    Where bonds lose their integrity the control has it besides, as the effect of the damage law says. Particles of
+    elastic materials keep the elastic control, and where all are elastic this is ``control``.
+
+    Parameters
+    ----------
+    control : ZeroEnergyControl
+        The elastic control.
+    least : float
+        Share of its stiffness that it keeps at least [-], positive, at most 1.
+
+    Raises
+    ------
+    CaseError
+        ``least`` is out of range, or ``control`` follows already.
+
+    References
+    ----------
+    Silling2017, section 5, for controls with one modulus; the form that follows the material is of this package.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Following(pd.Silling(0.5))
+    Following(control=Silling(G=0.5), least=0.01)
+    """
+
+    control: ZeroEnergyControl
+    least: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.least) and 0.0 < self.least <= 1.0):
+            raise CaseError(f"Following keeps a share 0 < least <= 1 of the stiffness, not {self.least}.")
+        if self.control.least_share is not None:
+            raise CaseError(f"{type(self.control).__name__} follows the material already; give Following another one.")
+
+    @property
+    def elastic(self) -> ZeroEnergyControl:
+        """Return the control that is followed."""
+        return self.control
+
+    @property
+    def least_share(self) -> float:
+        """Return ``least``."""
+        return self.least
+
+    def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
+        """Return the elastic control (collective)."""
+        return self.control.build(cloud, families, omega, stiffness)
+
+
+@dataclass
+class Yielding:
+    """What the controls of some families remember of converged steps.
+
+    Attributes
+    ----------
+    kept : (n, 4) float64
+        Of each family ``c_0`` [-], ``e_0`` [energy^(1/2)], the slope ``c_t`` ahead [-] and the energy lost so far
+        [energy], to be overwritten in place.
+    """
+
+    kept: Float
+
+    @classmethod
+    def unloaded(cls, n: int) -> Yielding:
+        """Return that of ``n`` families whose controls have been elastic."""
+        return cls(np.tile([1.0, 0.0, 1.0, 0.0], (n, 1)))
+
+    def secant(self, e: Float) -> Float:
+        """Return ``q / e`` (n,) [-]."""
+        c, largest, slope, _ = self.kept.T
+        return np.asarray(np.where(e > largest, slope + (c - slope) * self._ratio(e), c))
+
+    def bend(self, e: Float) -> Float:
+        """Return ``(dq/de - q / e) / e^2`` (n,) [1 / energy], not positive: what the tangent has besides the secant."""
+        c, largest, slope, _ = self.kept.T
+        grown = e > largest
+        return np.divide((slope - c) * self._ratio(e), e**2, out=np.zeros_like(e), where=grown)
+
+    def energy(self, e: Float) -> Float:
+        """Return the energy with what is lost (n,) [energy]."""
+        c, largest, slope, lost = self.kept.T
+        more = np.maximum(e - largest, 0.0)
+        return np.asarray(lost + 0.5 * c * np.minimum(e, largest) ** 2 + more * (c * largest + 0.5 * slope * more))
+
+    def commit(self, e: Float, share: Float) -> None:
+        """Take ``e`` for good; ahead the slope is the share of the tangent modulus that the material has left."""
+        secant, energy = self.secant(e), self.energy(e)
+        self.kept[:, 3] = np.maximum(energy - 0.5 * secant * e**2, self.kept[:, 3])
+        self.kept[:, 0] = secant
+        self.kept[:, 1] = np.maximum(e, self.kept[:, 1])
+        self.kept[:, 2] = np.minimum(share, secant)
+
+    def _ratio(self, e: Float) -> Float:
+        largest = self.kept[:, 1]
+        return np.divide(largest, e, out=np.zeros_like(e), where=e > largest)
+
+
+def tangent_share(F: Float, P: Float, A: Float, A_0: Float) -> Float:
+    """Return the smallest ``d : D : d / d : A_0 : d`` over all strains d (n,) [-]: what is left of the elastic modulus.
+
+    D are the moduli of the Jaumann rate of the Kirchhoff stress in the frame of the material: those of a point that
+    does not flow are A_0, however it is rotated and whatever its stress, up to terms of the elastic strain.
+
+    Parameters
+    ----------
+    F, P : (n, dim, dim) float64
+        Deformation gradients [-] and first Piola-Kirchhoff stresses [stress].
+    A : (n, dim, dim, dim, dim) float64
+        Tangents ``dP/dF`` [stress].
+    A_0 : (dim, dim, dim, dim) float64
+        Tangent at F = I [stress].
+    """
+    dim, one = F.shape[-1], np.eye(F.shape[-1])
+    left, _, right = np.linalg.svd(F)
+    R = left @ right
+    U = np.einsum("pai,paj->pij", R, F)
+    tau = np.einsum("pai,pab,pjb->pij", R, P, U)
+    D = np.einsum("pai,pamcn,pck,pjm,pln->pijkl", R, A, R, U, U, optimize=True)
+    # From the rate that moves with F to the one that turns with it, less the stress that turns.
+    D += 0.5 * (
+        -np.einsum("ik,pjl->pijkl", one, tau) + np.einsum("jk,pil->pijkl", one, tau)
+        + np.einsum("il,pjk->pijkl", one, tau) + np.einsum("jl,pik->pijkl", one, tau)
+    )  # fmt: skip
+    pairs = [(i, j) for i in range(dim) for j in range(i, dim)]
+    basis = np.zeros((len(pairs), dim, dim))
+    for number, (i, j) in enumerate(pairs):
+        basis[number, i, j] = basis[number, j, i] = 1.0 if i == j else math.sqrt(0.5)
+    found = np.einsum("aij,pijkl,bkl->pab", basis, D, basis, optimize=True)
+    lower = np.linalg.inv(np.linalg.cholesky(np.einsum("aij,ijkl,bkl->ab", basis, A_0, basis)))
+    found = lower @ (0.5 * (found + np.swapaxes(found, 1, 2))) @ lower.T
+    share: Float = np.linalg.eigvalsh(found)[:, 0]
+    return np.where(np.abs(share - 1.0) < ROUND, 1.0, share)

@@ -65,6 +65,8 @@ VALID = [
     pd.KinematicJ2(1.0, 0.3, yield_stress=0.1, kinematic=0.1), pd.Maxwell(1.0, 0.3, shear=[0.5], times=[2.0]),
     pd.LinearElastic(1.0), pd.J2(1.0, 0.3, yield_stress=0.1), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2),
     CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
+    pd.BondEnergy(w=1.0), pd.BondEnergy(Gc=1.0), pd.MazarsStrain(0.1), pd.VonMisesStrain(0.1), pd.PrincipalStress(1.0),
+    pd.PlasticStrain(0.1), pd.JohnsonCookFailure(0.1, 1.0, -1.0),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
     pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),
     pd.Correspondence(), pd.SubHorizons(), pd.StressPoints(), pd.Corrected(), pd.HigherOrder(), pd.BondAssociated(),

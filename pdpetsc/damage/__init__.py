@@ -1,8 +1,10 @@
 """Damage of bonds: what drives it, and how a bond loses its force."""
 
-from pdpetsc.damage.criterion import Beyond, Criterion, Drive, DrivenBonds, Gradient, LinearDrive, LocalDrive
+from pdpetsc.damage.at_points import JohnsonCookFailure, MazarsStrain, PlasticStrain, PrincipalStress, VonMisesStrain
+from pdpetsc.damage.criterion import Beyond, Criterion, Drive, DrivenBonds, Gradient, LinearDrive, LocalDrive, OfEnds
 from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
 from pdpetsc.damage.effect import DamageEffect, LargestStretch, PresentStretch
+from pdpetsc.damage.energy import BondEnergy
 from pdpetsc.damage.laws import (
     BilinearSoftening,
     BondDamage,
@@ -17,6 +19,7 @@ __all__ = [
     "Beyond",
     "BilinearSoftening",
     "BondDamage",
+    "BondEnergy",
     "Brittle",
     "ConstantCritical",
     "Criterion",
@@ -28,12 +31,18 @@ __all__ = [
     "ExponentialSoftening",
     "FractureEnergy",
     "Gradient",
+    "JohnsonCookFailure",
     "LargestStretch",
     "LinearCritical",
     "LinearDrive",
     "LinearSoftening",
     "LocalDrive",
+    "MazarsStrain",
+    "OfEnds",
     "PiecewiseLinear",
+    "PlasticStrain",
     "PresentStretch",
+    "PrincipalStress",
     "SmoothDegradation",
+    "VonMisesStrain",
 ]

@@ -7,16 +7,20 @@ drive and do not know what it is made of.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, TypeVar
+from functools import cached_property
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.opposite import OppositeBonds
+from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.material.at_points import MaterialAtPoints
 
 T = TypeVar("T")
 
@@ -43,6 +47,10 @@ class DrivenBonds:
     keys : (n_bonds, 3) int64
         Global ids of both ends, the lower first, and the place of the second seen from the first: the same from both
         ends. A bond to the own mirror image has one end only, in the part of the body that is computed.
+    material_of : (n_local,) int32
+        Number of the material of each particle.
+    factor : (n_local,) float64
+        What grading multiplies the moduli of each particle with [-].
     """
 
     cloud: Cloud
@@ -53,10 +61,19 @@ class DrivenBonds:
     length: Float
     middle: Float
     keys: GlobalIndex
+    material_of: LocalIndex
+    factor: Float
 
     @classmethod
-    def of(cls, cloud: Cloud, families: Families, omega: Float, k: Float, finite: bool) -> DrivenBonds:
-        """Return the bonds of a body with what follows from the places of their ends (not collective)."""
+    def of(
+        cls, cloud: Cloud, families: Families, omega: Float, k: Float, finite: bool,
+        material_of: LocalIndex | None = None, factor: Float | None = None,
+    ) -> DrivenBonds:  # fmt: skip
+        """Return the bonds of a body with what follows from the places of their ends (collective).
+
+        ``material_of`` and ``factor`` are those of the own particles (n_owned,); one material that is not graded where
+        absent.
+        """
         centres, neighbours = families.centres, families.neighbours
         place = cloud.place[neighbours]
         back = cloud.places.opposite(place)
@@ -66,7 +83,19 @@ class DrivenBonds:
         keys = np.stack([cloud.gid[one], cloud.gid[other], np.where(low, place, back)], axis=1)
         middle = cloud.places.at_home(cloud.place[one], 0.5 * (cloud.x[one] + cloud.x[other]))
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-        return cls(cloud, families, omega, k, finite, length, middle, keys)
+        number, scale = np.zeros(cloud.n_local), np.ones(cloud.n_local)
+        if material_of is not None:
+            number[: cloud.n_owned] = material_of
+        if factor is not None:
+            scale[: cloud.n_owned] = factor
+        cloud.halo.forward(number)
+        cloud.halo.forward(scale)
+        return cls(cloud, families, omega, k, finite, length, middle, keys, number.astype(np.int32), scale)
+
+    @cached_property
+    def opposite(self) -> OppositeBonds:
+        """Return who has the other direction of every bond (collective the first time)."""
+        return OppositeBonds(self.cloud, self.families, self.keys)
 
 
 class Displaced(Protocol):
@@ -104,6 +133,23 @@ class Beyond:
 
 
 @dataclass(frozen=True)
+class OfEnds:
+    """Derivatives of numbers of bonds that are the mean of one of each end.
+
+    Attributes
+    ----------
+    factor : (n,) float64
+        What multiplies the mean, for each bond [-]; the same from both ends.
+    by : (n_entries, dim) float64
+        Derivative of the number of every own particle by the displacement of the members of its family, its centre
+        first [1 / length].
+    """
+
+    factor: Float
+    by: Float
+
+
+@dataclass(frozen=True)
 class Gradient:
     """How numbers of some bonds change with the displacement, ``d = along de + sum_m by_m . du_m``.
 
@@ -115,11 +161,40 @@ class Gradient:
         Derivative by the elongation of the bond itself [1 / length].
     beyond : Beyond or None
         What is left; None where the elongation of the bond says all.
+    ends : OfEnds or None
+        What is left besides, of means of both ends.
     """
 
     bonds: GlobalIndex
     along: Float
     beyond: Beyond | None = None
+    ends: OfEnds | None = None
+
+
+class Solid(Protocol):
+    """The gradient points of a body with their materials, as drives of strain and stress read them.
+
+    Stresses are those without damage. The points change when bonds break, which they do at equilibrium only.
+    """
+
+    materials: list[MaterialAtPoints]
+
+    @property
+    def gradients(self) -> GradientOperator:
+        """Return the gradients of the bonds that are left."""
+
+    @property
+    def lost(self) -> Mask:
+        """Return which points are of particles that have no gradient any more (n_points,)."""
+
+    def deformation(self, state: Any) -> Float:
+        """Return the deformation gradients (n_points, dim, dim) [-] (collective)."""
+
+    def cauchy(self, F: Float) -> Float:
+        """Return the Cauchy stress (n_points, dim, dim) [stress]; P where the material is linear."""
+
+    def moduli(self, F: Float) -> Float:
+        """Return ``dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
 
 
 class Drive(ABC):
@@ -140,6 +215,26 @@ class Drive(ABC):
         The event-driven solver takes such drives alone.
         """
         return None
+
+    @property
+    def reads_points(self) -> bool:
+        """Return whether it reads strain or stress at gradient points, which ``take`` gives it before it is used."""
+        return False
+
+    @property
+    def reads_flow(self) -> bool:
+        """Return whether it reads how materials flow, which needs deformation gradients and a material with history."""
+        return False
+
+    def take(self, solid: Solid) -> None:  # noqa: B027
+        """Read the gradient points of a body from now on (not collective)."""
+
+    def commit(self, state: Displaced) -> None:  # noqa: B027
+        """Remember a converged state, before materials do (collective)."""
+
+    def arrays(self) -> Mapping[str, Float]:
+        """Return what it remembers of the own particles, (n_owned, ...) by name, overwritten where a run goes on."""
+        return {}
 
     @abstractmethod
     def at(self, state: Displaced) -> Float:

@@ -6,17 +6,16 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive
+from pdpetsc.damage.energy import plane_energies
 from pdpetsc.declared import numbers_from
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import largest, smallest
 from pdpetsc.errors import CaseError
-
-# Families whose energy is this close to the largest one are whole.
-WHOLE = 0.05
 
 
 class CriticalStretch(Criterion):
@@ -134,27 +133,25 @@ class CriticalFunction(CriticalStretch):
         return values
 
 
-@dataclass(frozen=True)
-class CriticalByReach(CriticalStretch):
-    """The critical stretches of a fracture energy where horizons differ, ``scale / sqrt((reach_i + reach_j) / 2)``.
+@dataclass(frozen=True, eq=False)
+class CriticalOfBonds(CriticalStretch):
+    """The critical stretches of a fracture energy where materials or horizons differ.
 
     Parameters
     ----------
-    scale : float
-        Critical stretch times the square root of the horizon [length^(1/2)].
+    stretch : (n_bonds,) float64
+        Critical stretch of every bond of the body that it was resolved for [-].
     """
 
-    scale: float
+    stretch: Any
 
     def build(self, bonds: DrivenBonds) -> LinearDrive:
         """Return ``e / (s_c |xi|)``."""
-        cloud, families = bonds.cloud, bonds.families
-        reach = 0.5 * (cloud.reach[families.centres] + cloud.reach[families.neighbours])
-        return LinearDrive(bonds, self.scale / np.sqrt(reach) * bonds.length)
+        return LinearDrive(bonds, np.asarray(self.stretch * bonds.length))
 
     def __call__(self, length: Float, middle: Float) -> Float:
-        """Refuse: lengths and places do not tell the horizons."""
-        raise CaseError("The critical stretches of a fracture energy follow the horizons, where these differ.")
+        """Refuse: lengths and places do not tell the bonds."""
+        raise CaseError("The critical stretches of a fracture energy follow materials and horizons, which differ.")
 
 
 @dataclass(frozen=True)
@@ -162,9 +159,11 @@ class FractureEnergy(CriticalStretch):
     """The critical stretch with which breaking every bond across a unit area takes the energy ``Gc``.
 
     The energy is the discrete sum over the bonds of the body, for its influence function, horizon and law of damage;
-    for deformation gradients, whose bonds have no energy of their own, that of the bond-based material with the same E.
-    Where the horizon differs from particle to particle a bond has the stretch for the mean horizon of its ends,
-    proportional to ``1 / sqrt(horizon)``.
+    for deformation gradients, whose bonds have no energy of their own, and for those with a dilatation, that of the
+    bond-based material with the same E. Where the horizon differs from particle to particle a bond has the stretch for
+    the mean horizon of its ends, proportional to ``1 / sqrt(horizon)``. In a body of several materials, and a graded
+    one, bonds have the stretch of their own material, and those between two that with which a plane between these takes
+    Gc.
 
     Parameters
     ----------
@@ -179,8 +178,6 @@ class FractureEnergy(CriticalStretch):
 
     Gc: float
 
-    of_one_material = True
-
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.Gc) and self.Gc > 0.0):
@@ -189,21 +186,15 @@ class FractureEnergy(CriticalStretch):
     def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> CriticalStretch:
         """Return the critical stretch for the bonds of the body (collective).
 
-        Breaking all bonds across a unit area with normal ``n`` takes ``G = 1 / V_i sum_j w_ij |xi . n|`` with the
-        energy ``w_ij`` of a bond from one end, averaged over the axes; of the whole families of the body the median,
-        over the horizon where that differs.
+        Breaking all bonds across a unit area takes ``plane_energies`` at a stretch of 1.
         """
-        cloud, families = bonds.cloud, bonds.families
-        share = 0.5 * toughness(2.0)
-        energy = share * bonds.k * bonds.length**2 * np.abs(families.bonds(cloud.x)).mean(axis=1)
-        G = np.bincount(families.centres, energy, cloud.n_owned) / cloud.volume[: cloud.n_owned]
-        if cloud.varies:
-            G /= cloud.reach[: cloud.n_owned]
-        whole = (1.0 - WHOLE) * largest(cloud.comm, float(G.max(initial=0.0))) <= G
-        # Families that are cut by little count as whole; most are not, so that the median is not theirs.
-        middle = float(np.median(np.concatenate(cloud.comm.allgather(G[whole]))))
-        found = float(np.sqrt(self.Gc / middle))
-        return CriticalByReach(found) if cloud.varies else ConstantCritical(found)
+        G = plane_energies(bonds, 0.5 * toughness(2.0) * bonds.k * bonds.length**2, 1.0)
+        stretch = np.sqrt(self.Gc / G)
+        comm = bonds.cloud.comm
+        least, most = (
+            smallest(comm, float(stretch.min(initial=np.inf))), largest(comm, float(stretch.max(initial=0.0)))
+        )  # fmt: skip
+        return ConstantCritical(most) if least == most else CriticalOfBonds(stretch)
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: it is resolved into a number once the stiffness of the bonds is known."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.criterion import Drive, DrivenBonds, Gradient
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.state import FailingBonds
@@ -30,6 +30,8 @@ class Damage:
         What drives their damage.
     finite : bool
         Whether elongations are those of the current length, or along the first direction of a bond.
+    driven_bonds : DrivenBonds
+        The bonds as the drive reads them.
 
     Attributes
     ----------
@@ -45,11 +47,12 @@ class Damage:
     Every method is collective but where it says otherwise.
     """
 
-    def __init__(self, body: Body, bonds: FailingBonds, drive: Drive, finite: bool) -> None:
+    def __init__(self, body: Body, bonds: FailingBonds, drive: Drive, finite: bool, driven_bonds: DrivenBonds) -> None:
         self.body = body
         self.bonds = bonds
         self.drive = drive
         self.finite = finite
+        self.driven_bonds = driven_bonds
         self.version = 0
         self.breaks = 0
         self.followers: list[Callable[[bool], None]] = []
@@ -121,6 +124,7 @@ class Damage:
     def commit(self, state: State) -> None:
         """Take the damage at a converged state for good."""
         self.soften(state)
+        self.drive.commit(state)
         self.bonds.commit()
 
     def revert(self) -> None:
@@ -197,6 +201,10 @@ class Damage:
         kernel(family.indptr, family.neighbours, body.cloud.x, u_local, along, f)
         if gradient.beyond is not None:
             np.add.at(f, gradient.beyond.particles, gradient.beyond.by)
+        if gradient.ends is not None:
+            of_centre = np.bincount(family.centres[near], gradient.ends.factor, body.cloud.n_owned)
+            members, ptr = body.with_centres.members, body.with_centres.point_ptr
+            np.add.at(f, members, np.repeat(of_centre, np.diff(ptr))[:, None] * gradient.ends.by)
         return body.gather(f), found
 
     def dissipated(self, k: Float) -> float | None:
@@ -222,8 +230,9 @@ class Damage:
 
 
 def make_damage(
-    law: BondDamage, body: Body, omega: Float, k: Float, finite: bool, protected: Mask | None = None
-) -> Damage:
+    law: BondDamage, body: Body, omega: Float, k: Float, finite: bool, protected: Mask | None = None,
+    material_of: LocalIndex | None = None, factor: Float | None = None,
+) -> Damage:  # fmt: skip
     """Return the damage of the bonds of a body: the criterion resolved with them, and what drives them built.
 
     Parameters
@@ -238,6 +247,10 @@ def make_damage(
         Whether elongations are those of the current length, or along the first direction of a bond.
     protected : (n_local,) bool, optional
         Particles whose bonds do not fail.
+    material_of : (n_owned,) int32, optional
+        Number of the material of each own particle; one material where absent.
+    factor : (n_owned,) float64, optional
+        What grading multiplies its moduli with [-].
 
     Raises
     ------
@@ -248,7 +261,7 @@ def make_damage(
     -----
     Collective.
     """
-    bonds = DrivenBonds.of(body.cloud, body.families, omega, k, finite)
+    bonds = DrivenBonds.of(body.cloud, body.families, omega, k, finite, material_of, factor)
     resolved = law.resolved(bonds)
     with agreed(body.cloud.comm):
         drive = resolved.criterion.build(bonds)
@@ -257,4 +270,5 @@ def make_damage(
                 f"{type(resolved.criterion).__name__} reads the families of both ends of a bond, and where the horizon "
                 f"differs from place to place not all have one; take a drive of the own elongation, or one horizon."
             )
-    return Damage(body, FailingBonds(bonds, resolved, protected), drive, finite)
+    failing = FailingBonds(bonds, resolved, protected)
+    return Damage(body, failing, drive, finite, bonds)

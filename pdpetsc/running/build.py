@@ -328,7 +328,11 @@ def _bonds(
     if case.damage is None:
         return matter, [], None
     _refuse_several(case.damage, materials, factor)
-    damage = _failing(case.damage, body, bonds, matter.k, matter.finite)
+    k = matter.k
+    if matter.a is not None:  # what a bond stores depends on the others of its family
+        alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in matter.materials]
+        k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
+    damage = _failing(case.damage, body, bonds, k, matter.finite, material_of, factor)
     matter.take_damage(damage)
     return matter, [], damage
 
@@ -350,7 +354,7 @@ def _points(
         alike = [BondBased(one.young_modulus(), plane=one.plane, calibration="lattice") for one in continuum]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         _refuse_several(case.damage, materials, factor)
-        damage = _failing(case.damage, body, bonds, k, finite=True)
+        damage = _failing(case.damage, body, bonds, k, True, material_of, factor)
         matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
@@ -363,9 +367,13 @@ def _points(
     return matter, [control_forces(control, body, built, matter, damage)], damage
 
 
-def _failing(declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool) -> Damage:
+def _failing(
+    declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool, material_of: LocalIndex,
+    factor: Float | None,
+) -> Damage:  # fmt: skip
     """Return the damage of bonds of stiffness ``k`` (n_bonds,) (collective)."""
-    return make_damage(declared, body, bonds.omega, k, finite, _protected(declared, body.cloud))
+    protected = _protected(declared, body.cloud)
+    return make_damage(declared, body, bonds.omega, k, finite, protected, material_of, factor)
 
 
 def _refuse_several(declared: BondDamage, materials: Sequence[Material | BondMaterial], factor: Float | None) -> None:

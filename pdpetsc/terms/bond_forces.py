@@ -11,17 +11,20 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.bond_based import BondMaterial, BondStiffness, Neighbourhood, combine
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient import Correspondence
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
 from pdpetsc.kernels.point_blocks import bond_blocks_kernel
 from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
+from pdpetsc.material import LinearElastic, SaintVenantKirchhoff
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm
-from pdpetsc.terms.falling import Falling, FallingDilatation, falling_beyond
+from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.falling import Falling, FallingFamilies, falling_beyond
 
 
 class BondForces(Matter):
@@ -109,8 +112,25 @@ class BondForces(Matter):
         return self._bonds.omega
 
     def take_damage(self, damage: Damage) -> None:
-        """Let the bonds fail (not collective)."""
+        """Let the bonds fail (collective).
+
+        Raises
+        ------
+        CaseError
+            What drives damage does not fit bonds, or needs gradients that a family is too small for; on every rank.
+        """
+        if damage.drive.reads_flow:
+            raise CaseError(
+                "Plastic strain drives damage, and bonds do not flow; take a body of deformation gradients."
+            )
         self.damage = damage
+        if damage.drive.reads_points:
+            # The gradient of the bonds that are left, with the elastic material that the bonds stand for.
+            kind = SaintVenantKirchhoff if self.finite else LinearElastic
+            solids = [kind(one.E, one.nu, one.plane) for one in self._elastic]
+            DamagedPoints(self.body, self.omega, Correspondence(), solids, self._material_of, self._factor, damage)
+            # Forces are those of bonds, which break by what drives them alone.
+            damage.torn = None
         self._reaches = damage.drive.reaches
         self.horizons = 2 if self._reaches or self.a is not None else 1
 
@@ -218,11 +238,16 @@ class BondForces(Matter):
         bonds = gradient.bonds
         y = families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local)
         n = y / np.linalg.norm(y, axis=1)[:, None]
-        found = falling_beyond(self.body, gradient, self._whole_tension(state)[bonds, None] * n[bonds])
+        v = self._whole_tension(state)[:, None] * n
+        found = falling_beyond(self.body, gradient, v[bonds])
+        if gradient.ends is not None:
+            v = 0.5 * (v - self.damage.driven_bonds.opposite.of_vectors(v))[bonds]
+            found.append(FallingFamilies.of_ends(self.body, bonds, v, gradient.ends))
         a = self.shares(state)
         if a is not None and self.a is not None and self.B is not None:
             force = (a * self.B[families.centres])[:, None] * n
-            found.append(FallingDilatation(self.body, gradient, force, n, (self.a * self.elongation(state))[bonds]))
+            share = (self.a * self.elongation(state))[bonds]
+            found.append(FallingFamilies.of_dilatation(self.body, gradient, force, n, share))
         return found
 
     def shares(self, state: State) -> Float | None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.errors import FlatFamilies
+from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
 from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.kernels.sparsity import sum_by
@@ -18,7 +18,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
-from pdpetsc.terms.falling import Falling, falling_parts
+from pdpetsc.terms.falling import Falling, FallingFamilies, falling_parts
 from pdpetsc.terms.kept_history import KeptHistory
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
@@ -48,7 +48,7 @@ class DamagedPoints(MaterialPoints):
     Raises
     ------
     CaseError
-        A family is too small or flat, on every rank.
+        A family is too small or flat, on every rank; or damage follows the flow of materials that do not.
 
     References
     ----------
@@ -80,6 +80,19 @@ class DamagedPoints(MaterialPoints):
         self._take_operator(self.operator)
         damage.followers.append(self._follow)
         damage.torn = self.tensile_strain
+        if damage.drive.reads_flow and not remembers:
+            raise CaseError("Plastic strain drives damage, and no material of this body flows; take one that does.")
+        damage.drive.take(self)
+
+    @property
+    def gradients(self) -> GradientOperator:
+        """Return the gradients of the bonds that are left."""
+        return self.operator
+
+    @property
+    def lost(self) -> Mask:
+        """Return which points are of particles that have no gradient any more (n_points,)."""
+        return self._dead
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -115,8 +128,10 @@ class DamagedPoints(MaterialPoints):
         self._history.take(self.operator, self.materials)
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return the histories of the materials that have one, by the number of the material."""
-        return {} if self._history is None else self._history.arrays(self.materials)
+        """Return the histories of the materials that have one, by its number, and what the drive remembers."""
+        found = {} if self._history is None else self._history.arrays(self.materials)
+        own = np.arange(self.body.cloud.n_owned, dtype=np.int32)
+        return found | {name: KeptArray(own, values) for name, values in self.damage.drive.arrays().items()}
 
     def restored(self) -> None:
         """Put the histories that have been read at the points of the bonds that are left."""
@@ -157,9 +172,21 @@ class DamagedPoints(MaterialPoints):
         entries = np.flatnonzero((self.bond_of_entry >= 0) & np.append(falling, False)[self.bond_of_entry])
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
         P = self.stress(self.deformation(state))
+        if gradient.ends is not None:
+            v = self._forces(P)
+            v = 0.5 * (v - self.damage.driven_bonds.opposite.of_vectors(v))[gradient.bonds]
+            return [FallingFamilies.of_ends(self.body, gradient.bonds, v, gradient.ends)]
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         v = sum_by(self.bond_of_entry[entries], force, len(falling))[gradient.bonds]
         return falling_parts(state, gradient, v)
+
+    def _forces(self, P: Float) -> Float:
+        """Return the force of every bond, intact, on its second end (n_bonds, dim) [force], of stresses at points."""
+        operator = self.operator
+        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+        force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g)
+        n = len(self.body.families.neighbours)
+        return np.asarray(sum_by(np.where(self.bond_of_entry < 0, n, self.bond_of_entry), force, n + 1)[:n])
 
     def tensile_strain(self, state: State) -> Float:
         """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.

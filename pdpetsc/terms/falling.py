@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.damage.criterion import Beyond, Gradient
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.damage.criterion import Beyond, Gradient, OfEnds
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import outer_rows_kernel
 from pdpetsc.kernels.sparsity import sum_by, transpose
@@ -105,27 +105,64 @@ class FallingBeyond:
             )  # fmt: skip
 
 
-class FallingDilatation:
-    """``sum_b q_b (x) sum_c s_c dT_c`` in every family: bonds that lose integrity leave the dilatation that all share.
+class FallingFamilies:
+    """``sum_b q_b (x) dc/du`` in every family: forces of its bonds with one number that depends on all its members.
 
     Parameters
     ----------
     body : Body
-        Whose bonds they are.
-    gradient : Gradient
-        Of the integrity of those that fall.
+        Whose families they are.
     q : (n_bonds, dim) float64
-        Force of every bond on its second end for a dilatation of 1 [force].
-    n : (n_bonds, dim) float64
-        Directions of the bonds [-].
-    s : (n,) float64
-        What those that fall would add to the dilatation if they were intact [-].
+        Force of every bond on its second end for a number of 1 [force].
+    g : (n_entries, dim) float64
+        Derivative of the number by the displacement of the members of the family, its centre first [1 / length].
+    counts : (n_owned,) bool
+        Which families have any.
     """
 
-    def __init__(self, body: Body, gradient: Gradient, q: Float, n: Float, s: Float) -> None:
-        self._body, self._q = body, q
+    def __init__(self, body: Body, q: Float, g: Float, counts: Mask) -> None:
+        self._body, self._g, self._counts = body, g, counts
+        families = body.families
+        self._h = np.insert(q, families.indptr[:-1], -sum_by(families.centres, q, len(counts)), axis=0)
+
+    @classmethod
+    def of_ends(cls, body: Body, bonds: GlobalIndex, v: Float, ends: OfEnds) -> FallingFamilies:
+        """Return the part of bonds whose integrity follows the mean of a number of each end.
+
+        Parameters
+        ----------
+        bonds : (n,) int64
+            The bonds.
+        v : (n, dim) float64
+            Half the difference of what both directions of each, intact, put on its second end [force].
+        ends : OfEnds
+            How their integrity follows.
+        """
+        q = np.zeros((len(body.families.neighbours), body.dim))
+        q[bonds] = ends.factor[:, None] * v
+        counts = np.zeros(body.cloud.n_owned, dtype=bool)
+        counts[body.families.centres[bonds]] = True
+        return cls(body, q, ends.by, counts)
+
+    @classmethod
+    def of_dilatation(cls, body: Body, gradient: Gradient, q: Float, n: Float, s: Float) -> FallingFamilies:
+        """Return what bonds whose integrity falls take from the dilatation that their family shares.
+
+        Parameters
+        ----------
+        gradient : Gradient
+            Of the integrity of those that fall.
+        q : (n_bonds, dim) float64
+            Force of every bond on its second end for a dilatation of 1 [force].
+        n : (n_bonds, dim) float64
+            Directions of the bonds [-].
+        s : (n,) float64
+            What those that fall would add to the dilatation if they were intact [-].
+        """
         families, whole, bonds = body.families, body.with_centres, gradient.bonds
         centres = families.centres
+        counts = np.zeros(body.cloud.n_owned, dtype=bool)
+        counts[centres[bonds]] = True
         # Entries of the families with their centres: the b-th bond is one further for each family before it.
         of_bond = np.arange(len(centres)) + centres + 1
         g = np.zeros((len(whole.members), body.dim))
@@ -134,23 +171,23 @@ class FallingDilatation:
         np.subtract.at(g, whole.point_ptr[:-1][centres[bonds]], own)
         if gradient.beyond is not None:
             count = np.diff(gradient.beyond.ptr)
-            key = np.repeat(np.arange(len(families.indptr) - 1), np.diff(whole.point_ptr)) * body.cloud.n_local
-            key += whole.members
+            key = np.repeat(np.arange(len(counts)), np.diff(whole.point_ptr)) * body.cloud.n_local + whole.members
             order = np.argsort(key)
             asked = np.repeat(centres[bonds].astype(np.int64), count) * body.cloud.n_local + gradient.beyond.particles
             at = order[np.searchsorted(key[order], asked)]
             np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.beyond.by)
-        self._g = g
-        self._h = np.insert(q, families.indptr[:-1], -sum_by(centres, q, len(families.indptr) - 1), axis=0)
-        self._falls = np.zeros(len(families.indptr) - 1)
-        self._falls[centres[bonds]] = 1.0
+        if gradient.ends is not None:
+            # What the other ends of the bonds see is beyond the family; their own stands for it.
+            sums = np.bincount(centres[bonds], s * gradient.ends.factor, len(counts))
+            g += np.repeat(sums, np.diff(whole.point_ptr))[:, None] * gradient.ends.by
+        return cls(body, q, g, counts)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the families of some own particles (not collective)."""
         whole = self._body.with_centres
-        asked = np.zeros(len(self._falls), dtype=bool)
+        asked = np.zeros(len(self._counts), dtype=bool)
         asked[particles] = True
-        families = np.flatnonzero(asked & (self._falls > 0.0))
+        families = np.flatnonzero(asked & self._counts)
         size = np.diff(whole.point_ptr)[families]
         entries = np.repeat(whole.point_ptr[families] - np.cumsum(size) + size, size) + np.arange(size.sum())
         of, members = np.repeat(np.arange(len(families)), size), whole.members[entries]
@@ -161,16 +198,17 @@ class FallingDilatation:
         """Add the rows of the matrix (not collective)."""
         body, whole, dim = self._body, self._body.with_centres, self._body.dim
         one = np.eye(dim)
-        A = np.tile(np.einsum("im,kn->imkn", one, one), (len(self._falls), 1, 1, 1, 1))
+        A = np.tile(np.einsum("im,kn->imkn", one, one), (len(self._counts), 1, 1, 1, 1))
         by_particle = transpose(whole.point_ptr, whole.members, body.cloud.n_local)
         for rows, own in entries.row_sets():
             assemble_kernel(dim)(
                 rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *entries.sparsity.locals_of_columns,
-                *by_particle, whole.point_ptr, whole.members, self._h, self._g, self._falls, A, own, entries.off,
+                *by_particle, whole.point_ptr, whole.members, self._h, self._g, self._counts.astype(float), A, own,
+                entries.off,
             )  # fmt: skip
 
 
-Falling: TypeAlias = FallingBonds | FallingBeyond | FallingDilatation
+Falling: TypeAlias = FallingBonds | FallingBeyond | FallingFamilies
 
 
 def falling_parts(state: State, gradient: Gradient, v: Float) -> list[Falling]:

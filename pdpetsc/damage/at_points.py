@@ -1,0 +1,498 @@
+"""Damage that is driven by strain, stress or flow at gradient points: the mean of both ends of a bond."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.damage.criterion import Criterion, Displaced, Drive, DrivenBonds, Gradient, OfEnds, Solid
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.material.at_points import MaterialAtPoints
+
+# Step of central differences by a deformation gradient [-], where there is no derivative to be had.
+STEP = 1e-6
+
+
+class Measure(ABC):
+    """A number of every gradient point that is 1 where its bonds fail, and its derivative."""
+
+    @abstractmethod
+    def at(self, solid: Solid, F: Float) -> Float:
+        """Return the number (n_points,) [-] at ``F`` (n_points, dim, dim)."""
+
+    @abstractmethod
+    def by(self, solid: Solid, F: Float) -> Float:
+        """Return its derivative by F (n_points, dim, dim) [-]."""
+
+
+class PointDrive(Drive):
+    """``x_ij = (x_i + x_j) / 2`` with the mean ``x_i`` of a measure over the gradient points of a particle.
+
+    Parameters
+    ----------
+    bonds : DrivenBonds
+        The bonds.
+    measure : Measure
+        What drives damage at a point.
+    reads_flow : bool
+        Whether it takes materials that flow.
+    adds_up : bool
+        Whether what the measure gives is the growth since the last converged state, which is kept.
+    """
+
+    def __init__(self, bonds: DrivenBonds, measure: Measure, reads_flow: bool = False, adds_up: bool = False) -> None:
+        self._bonds, self._measure, self._reads_flow, self._adds_up = bonds, measure, reads_flow, adds_up
+        self._solid: Solid | None = None
+        self._grown = np.zeros(bonds.cloud.n_owned)
+
+    @property
+    def reaches(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def reads_points(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def reads_flow(self) -> bool:
+        """Return whether it takes materials that flow."""
+        return self._reads_flow
+
+    def take(self, solid: Solid) -> None:
+        """Read these gradient points."""
+        self._solid = solid
+
+    @property
+    def solid(self) -> Solid:
+        """Return the gradient points that are read."""
+        assert self._solid is not None
+        return self._solid
+
+    def at(self, state: Displaced) -> Float:
+        """Return the mean of both ends (n_bonds,) (collective)."""
+        cloud, families = self._bonds.cloud, self._bonds.families
+        x = np.zeros(cloud.n_local)
+        x[: cloud.n_owned] = self._of_particles(state)
+        cloud.halo.forward(x)
+        return np.asarray(0.5 * (x[families.centres] + x[families.neighbours]))
+
+    def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
+        """Return the derivative over the families of the ends (collective)."""
+        solid, families, n = self.solid, self._bonds.families, self._bonds.cloud.n_owned
+        operator, F = solid.gradients, solid.deformation(state)
+        # Points of particles whose bonds do not change need no derivative.
+        D = np.where(solid.lost[:, None, None], 0.0, self._measure.by(solid, F))
+        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+        count = np.bincount(operator.owner, minlength=n)
+        each = np.einsum("emn,en->em", D[point_of], operator.g) / count[operator.owner[point_of]][:, None]
+        found = _by_member(operator, point_of, each, families.indptr, families.neighbours, self._bonds.cloud.n_local)
+        return Gradient(bonds, np.zeros(len(bonds)), None, OfEnds(by, found))
+
+    def commit(self, state: Displaced) -> None:
+        """Remember how far the measure has grown (collective)."""
+        if self._adds_up:
+            self._grown[:] = self._of_particles(state)
+
+    def arrays(self) -> Mapping[str, Float]:
+        """Return how far the measure has grown, where it adds up."""
+        return {"grown": self._grown} if self._adds_up else {}
+
+    def _of_particles(self, state: Displaced) -> Float:
+        solid, n = self.solid, self._bonds.cloud.n_owned
+        x = np.where(solid.lost, 0.0, self._measure.at(solid, solid.deformation(state)))
+        return self._grown + solid.gradients.mean_over_points(x, n)
+
+
+def _by_member(
+    operator: GradientOperator, point_of: GlobalIndex, each: Float, indptr: GlobalIndex, neighbours: LocalIndex,
+    n_local: int,
+) -> Float:  # fmt: skip
+    """Return the sums over the points of each particle of numbers of their entries, by members of its family.
+
+    The entries of an operator ``each`` (n_entries, dim) become those of families with their centre first.
+    """
+    n = len(indptr) - 1
+    centres = np.repeat(np.arange(n, dtype=np.int64), np.diff(indptr))
+    # A centre is in front of its neighbours, whose keys follow in the order of the bonds.
+    key = np.insert(centres * n_local + neighbours, indptr[:-1], np.arange(n, dtype=np.int64) * n_local + np.arange(n))
+    order = np.argsort(key, kind="stable")
+    asked = operator.owner[point_of].astype(np.int64) * n_local + operator.members
+    at = order[np.searchsorted(key[order], asked)]
+    columns = [np.bincount(at, column, len(key)) for column in each.T]
+    return np.stack(columns, axis=1)
+
+
+def _strains(solid: Solid, F: Float) -> tuple[Float, Float]:
+    """Return principal strains (n_points, 3) and their derivatives by F (n_points, 3, dim, dim).
+
+    Of ``U - I``, or of the symmetric part of ``F - I`` where the material is linear; directions that F does not show
+    come last, with the strain that the material has there: none in plane strain.
+    """
+    n, dim = len(F), F.shape[-1]
+    strain, by = np.zeros((n, 3)), np.zeros((n, 3, dim, dim))
+    for one in solid.materials:
+        part = F[one.points]
+        if one.material.linear:
+            values, axes = np.linalg.eigh(0.5 * (part + part.transpose(0, 2, 1)))
+            left = axes
+        else:
+            squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", part, part))
+            values = np.sqrt(np.maximum(squares, 0.0))
+            left = np.einsum("pij,pja->pia", part, axes) / np.maximum(values, np.finfo(float).tiny)[:, None, :]
+        strain[one.points, :dim] = values - 1.0
+        by[one.points, :dim] = np.einsum("pia,pja->paij", left, axes)
+        if dim < 3 and _thins(one):
+            across, slope = _across(one, part)
+            strain[one.points, dim:] = (across - 1.0)[:, None]
+            by[one.points, dim:] = slope[:, None]
+    return strain, by
+
+
+def _thins(one: MaterialAtPoints) -> bool:
+    return one.dim == 1 or one.material.plane == "stress"
+
+
+def _across(one: MaterialAtPoints, F: Float) -> tuple[Float, Float]:
+    """Return the stretch in each direction that F does not show (n,), and its derivative (n, dim, dim)."""
+
+    def stretch(G: Float) -> Float:
+        hidden = one.hidden_stretch(G)
+        return np.asarray(np.sqrt(hidden) if one.dim == 1 else hidden)
+
+    return stretch(F), differences(stretch, F)
+
+
+def differences(function: Callable[[Float], Float], F: Float) -> Float:
+    """Return the derivative of numbers of points (n,) by F (n, dim, dim), by central differences."""
+    dim, by = F.shape[-1], np.empty_like(F)
+    for i in range(dim):
+        for j in range(dim):
+            step = np.zeros((dim, dim))
+            step[i, j] = STEP
+            by[:, i, j] = (function(F + step) - function(F - step)) / (2.0 * STEP)
+    return by
+
+
+class _Strain(Measure):
+    """A function of the principal strains over a critical strain."""
+
+    def __init__(self, declared: StrainCriterion) -> None:
+        self._declared = declared
+
+    def at(self, solid: Solid, F: Float) -> Float:
+        return np.asarray(self._declared.equivalent(_strains(solid, F)[0])[0] / self._declared.critical)
+
+    def by(self, solid: Solid, F: Float) -> Float:
+        strain, by = _strains(solid, F)
+        slope = self._declared.equivalent(strain)[1] / self._declared.critical
+        return np.asarray(np.einsum("pa,paij->pij", slope, by))
+
+
+@dataclass(frozen=True)
+class StrainCriterion(Criterion, ABC):
+    """Bonds fail with an equivalent strain of the families at both ends, the mean of both over a critical one.
+
+    The strain is that of ``U - I`` at the gradient points of a body with deformation gradients, of the gradient of the
+    family in a body of bonds; of the small strain where the material is linear. It is the strain of the bonds that are
+    left, and does not know how far these have softened.
+
+    Parameters
+    ----------
+    critical : float
+        Equivalent strain at which damage begins [-], positive.
+    """
+
+    critical: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.critical) and self.critical > 0.0):
+            raise CaseError(f"{type(self).__name__} needs a positive critical strain, not {self.critical}.")
+
+    @abstractmethod
+    def equivalent(self, strain: Float) -> tuple[Float, Float]:
+        """Return the equivalent strain (n,) of principal strains (n, 3), and its derivative by these (n, 3)."""
+
+    def build(self, bonds: DrivenBonds) -> Drive:
+        """Return the mean of both ends."""
+        return PointDrive(bonds, _Strain(self))
+
+
+@dataclass(frozen=True)
+class MazarsStrain(StrainCriterion):
+    """``sqrt(sum <e_a>+^2)``: the positive principal strains alone.
+
+    Under pressure they are those across it, by Poisson's ratio.
+
+    Parameters
+    ----------
+    critical : float
+        Equivalent strain at which damage begins [-], positive: strength over modulus in uniaxial tension.
+
+    References
+    ----------
+    Mazars1986.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> damage = pd.ExponentialSoftening(pd.MazarsStrain(1e-4), ratio=50.0, rate=0.1)
+    """
+
+    def equivalent(self, strain: Float) -> tuple[Float, Float]:
+        """Return ``sqrt(sum <e_a>+^2)`` and its derivative."""
+        positive = np.maximum(strain, 0.0)
+        size = np.linalg.norm(positive, axis=1)
+        return size, np.divide(positive, size[:, None], out=np.zeros_like(strain), where=size[:, None] > 0.0)
+
+
+@dataclass(frozen=True)
+class VonMisesStrain(StrainCriterion):
+    """The modified von Mises strain, for materials that bear ``ratio`` times as much in compression as in tension.
+
+    ``(k - 1) / (2 k (1 - 2 nu)) I1 + 1 / (2 k) sqrt(((k - 1) I1 / (1 - 2 nu))^2 + 12 k J2 / (1 + nu)^2)`` with the
+    trace I1 of the strain and ``J2 = 1/2 dev : dev``: the strain itself in uniaxial tension, 1 / k of it in uniaxial
+    compression.
+
+    Parameters
+    ----------
+    critical : float
+        Equivalent strain at which damage begins [-], positive.
+    ratio : float
+        ``k``, compressive over tensile strength [-], at least 1.
+    nu : float
+        Poisson's ratio [-], between -1 and 0.5, both excluded.
+
+    References
+    ----------
+    deVree1995.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> concrete = pd.VonMisesStrain(1e-4, ratio=10.0, nu=0.2)
+    """
+
+    ratio: float = 10.0
+    nu: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.ratio) and self.ratio >= 1.0 and -1.0 < self.nu < 0.5):
+            raise CaseError(f"VonMisesStrain needs ratio >= 1 and -1 < nu < 0.5, not {self.ratio} and {self.nu}.")
+
+    def equivalent(self, strain: Float) -> tuple[Float, Float]:
+        """Return the strain and its derivative."""
+        k, a = self.ratio, (self.ratio - 1.0) / (1.0 - 2.0 * self.nu)
+        trace = strain.sum(axis=1)
+        dev = strain - trace[:, None] / 3.0
+        b = 12.0 * k / (1.0 + self.nu) ** 2
+        root = np.sqrt((a * trace) ** 2 + 0.5 * b * (dev**2).sum(axis=1))
+        slope = np.zeros_like(strain)
+        inner = (a * a * trace)[:, None] + 0.5 * b * dev
+        np.divide(inner, root[:, None], out=slope, where=root[:, None] > 0.0)
+        return 0.5 / k * (a * trace + root), 0.5 / k * (a + slope)
+
+
+class _Principal(Measure):
+    """The largest principal Cauchy stress over the strength."""
+
+    def __init__(self, strength: float) -> None:
+        self._strength = strength
+
+    def at(self, solid: Solid, F: Float) -> Float:
+        sigma = solid.cauchy(F)
+        return np.asarray(np.linalg.eigvalsh(0.5 * (sigma + sigma.transpose(0, 2, 1)))[:, -1] / self._strength)
+
+    def by(self, solid: Solid, F: Float) -> Float:
+        sigma = solid.cauchy(F)
+        values, axes = np.linalg.eigh(0.5 * (sigma + sigma.transpose(0, 2, 1)))
+        n, largest = axes[:, :, -1], values[:, -1]
+        A = solid.moduli(F)
+        D = np.empty_like(F)
+        for one in solid.materials:
+            at = one.points
+            if one.material.linear:
+                D[at] = np.einsum("pi,pm,pimkn->pkn", n[at], n[at], A[at])
+                continue
+            part = F[at]
+            hidden = one.hidden_stretch(part)
+            J = np.linalg.det(part) * hidden
+            inverse = np.linalg.inv(part)
+            P = J[:, None, None] * np.einsum("pij,pkj->pik", sigma[at], inverse)
+            m = np.einsum("pji,pj->pi", part, n[at])  # F^T n
+            D[at] = np.einsum("pi,pm,pimkn->pkn", n[at], m, A[at]) / J[:, None, None]
+            D[at] += np.einsum("pi,pim,pj->pjm", n[at], P, n[at]) / J[:, None, None]
+            D[at] -= largest[at, None, None] * inverse.transpose(0, 2, 1)
+            if _thins(one):
+                D[at] -= (largest[at] / hidden)[:, None, None] * differences(one.hidden_stretch, part)
+        return D / self._strength
+
+
+@dataclass(frozen=True)
+class PrincipalStress(Criterion):
+    """Bonds fail with the largest principal stress at both ends, the mean of both over the strength.
+
+    The Cauchy stress of the material without damage, at the gradient points of a body with deformation gradients, of
+    the gradient of the family in a body of bonds; principal stresses are those in the plane of a plane body.
+
+    Parameters
+    ----------
+    strength : float
+        [stress], positive.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> damage = pd.LinearSoftening(pd.PrincipalStress(3.5), ratio=20.0)
+    """
+
+    strength: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.strength) and self.strength > 0.0):
+            raise CaseError(f"PrincipalStress needs a positive strength, not {self.strength}.")
+
+    def build(self, bonds: DrivenBonds) -> Drive:
+        """Return the mean of both ends."""
+        return PointDrive(bonds, _Principal(self.strength))
+
+
+def _flow(one: MaterialAtPoints, F: Float) -> Float:
+    """Return the accumulated plastic strain that a material would have at its points with F of all points (n,)."""
+    before = one.history.copy()
+    one.commit(F)
+    alpha = np.array(one.plastic_strain())
+    one.history[...] = before
+    return alpha
+
+
+class _Flow(Measure):
+    """The accumulated plastic strain over a critical one."""
+
+    def __init__(self, critical: float) -> None:
+        self._critical = critical
+
+    def at(self, solid: Solid, F: Float) -> Float:
+        x = np.zeros(len(F))
+        for one in solid.materials:
+            if one.has_history:
+                x[one.points] = _flow(one, F) / self._critical
+        return x
+
+    def by(self, solid: Solid, F: Float) -> Float:
+        return differences(lambda G: self.at(solid, G), F)
+
+
+@dataclass(frozen=True)
+class PlasticStrain(Criterion):
+    """Bonds fail with the accumulated plastic strain at both ends, the mean of both over a critical one.
+
+    It is that of the state at hand, not of the last converged step. Materials that do not flow do not fail.
+
+    Parameters
+    ----------
+    critical : float
+        [-], positive.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> ductile = pd.LinearSoftening(pd.PlasticStrain(0.2), ratio=1.5)
+    """
+
+    critical: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.critical) and self.critical > 0.0):
+            raise CaseError(f"PlasticStrain needs a positive critical strain, not {self.critical}.")
+
+    def build(self, bonds: DrivenBonds) -> Drive:
+        """Return the mean of both ends."""
+        return PointDrive(bonds, _Flow(self.critical), reads_flow=True)
+
+
+class _JohnsonCook(Measure):
+    """The growth of the plastic strain since the last converged step over the failure strain at the present stress."""
+
+    def __init__(self, declared: JohnsonCookFailure) -> None:
+        self._declared = declared
+
+    def at(self, solid: Solid, F: Float) -> Float:
+        x, sigma = np.zeros(len(F)), solid.cauchy(F)
+        for one in solid.materials:
+            if one.has_history and len(one.points):
+                grown = _flow(one, F) - one.plastic_strain()
+                x[one.points] = grown / self._declared.failure_strain(_triaxiality(one, F, sigma))
+        return x
+
+    def by(self, solid: Solid, F: Float) -> Float:
+        return differences(lambda G: self.at(solid, G), F)
+
+
+def _triaxiality(one: MaterialAtPoints, F: Float, sigma: Float) -> Float:
+    """Return mean stress over von Mises stress at the points of a material (n,) [-], 0 without stress."""
+    dim, part = F.shape[-1], F[one.points]
+    full = np.zeros((len(part), 3, 3))
+    full[:, :dim, :dim] = sigma[one.points]
+    if dim == 2:
+        P = one.out_of_plane_stress(part)
+        full[:, 2, 2] = P if one.material.linear else P / np.linalg.det(part)
+    mean = np.einsum("pii->p", full) / 3.0
+    dev = full - mean[:, None, None] * np.eye(3)
+    q = np.sqrt(1.5 * np.einsum("pij,pij->p", dev, dev))
+    return np.asarray(np.divide(mean, q, out=np.zeros_like(q), where=q > 0.0))
+
+
+@dataclass(frozen=True)
+class JohnsonCookFailure(Criterion):
+    """Bonds fail as plastic strain uses up the failure strain of Johnson and Cook, ``D = sum d_alpha / e_f``.
+
+    ``e_f = D1 + D2 exp(D3 s)`` with the triaxiality ``s``, mean stress over von Mises stress; the drive of a bond is
+    the mean of D at both ends. What converged steps have used up is kept. Rate and temperature have no part in it.
+
+    Parameters
+    ----------
+    D1, D2, D3 : float
+        [-]; failure strains must be positive.
+
+    References
+    ----------
+    JohnsonCook1985.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> steel_4340 = pd.Brittle(pd.JohnsonCookFailure(D1=0.05, D2=3.44, D3=-2.12))
+    """
+
+    D1: float
+    D2: float
+    D3: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        finite = math.isfinite(self.D1 + self.D2 + self.D3)
+        if not (finite and self.D1 >= 0.0 and self.D2 >= 0.0 and self.D1 + self.D2 > 0.0):
+            raise CaseError(
+                f"JohnsonCookFailure needs D1 >= 0 and D2 >= 0, not both 0, and a number D3, not {self.D1}, {self.D2} "
+                f"and {self.D3}."
+            )
+
+    def failure_strain(self, triaxiality: Float) -> Float:
+        """Return ``D1 + D2 exp(D3 s)`` (n,) [-], with an exponent between -50 and 50."""
+        return np.asarray(self.D1 + self.D2 * np.exp(np.clip(self.D3 * triaxiality, -50.0, 50.0)))
+
+    def build(self, bonds: DrivenBonds) -> Drive:
+        """Return the mean of both ends."""
+        return PointDrive(bonds, _JohnsonCook(self), reads_flow=True, adds_up=True)

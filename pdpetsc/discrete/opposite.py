@@ -1,0 +1,69 @@
+"""What the other end of a bond knows: exchange of numbers between the two directions of bonds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import exchange
+from pdpetsc.discrete.families import Families
+
+
+class OppositeBonds:
+    """Finds the direction ``ji`` of every bond ``ij``, on whichever rank it is.
+
+    Parameters
+    ----------
+    cloud, families
+        Particles and bonds.
+    keys : (n_bonds, 3) int64
+        The same for both directions of a bond and for no other.
+
+    Notes
+    -----
+    Construction and ``of`` are collective.
+    """
+
+    def __init__(self, cloud: Cloud, families: Families, keys: GlobalIndex) -> None:
+        comm = cloud.comm
+        self._comm, self._n = comm, len(keys)
+        firsts = np.array(comm.allgather(cloud.first), dtype=np.int64)
+        owner = np.searchsorted(firsts, cloud.row[families.neighbours], side="right") - 1
+        away = np.flatnonzero(owner != comm.rank)
+        here = np.flatnonzero(owner == comm.rank)
+        # A bond to the own mirror image has one direction only, which is its own opposite.
+        self._partner = np.arange(self._n)
+        order = here[np.lexsort(keys[here].T[::-1])]
+        same = np.flatnonzero((keys[order[1:]] == keys[order[:-1]]).all(axis=1))
+        self._partner[order[same]], self._partner[order[same + 1]] = order[same + 1], order[same]
+        (their_keys, theirs), counts = exchange(comm, owner[away], [keys[away], away])
+        both, number = np.unique(np.concatenate([keys[away], their_keys]), axis=0, return_inverse=True)
+        number = number.reshape(-1)
+        mine = np.full(len(both), -1, dtype=np.int64)
+        mine[number[: len(away)]] = away
+        bond = mine[number[len(away) :]]
+        # Of bonds that exist from one end alone nothing comes back.
+        found = bond >= 0
+        self._bond = bond[found]
+        self._rank = np.repeat(np.arange(comm.size), counts)[found]
+        self._there = theirs[found]
+        sign = np.ones((self._n, cloud.dim))
+        if len(cloud.sign):
+            ghost = families.neighbours >= cloud.n_owned
+            sign[ghost] = cloud.sign[families.neighbours[ghost] - cloud.n_owned]
+        self._sign = sign
+
+    def of(self, values: Float) -> Float:
+        """Return for every bond what its other direction has (n_bonds, ...), of ``values`` (n_bonds, ...).
+
+        A bond that exists from one end alone has its own.
+        """
+        found = values[self._partner]
+        (there, theirs), _ = exchange(self._comm, self._rank, [self._there, values[self._bond]])
+        found[there] = theirs
+        return np.asarray(found)
+
+    def of_vectors(self, values: Float) -> Float:
+        """Return ``of`` vectors (n_bonds, dim), mirrored where the other end is behind a mirror plane."""
+        return np.asarray(self._sign * self.of(values))

@@ -1,0 +1,316 @@
+"""Energy of bonds, strain, stress and flow as what drives damage: closed forms, tangents, fracture energies, ranks."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.bond_based import Neighbourhood
+from pdpetsc.command_line.cli import load_case
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import make_damage
+from pdpetsc.problem.state import State
+from pdpetsc.terms.bond_forces import BondForces
+from tests.commands import ROOT, field, jacobian_ratios, results
+from tests.scenes import DIMS, LAWS, MATERIALS, SCHEMES, bond_body, damaged_body, small_points
+from tests.test_criterion import check_tangent, pulled
+from tests.test_events import history
+from tests.test_fracture import broken, strip
+
+J2 = dataclasses.replace(MATERIALS["j2"], yield_stress=0.1)
+# By name: a criterion whose damage begins at a strain of about 0.02 of the materials of the tests.
+POINTS = {
+    "mazars": pd.MazarsStrain(0.02),
+    "von_mises": pd.VonMisesStrain(0.008, ratio=5.0, nu=0.3),
+    "principal": pd.PrincipalStress(0.25),
+    "plastic": pd.PlasticStrain(0.007),
+    "johnson_cook": pd.JohnsonCookFailure(0.004, 0.008, -1.5),
+}
+FLOW = ("plastic", "johnson_cook")
+
+
+def uneven(model, rng):
+    """Return an uneven pull at which the median drive is 1.4."""
+    x = model.cloud.x
+    u = pulled(model, rng, 0.0) + 0.01 * (x - x.mean(axis=0)) * np.linspace(1.0, 0.3, model.dim)
+    low, high = 0.0, 20.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        far = not model.all_admissible(middle * u) or np.median(model.driven(middle * u)) > 1.4
+        low, high = (low, middle) if far else (middle, high)
+    return low * u
+
+
+@pytest.mark.parametrize("name", POINTS)
+@pytest.mark.parametrize(("dim", "material", "plane"), [
+    (1, "hencky", "strain"), (2, "hencky", "strain"), (2, "neo_hookean", "stress"), (2, "linear_elastic", "stress"),
+    (3, "hencky", "strain"),
+])  # fmt: skip
+def test_tangents_of_gradients_are_exact(dim, material, plane, name, rng):
+    made = J2 if name in FLOW else dataclasses.replace(MATERIALS[material], plane=plane)
+    if name == "principal" and dim == 1:
+        made = dataclasses.replace(made, nu=0.3)
+    for scheme in ("correspondence", "sub_horizons"):
+        law = pd.LinearSoftening(POINTS[name], 3.0)
+        model = damaged_body(dim, law, SCHEMES[scheme], pd.Silling(0.5), made, rng)
+        u = uneven(model, rng)
+        check_tangent(model, u, rng, least=2)
+        model.commit(u)
+        check_tangent(model, 1.1 * u, rng, least=0)
+        model.break_bonds(2.5 * u, {1: 1, 2: 8, 3: 30}[dim])
+        check_tangent(model, 1.2 * u, rng, least=0)
+
+
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+@pytest.mark.parametrize("name", ["mazars", "von_mises", "principal"])
+@pytest.mark.parametrize("dim", DIMS)
+def test_tangents_of_bonds_are_exact(dim, name, kinematics, rng):
+    """The stiffness of a bond differs from end to end here: both directions have their own force."""
+    material = pd.BondBased(E=10.0, calibration="family", kinematics=kinematics)
+    model = bond_body(dim, material, rng=rng, damage=pd.LinearSoftening(POINTS[name], 3.0))
+    u = uneven(model, rng)
+    check_tangent(model, u, rng, least=2)
+    gradient, found = model.problem.damage.most_driven(model.at(u), 0.3)
+    near = model.driven(u) >= 0.7 * found
+    du = rng.standard_normal(u.shape)
+    rate = (model.driven(u + 1e-6 * du)[near].mean() - model.driven(u - 1e-6 * du)[near].mean()) / 2e-6
+    assert (gradient * du).sum() == pytest.approx(rate, rel=1e-5)
+    model.break_bonds(2.5 * u, {1: 1, 2: 8, 3: 30}[dim])
+    check_tangent(model, 1.2 * u, rng, least=0)
+
+
+def strained(model, F):
+    return model.cloud.x @ (np.asarray(F) - np.eye(model.dim)).T
+
+
+@pytest.mark.parametrize("of_bonds", [True, False])
+def test_uniform_strain_drives_as_the_closed_forms_say(of_bonds):
+    """Plane strain, small strain: everything is known by hand."""
+
+    def drive(criterion, F):
+        law = pd.LinearSoftening(criterion)
+        if of_bonds:
+            model = bond_body(2, pd.BondBased(E=10.0, calibration="lattice"), damage=law)
+        else:
+            model = damaged_body(2, law, material=pd.LinearElastic(10.0, 0.25))
+        x = model.driven(strained(model, F))
+        assert np.allclose(x, x[0], rtol=1e-9, atol=1e-14)
+        return x[0]
+
+    a, b = 0.01, -0.004
+    F = np.diag([1.0 + a, 1.0 + b])
+    lam = mu = 4.0
+    assert drive(pd.MazarsStrain(0.02), F) == pytest.approx(0.5)
+    assert drive(pd.MazarsStrain(0.02), np.diag([1.01, 1.02])) == pytest.approx(np.hypot(0.01, 0.02) / 0.02)
+    assert drive(pd.MazarsStrain(0.02), np.diag([0.99, 0.98])) == 0.0
+    assert drive(pd.PrincipalStress(0.1), F) == pytest.approx((lam * (a + b) + 2.0 * mu * a) / 0.1)
+    assert drive(pd.PrincipalStress(0.1), np.diag([0.99, 0.98])) < 0.0
+    k, nu = 4.0, 0.25
+    I1, J2_ = a + b, (a**2 + b**2 + (a - b) ** 2) / 6.0
+    root = np.sqrt(((k - 1.0) / (1.0 - 2.0 * nu) * I1) ** 2 + 12.0 * k * J2_ / (1.0 + nu) ** 2)
+    exact = ((k - 1.0) / (1.0 - 2.0 * nu) * I1 + root) / (2.0 * k)
+    assert drive(pd.VonMisesStrain(0.02, k, nu), F) == pytest.approx(exact / 0.02)
+
+
+def test_the_modified_von_mises_strain_is_that_of_tension_and_a_share_of_it_in_compression():
+    criterion = pd.VonMisesStrain(1.0, ratio=8.0, nu=0.2)
+    for sign, value in ((1.0, 1.0), (-1.0, 1.0 / 8.0)):
+        strain = sign * np.array([[1.0, -0.2, -0.2]])
+        assert criterion.equivalent(strain)[0] == pytest.approx(value, rel=1e-12)
+
+
+def test_a_rotation_drives_nothing(rng):
+    turned = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
+    for name in ("mazars", "von_mises", "principal"):
+        model = damaged_body(2, pd.Brittle(POINTS[name]))
+        assert np.abs(model.driven(strained(model, turned))).max() < 1e-12
+        F = np.array([[1.02, 0.01], [0.0, 0.99]])
+        plain, rotated = model.driven(strained(model, F)), model.driven(strained(model, turned @ F))
+        assert np.allclose(plain, rotated, rtol=1e-9)
+
+
+def test_flow_drives_as_a_bar_flows():
+    """alpha of a bar in logarithmic strain: (E log stretch - y) / (E + H), and all of it counts before it is kept."""
+    bar = pd.J2(E=10.0, nu=0.3, yield_stress=0.1, hardening=1.0)
+    model = damaged_body(1, pd.Brittle(pd.PlasticStrain(0.01)), material=bar)
+    for stretch in (1.005, 1.02, 1.03):
+        u = (stretch - 1.0) * model.cloud.x
+        alpha = max(0.0, 10.0 * np.log(stretch) - 0.1) / 11.0
+        assert np.allclose(model.driven(u), alpha / 0.01, rtol=1e-9, atol=1e-12)
+    # Uniaxial stress has a triaxiality of 1/3; what is used up adds up, also when the bar is let go in between.
+    model = damaged_body(1, pd.Brittle(pd.JohnsonCookFailure(0.01, 0.02, -1.5)), material=bar)
+    failure = 0.01 + 0.02 * np.exp(-0.5)
+    used = 0.0
+    for stretch in (1.015, 1.02, 1.015, 1.03):
+        u = (stretch - 1.0) * model.cloud.x
+        used = max(used, (10.0 * np.log(stretch) - 0.1) / 11.0)
+        assert np.allclose(model.driven(u), used / failure, rtol=1e-9)
+        model.commit(u)
+    arrays = model.problem.arrays()
+    grown = next(array for name, array in arrays.items() if name.endswith("grown"))
+    assert np.allclose(grown.values, used / failure)
+
+
+def test_what_does_not_flow_is_refused():
+    with pytest.raises(pd.CaseError, match="no material of this body flows"):
+        damaged_body(2, pd.Brittle(pd.PlasticStrain(0.1)))
+    with pytest.raises(pd.CaseError, match="bonds do not flow"):
+        bond_body(2, pd.BondBased(E=1.0), damage=pd.Brittle(pd.PlasticStrain(0.1)))
+    for wrong in (
+        lambda: pd.BondEnergy(), lambda: pd.BondEnergy(w=1.0, Gc=1.0), lambda: pd.BondEnergy(Gc=0.0),
+        lambda: pd.MazarsStrain(0.0), lambda: pd.VonMisesStrain(0.1, ratio=0.5), lambda: pd.PrincipalStress(-1.0),
+        lambda: pd.PlasticStrain(float("nan")), lambda: pd.JohnsonCookFailure(0.0, 0.0, 1.0),
+    ):  # fmt: skip
+        with pytest.raises(pd.CaseError):
+            wrong()
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("criterion", [pd.FractureEnergy, lambda G: pd.BondEnergy(Gc=G)], ids=["stretch", "energy"])
+@pytest.mark.parametrize("dim", [1, 2, pytest.param(3, marks=pytest.mark.long)])
+def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion, law):
+    """The work over the area that the halves leave each other at, by the forces alone."""
+    Gc, dx, horizon = 0.7, 0.5, 3.015
+    sides = {1: (12,), 2: (10, 8), 3: (8, 7, 7)}[dim]
+    x = dx * (np.array(list(itertools.product(*map(range, sides)))) + 0.5)
+    # Periodic across the pull: all families there are whole.
+    cell = None if dim == 1 else pd.Cell((0.0,) * dim, dx * np.array(sides), axes="yz"[: dim - 1])
+    cloud = distribute(world(), x, np.full(len(x), dx**dim), {}, horizon * dx, cell)
+    families = find_families(cloud)
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    bonds = Neighbourhood(cloud, families, np.ones(len(length)), length, pd.influence.Constant(), 1.0)
+    around = Body(cloud, families)
+    matter = BondForces(around, bonds, [pd.BondBased(E=10.0)], np.zeros(cloud.n_owned, dtype=np.int32))
+    damage = make_damage(LAWS[law](criterion(Gc)), around, bonds.omega, matter.k, False)
+    matter.take_damage(damage)
+    right = cloud.x[: cloud.n_owned, 0] > 0.5 * dx * sides[0]
+    limit = damage.limit
+    apart = np.linspace(0.0, 1.5 * horizon * damage.bonds.law.final * limit.max(), 801)
+    pull = []
+    for w in apart:
+        u = np.zeros((cloud.n_rows, dim))
+        u[: cloud.n_owned][right, 0] = w
+        state = State(around, u)
+        while damage.break_bonds(state, 10**6):
+            state = State(around, u)
+        f = np.zeros((cloud.n_local, dim))
+        matter.add_force(state, f)
+        pull.append(around.gather(f)[: cloud.n_owned][right, 0].sum())
+        damage.soften(state)
+    assert pull[-1] == pytest.approx(0.0, abs=1e-9 * max(pull))
+    work = 0.5 * ((np.array(pull)[1:] + np.array(pull)[:-1]) * np.diff(apart)).sum()
+    area = dx ** (dim - 1) * np.prod(sides[1:])
+    assert work / area == pytest.approx(Gc, rel=0.03)
+    assert matter.dissipated_energy() / area == pytest.approx(Gc, rel=0.03)
+
+
+CASE = """
+import sys
+
+sys.path.insert(0, {root!r})
+from tests.test_criterion import pd, strip
+
+CRITERIA = dict(
+    mazars=pd.MazarsStrain(0.015), principal=pd.PrincipalStress(1.6), plastic=pd.PlasticStrain(0.015),
+    johnson_cook=pd.JohnsonCookFailure(0.01, 0.02, -1.5), energy=pd.BondEnergy(Gc=0.05),
+)
+
+
+def case(criterion="mazars", of_bonds=False, steps=6, stop=2.0):
+    from tests.commands import Stop
+
+    flows = criterion in ("plastic", "johnson_cook")
+    elastic = pd.BondBased(E=100.0, calibration="family") if of_bonds else pd.Hencky(E=100.0, nu=0.3)
+    right = pd.region.Slab("x", low=10.0)
+    return strip(
+        particles=pd.Lattice((0.0, 0.0), (12.0, 4.0), 1.0),
+        cracks=[pd.Segment((7.0, -1.0), (7.0, 1.0))],
+        material=pd.J2(E=100.0, nu=0.3, yield_stress=0.8, hardening=2.0) if flows else elastic,
+        scheme=None if of_bonds else pd.Correspondence(),
+        control=None if of_bonds else pd.Silling(0.5),
+        damage=pd.LinearSoftening(CRITERIA[criterion], 2.0),
+        steps=pd.Steps(steps),
+        history=dict(force=pd.Reaction("x", right), broken=pd.BrokenBonds(), stop=Stop(stop)),
+        fields=[pd.displacement, pd.local_damage],
+    )
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("criterion", "of_bonds"),
+    [
+        ("mazars", True),
+        ("mazars", False),
+        ("johnson_cook", False),
+        ("principal", True),
+        ("principal", False),
+        ("plastic", False),
+        ("energy", True),
+    ],
+)
+def test_a_strip_breaks_alike_on_any_ranks_and_after_a_restart(criterion, of_bonds, tmp_path):
+    path = tmp_path / "strip.py"
+    path.write_text(CASE.format(root=str(ROOT)))
+    words = (f"criterion={criterion}", f"of_bonds={of_bonds}")
+    whole = results(path, *words, output=tmp_path / "1")["results"]
+    assert whole["broken"] > 5
+    assert abs(whole["force"]) < 0.7 * whole["peak"]
+    results(path, *words, output=tmp_path / "2", ranks=2)
+    pairs = {run: [(row[0], row[2], row[3]) for row in broken(tmp_path / run)] for run in ("1", "2")}
+    assert pairs["1"] == pairs["2"]
+    h = history(tmp_path / "1")
+    first = float(h["t"][np.flatnonzero(h["broken"] > 0)[0]])
+    with pytest.raises(pd.Interrupted):
+        pd.run(load_case(path)(criterion=criterion, of_bonds=of_bonds, stop=first - 1e-9), output=tmp_path / "part")
+    results(path, *words, "--restart", tmp_path / "part" / "checkpoint.h5", output=tmp_path / "rest", ranks=2)
+    assert [row[2:4] for row in broken(tmp_path / "rest")] == [row[2:4] for row in broken(tmp_path / "1")]
+    one, other = (field(tmp_path / run, "local_damage") for run in ("1", "rest"))
+    assert np.abs(one - other).max() <= 1e-7 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("of_bonds", [True, False])
+def test_petsc_finds_the_jacobian_with_strain_of_both_ends_correct(of_bonds, tmp_path, capfd):
+    changes = {"scheme": None, "control": None, "material": pd.BondBased(E=100.0)} if of_bonds else {}
+    case = strip(damage=pd.LinearSoftening(pd.MazarsStrain(0.01), 8.0), **changes)
+    ends = dataclasses.replace(case.conditions[1], x=0.133)
+    case = dataclasses.replace(
+        case, conditions=[case.conditions[0], ends], steps=pd.Steps(1), history={"lost": pd.Largest(pd.local_damage)},
+        results=None,
+    )  # fmt: skip
+    pd.run(case, output=tmp_path, options={"snes_test_jacobian": None})
+    assert history(tmp_path)["lost"][-1] > 0.01
+    assert max(jacobian_ratios(capfd.readouterr().out)[:4]) < 1e-6
+
+
+@pytest.mark.parametrize("name", [*POINTS, "energy"])
+def test_scaled_units_break_the_same_bonds(name, rng):
+    """Drives are pure numbers: the same in millimetres and newtons, and in units of 1e6 of either."""
+    length, force = 1e3, 1e-6
+    stress = force / length**2
+
+    def build(scale, of):
+        criterion = {
+            "principal": pd.PrincipalStress(0.25 * of), "energy": pd.BondEnergy(Gc=0.05 * of * scale), **{
+                key: one for key, one in POINTS.items() if key != "principal"
+            },
+        }[name]  # fmt: skip
+        x = scale * np.array([(i, j) for i in range(6) for j in range(5)], dtype=float)
+        cloud = distribute(world(), x, np.full(len(x), scale**2), {}, 2.015 * scale)
+        families = find_families(cloud)
+        made = J2 if name in FLOW else MATERIALS["hencky"]
+        made = dataclasses.replace(
+            made, E=10.0 * of, **({"yield_stress": 0.1 * of, "hardening": of} if name in FLOW else {})
+        )
+        ones, kind = np.ones(families.n_bonds), np.zeros(len(x), dtype=np.int32)
+        law = pd.LinearSoftening(criterion)
+        return small_points(cloud, families, ones, pd.Correspondence(), [made], kind, None, law)
+
+    one, other = build(1.0, 1.0), build(length, stress)
+    u = 0.02 * one.cloud.x * [1.0, 0.2] + 0.002 * rng.standard_normal(one.cloud.x.shape)
+    assert np.allclose(one.driven(u), other.driven(length * u), rtol=1e-7, atol=1e-9)

@@ -24,6 +24,7 @@ from pdpetsc.post.solution import (
     displacement,
     energy_density,
     first_piola_stress,
+    heat_flux,
     local_damage,
     lost_bonds,
     plastic_strain,
@@ -37,7 +38,7 @@ EVERYWHERE = All()
 # Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
 _LETTERS: dict[Field, int] = {
     **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach, temperature), 0),
-    **dict.fromkeys((displacement, reaction), 1),
+    **dict.fromkeys((displacement, heat_flux, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
 # Fields that next to a surface are as good as inside.
@@ -260,7 +261,7 @@ class DissipatedEnergy(Quantity):
         """Return the energy."""
         problem = solution.problem
         known = problem.matter.dissipated_energy()
-        if known is None and problem.body.expansion is not None:
+        if (known is None or problem.ahead) and problem.body.expansion is not None:
             raise CaseError(
                 "The energy that this body dissipates is not the external work less the stored energy: strains without "
                 "stress store energy too; leave DissipatedEnergy out."

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared, numbers_from, real_numbers, shown
+from pdpetsc.declared import Declared, called, numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import Material
 from pdpetsc.material.graded import Graded
@@ -47,6 +47,9 @@ class Thermal(Declared):
     factor : callable or Table, optional
         What multiplies all moduli, the yield stress among them, as a function of temperatures (n,) that returns
         positive numbers (n,) [-]; 1 by default.
+    law : callable, optional
+        The material as a function of one temperature, of the same kind as ``material``: for a yield stress or hardening
+        that depends on temperature otherwise than the moduli. The loops are called once for each different temperature.
     conductivity : float or sequence of three float, optional
         ``k`` [power / length / temperature], positive: one for all directions or one for each axis of the material;
         for ``HeatConduction``.
@@ -79,6 +82,7 @@ class Thermal(Declared):
     factor: Callable[[Float], Float] | None = None
     conductivity: float | Sequence[float] | None = None
     capacity: float | None = None
+    law: Callable[[float], Material] | None = None
 
     def __post_init__(self) -> None:
         # ``bond_based`` imports this package, so its type cannot be imported above, and the field is checked here.
@@ -164,6 +168,24 @@ class Thermal(Declared):
             return None
         k, R = np.diag(np.broadcast_to(np.asarray(self.conductivity, dtype=float), 3)), self.axes
         return k if R is None else np.asarray(R @ k @ R.T)
+
+    def material_at(self, T: float, plain: Material) -> Material:
+        """Return the law at a temperature, ``plain`` where it does not depend on it.
+
+        Raises
+        ------
+        CaseError
+            The function fails or returns another kind of material than ``plain``.
+        """
+        if self.law is None:
+            return plain
+        found = called("law of a Thermal material", self.law, T)
+        if type(found) is not type(plain) or found.plane != plain.plane:
+            raise CaseError(
+                f"The law of a Thermal material must return a {type(plain).__name__} in plane {plain.plane} as its "
+                f"material is one, not {shown(found)} at temperature {T:g}."
+            )
+        return found
 
     def factors(self, T: Float) -> Float:
         """Return what multiplies the moduli at temperatures (n,) [-].

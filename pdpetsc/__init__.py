@@ -50,7 +50,14 @@ from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, Eve
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
-from pdpetsc.declare.thermal import Eigenstrain, Temperature
+from pdpetsc.declare.thermal import (
+    Convection,
+    Eigenstrain,
+    HeatConduction,
+    HeatFlux,
+    HeatSource,
+    Temperature,
+)
 from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
@@ -82,6 +89,7 @@ from pdpetsc.post.solution import (
     displacement,
     energy_density,
     first_piola_stress,
+    heat_flux,
     local_damage,
     lost_bonds,
     plastic_strain,
@@ -122,6 +130,7 @@ __all__ = [
     "CellStress",
     "ConstantCritical",
     "ControlEnergy",
+    "Convection",
     "CrackOpening",
     "CrackTip",
     "CriticalFunction",
@@ -138,6 +147,9 @@ __all__ = [
     "Facets",
     "Force",
     "FractureEnergy",
+    "HeatConduction",
+    "HeatFlux",
+    "HeatSource",
     "Hold",
     "Horizon",
     "Interrupted",
@@ -202,6 +214,7 @@ __all__ = [
     "displacement",
     "energy_density",
     "first_piola_stress",
+    "heat_flux",
     "influence",
     "local_damage",
     "lost_bonds",

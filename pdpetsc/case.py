@@ -21,7 +21,7 @@ from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
-from pdpetsc.declare.thermal import ThermalCondition
+from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
@@ -117,6 +117,8 @@ class Case(Declared):
         PETSc options without dash, which the command line overrides.
     terms : sequence of ExtraTerm
         What adds forces besides material, control and conditions.
+    heat : HeatConduction, optional
+        Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
     """
 
     particles: Particles
@@ -140,6 +142,7 @@ class Case(Declared):
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     terms: Sequence[ExtraTerm] = ()
+    heat: HeatConduction | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
@@ -162,7 +165,7 @@ class Case(Declared):
     def expands(self) -> bool:
         """Return whether a body may deform without stress."""
         of_conditions = any(isinstance(condition, ThermalCondition) for condition in self.conditions)
-        return of_conditions or any(thermal is not None for thermal in self.thermals)
+        return self.heat is not None or of_conditions or any(thermal is not None for thermal in self.thermals)
 
     @property
     def needs_surface(self) -> bool:

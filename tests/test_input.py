@@ -52,6 +52,8 @@ VALID = [
     pd.StressIntensity((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.CrackOpening((0.0, 2.0), (2.0, 2.0)),
     pd.CrackTip((1.0, 0.0)), pd.RelativeError(pd.stress, ones), pd.LargestError(pd.stress, ones), pd.Picture(),
     pd.Graded(pd.Hencky(1.0), ones), pd.Thermal(pd.Hencky(1.0), 1e-5), pd.Temperature(region.All(), 1.0),
+    pd.HeatConduction(), pd.HeatFlux(region.All(), 1.0), pd.HeatSource(region.All(), 1.0),
+    pd.Convection(region.All(), 1.0, 1.0),
     pd.Eigenstrain(region.All(), xx=0.1), pd.Hencky(1.0, 0.3), pd.NeoHookean(1.0), pd.SaintVenantKirchhoff(1.0),
     pd.Hyperelastic("mu/2*(I1 - 3 - 2*log(J)) + lam/2*log(J)**2 + k*(I4 - 1)**2", fibre=(1.0,), mu=1.0, lam=1.0, k=1.0),
     pd.MooneyRivlin(0.3, 0.1, 5.0), pd.Yeoh(0.3, 0.1, 0.1, 5.0), pd.Ogden((0.6, 0.1), (1.3, 5.0), 5.0),

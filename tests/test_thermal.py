@@ -249,7 +249,7 @@ def test_what_cannot_be_is_refused(tmp_path):
         (block(pd.LinearElastic(10.0, 0.3), hot), "acts on no material that knows temperature"),
         (block(thermal, hot, pd.Temperature(pd.region.Slab("x", high=1.0), 1.0)), "5 particles a second time"),
         (block(thermal, pd.Temperature(everywhere, np.zeros(7))), "7 numbers for 30 particles"),
-        (block(thermal, pd.Temperature(everywhere, lambda x, t: 1.0 / x[:, 0] / 0.0)), "is inf for 30"),
+        (block(thermal, pd.Temperature(everywhere, lambda x, t: np.inf * x[:, 0])), "is inf for 30"),
         (block(pd.LinearElastic(1.0), pd.Eigenstrain(everywhere, xz=0.1)), "a 2-dimensional body cannot have"),
         (block(pd.LinearElastic(1.0), pd.Eigenstrain(everywhere, xx=-1.5)), "leaves no volume"),
         (block(pd.Thermal(pd.BondBased(1.0), 1e-3, factor=lambda T: 1.0 + 0.0 * T), hot), "does not depend on temp"),
@@ -290,6 +290,44 @@ def test_tangent_of_bonds_and_of_damage_beyond_what_they_expand(rng):
             exact = scenes.dense_tangent(model, u)[:, columns]
             found = scenes.differences(model, u, columns)
             assert np.abs(exact - found).max() < 1e-6 * np.abs(exact).max()
+
+
+def softer(T):
+    return pd.J2(E=100.0 - 0.2 * T, nu=0.3, yield_stress=0.5 - 0.004 * T, hardening=5.0)
+
+
+def test_a_law_may_depend_on_temperature(tmp_path):
+    # At one temperature it is the law there, and where it differs from place to place the tangent is exact.
+    cold, hot = pd.Thermal(softer(0.0), 1e-3, law=softer), pd.Thermal(softer(50.0), 1e-3)
+    history = {"R": pd.Reaction("x", pd.region.Slab("x", high=1.0))}
+    pulled = [
+        pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+        pd.Displacement(pd.region.Slab("x", low=5.0), x=0.05),
+        pd.Temperature(pd.region.All(), 50.0, pd.Hold()),
+    ]
+    case = block(cold, conditions=pulled, steps=pd.Steps(3), history=history, fields=[])
+    found, same = (
+        pd.run(dataclasses.replace(case, material=one), output=tmp_path / "run") for one in (cold, hot)
+    )  # fmt: skip
+    assert np.allclose(found.history["R"], same.history["R"], rtol=1e-8)
+    assert pd.plastic_strain(found.solution).max() > 1e-3
+    uneven = pd.Temperature(pd.region.All(), lambda x, t: 8.0 * t * x[:, 1])
+    for law in (softer, lambda T: pd.LinearElastic(10.0 - 0.1 * T, 0.3, plane="stress")):
+        thermal = pd.Thermal(law(0.0), 1e-3, law=law, factor=lambda T: 1.0 - 1e-3 * T)
+        conditions = [*pulled[:2], uneven]
+        prepared = pd.prepare(block(thermal, conditions=conditions, fields=[]))
+        rng = np.random.default_rng(1)
+        u = 0.01 * rng.uniform(-1.0, 1.0, (30, 2))
+        problem = prepared.problem
+        problem.commit(problem.state(u, 0.5))
+        du = rng.standard_normal(u.shape)
+        ends = [problem.internal_force(problem.state(2.0 * u + s * 1e-6 * du, 1.0)).copy() for s in (1.0, -1.0)]
+        product = problem.linearised(problem.state(2.0 * u, 1.0))(du)
+        assert np.abs((ends[0] - ends[1]) / 2e-6 - product).max() < 1e-7 * np.abs(product).max()
+    with pytest.raises(pd.CaseError, match="must return a J2"):
+        pd.run(
+            dataclasses.replace(case, material=dataclasses.replace(cold, law=lambda T: pd.Hencky(1.0))), output=tmp_path
+        )
 
 
 def test_heat_alone_breaks_no_bond_and_cold_that_is_held_does(rng):

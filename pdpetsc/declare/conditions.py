@@ -58,10 +58,10 @@ class _Vector(Declared):
         SolveError
             A function or the schedule fails or does not return numbers.
         """
-        return _values(type(self).__name__, component, self.schedule, x, t)
+        return values_of(type(self).__name__, component, self.schedule, x, t)
 
 
-def _values(name: str, component: Value, schedule: Schedule | None, x: Float, t: float) -> Float:
+def values_of(name: str, component: Value, schedule: Schedule | None, x: Float, t: float) -> Float:
     """Return what a component of a condition called ``name`` is at positions ``x`` and step time ``t`` (n,)."""
     if len(x) == 0:  # a function need not know what to do with no particles
         return np.zeros(0)
@@ -270,7 +270,7 @@ class SurfacePressure(Declared):
 
     def values(self, x: Float, t: float) -> Float:
         """Return ``p`` (n,) [stress] at facets ``x`` (n, dim) and step time ``t``; raises SolveError where it fails."""
-        return _values(type(self).__name__, self.value, self.schedule, x, t)
+        return values_of(type(self).__name__, self.value, self.schedule, x, t)
 
 
 def Pressure(

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.conditions import evaluated
+from pdpetsc.declare.conditions import Value, evaluated, values_of
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
-from pdpetsc.declared import Declared, real_numbers, shown
+from pdpetsc.declared import Declared, numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 
 # A number, a function of positions (n, dim) and step time that returns (n,) values, or one number per particle of the
@@ -66,6 +66,11 @@ class Temperature(Declared):
     def put(self, onto: Any, name: str) -> None:
         """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
         onto.temperature(self, name)
+
+    @property
+    def timed(self) -> bool:
+        """Return whether it says how it goes on in time."""
+        return callable(self.value) or self.schedule is not None
 
     def values(self, start: Float, x: Float, gid: GlobalIndex, n_global: int, t: float) -> Float:
         """Return the temperatures (n,) of particles ``gid`` at ``x`` whose temperature at the start is ``start``.
@@ -162,10 +167,185 @@ class Eigenstrain(Declared):
             raise CaseError(f"{name} gives {bad[0]}, which a {dim}-dimensional body cannot have; leave it out.")
 
 
-def refuse_not_positive(what: str, value: float) -> None:
-    """Raise CaseError unless a number is positive and finite; ``what`` begins the sentence."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise CaseError(f"{what} a positive number, not {value}.")
+@dataclass(frozen=True)
+class _Heat(Declared):
+    """Heat that enters through or in a region."""
+
+    region: Region
+    value: Value
+    schedule: Schedule | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not callable(self.value) and not math.isfinite(self.value):
+            raise CaseError(f"A {type(self).__name__} takes a finite number or a function, not {self.value}.")
+
+    @property
+    def timed(self) -> bool:
+        """Return whether it says how it goes on in time."""
+        return callable(self.value) or self.schedule is not None
+
+    def values(self, x: Float, t: float) -> Float:
+        """Return it (n,) at places (n, dim) and step time ``t``; raises SolveError where a function fails."""
+        return values_of(type(self).__name__, self.value, self.schedule, x, t)
 
 
-ThermalCondition: TypeAlias = Temperature | Eigenstrain
+@dataclass(frozen=True)
+class HeatFlux(_Heat):
+    """Heat that flows into the body through its surface.
+
+    Parameters
+    ----------
+    region : Region
+        The facets of the surface in it, or a tag of them.
+    value : float or callable
+        Heat flux into the body [power / area]: a number, multiplied with the schedule, or a function of positions
+        (n, dim) and step time that returns (n,) values.
+    schedule : callable, optional
+        By default ``Ramp`` for numbers and 1 for functions; must be given with a number where conduction takes time.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> burner = pd.HeatFlux(pd.region.Slab("y", high=0.0), 5e4, schedule=pd.Hold())
+    """
+
+    on_surface: ClassVar[bool] = True
+
+    def put(self, onto: Any, name: str) -> None:
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        onto.heat_flux(self, name)
+
+
+@dataclass(frozen=True)
+class HeatSource(_Heat):
+    """Heat that is set free in the particles of a region.
+
+    Parameters
+    ----------
+    region : Region
+        Which particles.
+    value : float or callable
+        Heat [power / volume]: a number, multiplied with the schedule, or a function of positions (n, dim) and step time
+        that returns (n,) values.
+    schedule : callable, optional
+        By default ``Ramp`` for numbers and 1 for functions; must be given with a number where conduction takes time.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> hydration = pd.HeatSource(pd.region.All(), lambda x, t: 500.0 * (1.0 - t) + 0.0 * x[:, 0])
+    """
+
+    def put(self, onto: Any, name: str) -> None:
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        onto.heat_source(self, name)
+
+
+@dataclass(frozen=True)
+class Convection(Declared):
+    """Heat exchange of the surface with surroundings, ``q . n = h (T - T_s)``.
+
+    Parameters
+    ----------
+    region : Region
+        The facets of the surface in it, or a tag of them.
+    coefficient : float
+        ``h`` [power / area / temperature], positive.
+    surroundings : float or callable
+        ``T_s``: a temperature, or a function of positions (n, dim) and step time that returns (n,) values.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> water = pd.Convection(pd.region.Slab("y", low=10.0), coefficient=2e3, surroundings=20.0)
+    """
+
+    region: Region
+    coefficient: float
+    surroundings: float | Callable[[Float, float], Float]
+
+    on_surface: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.coefficient) and self.coefficient > 0.0):
+            raise CaseError(f"A Convection takes a positive coefficient, not {self.coefficient}.")
+        if not callable(self.surroundings) and not math.isfinite(self.surroundings):
+            raise CaseError(f"A Convection takes finite surroundings or a function, not {self.surroundings}.")
+
+    def put(self, onto: Any, name: str) -> None:
+        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        onto.convection(self, name)
+
+    def values(self, x: Float, t: float) -> Float:
+        """Return ``h T_s`` (n,) at places (n, dim) and step time ``t``; raises SolveError where a function fails."""
+        return self.coefficient * values_of("Convection", self.surroundings, Hold(), x, t)
+
+
+@dataclass(frozen=True)
+class HeatConduction(Declared):
+    """Temperature from heat conduction, before the equilibrium of every load step.
+
+    ``c dT/dt = div (k grad T) + heat`` on the gradient of the scheme, with ``k`` and ``c`` of the materials
+    (``Thermal``); of materials of bonds, heat flows along these.
+
+    Broken bonds and cracks conduct nothing, and neither does the surface where no condition says so. Bonds that break
+    in a step insulate from the next one on. Heat through the surface needs ``Conforming`` weights: others have an error
+    of the first order in the spacing there, as tractions have. Crank and Nicolson's rule rings where a temperature or
+    its surroundings jump.
+
+    Parameters
+    ----------
+    duration : float, optional
+        Time that the run takes, from step time 0 to 1 [time]: a load step of ``dt`` takes ``dt duration``, also where
+        it is cut back. Without it the temperature is the steady one at every step time.
+    rule : {"backward_euler", "crank_nicolson"}
+        How it goes on in time: of first order and without oscillation, or of second order.
+    start : float or callable, optional
+        Temperature at the start: a number, or a function of positions (n, dim) that returns (n,) values; by default the
+        one without stress of the materials.
+    control : float, optional
+        Strength ``G`` of the control of what the gradient of a family does not see of the temperature, as that of
+        ``Silling`` [-]; by default 0.5 where particles have one gradient point each and 0 where they have several.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> quenching = pd.HeatConduction(duration=2.0, start=300.0)  # with Steps(100) in steps of 0.02 s
+    """
+
+    duration: float | None = None
+    rule: Literal["backward_euler", "crank_nicolson"] = "backward_euler"
+    start: float | Callable[[Float], Float] | None = None
+    control: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
+            raise CaseError(f"HeatConduction takes a positive duration, not {self.duration}.")
+        if self.control is not None and not (math.isfinite(self.control) and self.control >= 0.0):
+            raise CaseError(f"HeatConduction needs control >= 0, not {self.control}.")
+        if self.start is not None and not callable(self.start) and not math.isfinite(self.start):
+            raise CaseError(f"HeatConduction takes a finite start or a function, not {self.start}.")
+
+    @property
+    def theta(self) -> float:
+        """Return the weight of the end of a step [-]: 1 where it takes no time."""
+        return 0.5 if self.rule == "crank_nicolson" and self.duration is not None else 1.0
+
+    def at_start(self, x: Float, otherwise: Float) -> Float:
+        """Return the temperature at the start (n,) at positions ``x``; raises CaseError where a function fails."""
+        if self.start is None:
+            return otherwise.copy()
+        if not callable(self.start) or len(x) == 0:
+            return np.full(len(x), 0.0 if callable(self.start) else float(self.start))
+        found = numbers_from("start of HeatConduction", self.start, x)
+        if found.shape != (len(x),) or not np.isfinite(found).all():
+            raise CaseError(
+                f"The start of HeatConduction must return one finite number per particle, not {found.shape}."
+            )
+        return found
+
+
+ThermalCondition: TypeAlias = Temperature | Eigenstrain | HeatFlux | HeatSource | Convection

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
+from pdpetsc.material.thermal import Thermal
 
 
 class ExpandedAtPoints(MaterialAtPoints):
@@ -23,14 +26,21 @@ class ExpandedAtPoints(MaterialAtPoints):
     ----------
     material, points, dim, factor, x
         As for ``MaterialAtPoints``.
+    thermal : Thermal, optional
+        What says how the law depends on temperature.
     """
 
-    def __init__(self, material: Material, points: GlobalIndex, dim: int, factor: Float | None, x: Float) -> None:
+    def __init__(
+        self, material: Material, points: GlobalIndex, dim: int, factor: Float | None, x: Float,
+        thermal: Thermal | None = None,
+    ) -> None:  # fmt: skip
         self._solid = dim == 2 and material.plane == "strain"
+        self._law = None if thermal is None or thermal.law is None else thermal
         super().__init__(material, points, dim, factor, x)
         inside = 3 if self._solid else dim
         self._kernels = material.history_kernels(inside)
         self._constants = material.constants(inside)
+        self._groups = [(self._rows, material, self._constants)]
 
     def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
         """Put the material at other points, undeformed ones without strain."""
@@ -38,10 +48,21 @@ class ExpandedAtPoints(MaterialAtPoints):
         if self._solid:
             self.history = self.material.history_in_space(np.zeros((len(points), 2)) if x is None else x)
         self._rows = np.arange(len(points))
+        self._groups = [(self._rows, self.material, self._constants)]
         self.expand(np.zeros((len(points), 3, 3)), None)
 
-    def expand(self, strain: Float, factor: Float | None) -> None:
-        """Give its points strains without stress (n, 3, 3) [-] and what multiplies their moduli besides (n,) [-]."""
+    def expand(self, strain: Float, factor: Float | None, temperature: Float | None = None) -> None:
+        """Give its points strains without stress (n, 3, 3) [-].
+
+        Parameters
+        ----------
+        factor : (n,) float64, optional
+            What multiplies their moduli besides [-].
+        temperature : (n,) float64, optional
+            Their temperature, for a law that depends on it.
+        """
+        if temperature is not None:
+            self._groups = self._at_temperatures(temperature)
         inside = 3 if self._solid else self.dim
         stretch = np.eye(3) + strain
         self._strain = np.ascontiguousarray(strain[:, :inside, :inside])
@@ -52,6 +73,13 @@ class ExpandedAtPoints(MaterialAtPoints):
         given = [one for one in (self.factor, factor) if one is not None]
         self._multiplier = None if not given else np.asarray(np.prod(given, axis=0))
 
+    def at_time(self, t: float) -> None:
+        """Let it be step time ``t`` from now on."""
+        super().at_time(t)
+        for _, material, constants in self._groups:
+            if material.timed:
+                constants[-1] = t
+
     def stress(self, F: Float, P: Float) -> None:
         """Write P (all points, dim, dim) at its points."""
         P[self.points] = self._stress(F[self.points])[:, : self.dim, : self.dim]
@@ -60,7 +88,8 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Return P of its points (n, inside, inside) for F (n, dim, dim) there."""
         elastic = self._elastic(F)
         P = np.empty_like(elastic)
-        self._kernels.stress(elastic, self._rows, self._constants, self.history, P)
+        for rows, _, constants, history in self._by_law():
+            self._kernels.stress(elastic, rows, constants, history, P)
         if not self.material.linear:
             P = self._J[:, None, None] * (P @ self._inverse.transpose(0, 2, 1))
         return self._times(P)
@@ -68,36 +97,44 @@ class ExpandedAtPoints(MaterialAtPoints):
     def tangent(self, F: Float, A: Float) -> None:
         """Write A (all points, dim, dim, dim, dim) at its points."""
         d = self.dim
-        A[self.points] = self._tangent(F[self.points], self._rows)[:, :d, :d, :d, :d]
+        A[self.points] = self._tangent(F[self.points])[:, :d, :d, :d, :d]
 
-    def _tangent(self, F: Float, rows: GlobalIndex) -> Float:
-        """Return A of some of its points (n, inside, ...) for F (n, dim, dim) there."""
-        elastic, d = self._elastic(F, rows), 3 if self._solid else self.dim
-        A = np.empty((len(rows), d, d, d, d))
-        self._kernels.tangent(elastic, np.arange(len(rows)), self._constants, self.history[rows], A)
+    def _tangent(self, F: Float) -> Float:
+        """Return A of its points (n, inside, ...) for F (n, dim, dim) there."""
+        elastic, d = self._elastic(F), 3 if self._solid else self.dim
+        A = np.empty((len(F), d, d, d, d))
+        for rows, _, constants, history in self._by_law():
+            self._kernels.tangent(elastic, rows, constants, history, A)
         if not self.material.linear:
-            inverse, J = self._inverse[rows], self._J[rows]
-            A = A.reshape(len(rows), -1, d) @ inverse.transpose(0, 2, 1)
-            A = np.einsum("pma,piakn->pimkn", J[:, None, None] * inverse, A.reshape(-1, d, d, d, d))
-        return self._times(A, rows)
+            A = A.reshape(len(F), -1, d) @ self._inverse.transpose(0, 2, 1)
+            A = np.einsum("pma,piakn->pimkn", self._J[:, None, None] * self._inverse, A.reshape(-1, d, d, d, d))
+        return self._times(A)
 
     def same_tangent(self, F: Float) -> Float | None:
         """Return A (dim, dim, dim, dim) of a linear material that has the same everywhere, else None."""
-        alike = self.material.linear and not self.has_history and self._multiplier is None and len(self.points) > 0
-        if not alike or not np.all(self.history == self.history[:1]):
+        alike = self.material.linear and not self.has_history and self._multiplier is None and self._law is None
+        if not alike or not len(self.points) or not np.all(self.history == self.history[:1]):
             return None
-        d, first = self.dim, self._rows[:1]
-        return np.asarray(self._tangent(F[self.points[:1]], first)[0, :d, :d, :d, :d])
+        d = 3 if self._solid else self.dim
+        A, first = np.empty((1, d, d, d, d)), self._rows[:1]
+        self._kernels.tangent(np.eye(d)[None], first, self._constants, self.history[:1], A)
+        return np.asarray(A[0, : self.dim, : self.dim, : self.dim, : self.dim])
 
     def energy(self, F: Float, psi: Float) -> None:
         """Write the energy density (all points,) at its points."""
         found = np.empty(len(self.points))
-        self._kernels.energy(self._elastic(F[self.points]), self._rows, self._constants, self.history, found)
+        elastic = self._elastic(F[self.points])
+        for rows, _, constants, history in self._by_law():
+            self._kernels.energy(elastic, rows, constants, history, found)
         psi[self.points] = self._times(found if self.material.linear else self._J * found)
 
     def commit(self, F: Float) -> None:
         """Make the state at F (all points, dim, dim) the one that the next step starts from."""
-        self._kernels.commit(self._elastic(F[self.points]), self._rows, self._constants, self.history)
+        elastic = self._elastic(F[self.points])
+        for rows, _, constants, history in self._by_law():
+            self._kernels.commit(elastic, rows, constants, history)
+            if history is not self.history:
+                self.history[rows] = history
 
     def out_of_plane_stress(self, F: Float) -> Float:
         """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 except in plane strain."""
@@ -107,7 +144,9 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
         if self._solid or self.dim == 3:
             return np.ones(len(F))
-        elastic = self.material.hidden_stretch(self._elastic(F), self.history)
+        left, elastic = self._elastic(F), np.empty(len(F))
+        for rows, material, _, history in self._by_law():
+            elastic[rows] = material.hidden_stretch(left[rows], history)
         if self.material.linear:
             return np.asarray(elastic + (self._hidden - 1.0).sum(axis=1))
         return np.asarray(elastic * self._hidden.prod(axis=1))
@@ -115,7 +154,8 @@ class ExpandedAtPoints(MaterialAtPoints):
     def defined(self, F: Float) -> bool:
         """Return whether it has a stress at F (all points, dim, dim)."""
         inside = F[self.points]
-        if not self.material.defined(self._elastic(inside), self._rows, self.history):
+        elastic = self._elastic(inside)
+        if not all(material.defined(elastic, rows, history) for rows, material, _, history in self._by_law()):
             return False
         return not self.material.may_fail or bool(np.isfinite(self._stress(inside)).all())
 
@@ -123,9 +163,12 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Return how much the plastic strain grows at most if the step ends at F (all points, dim, dim) [-]."""
         if not self.has_history or not len(self.points):
             return 0.0
-        after = self.history.copy()
-        self._kernels.commit(self._elastic(F[self.points]), self._rows, self._constants, after)
-        return float((self.material.plastic_strain(after) - self.plastic_strain()).max())
+        elastic, most = self._elastic(F[self.points]), 0.0
+        for rows, material, constants, history in self._by_law():
+            after = history.copy()
+            self._kernels.commit(elastic, rows, constants, after)
+            most = max(most, float((material.plastic_strain(after) - material.plastic_strain(history)).max()))
+        return most
 
     def largest_modulus(self) -> float:
         """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
@@ -134,20 +177,34 @@ class ExpandedAtPoints(MaterialAtPoints):
         most = 1.0 if self._multiplier is None else float(self._multiplier.max())
         return self.material.largest_modulus(self.dim) * most
 
-    def _elastic(self, F: Float, rows: GlobalIndex | None = None) -> Float:
+    def _at_temperatures(self, temperature: Float) -> list[tuple[GlobalIndex, Material, Float]]:
+        """Return the points that have one temperature, with the law there and the constants of its loops."""
+        if self._law is None or not len(temperature):
+            return [(self._rows, self.material, self._constants)]
+        levels, of = np.unique(temperature, return_inverse=True)
+        order = np.argsort(of, kind="stable")
+        parts = np.split(order, np.cumsum(np.bincount(of, minlength=len(levels)))[:-1])
+        inside = 3 if self._solid else self.dim
+        laws = [self._law.material_at(float(level), self.material) for level in levels]
+        return [(rows, law, law.constants(inside)) for rows, law in zip(parts, laws, strict=True)]
+
+    def _by_law(self) -> Iterator[tuple[GlobalIndex, Material, Float, Float]]:
+        """Yield the points of each law, with the law, the constants of its loops and the history of these points."""
+        for rows, material, constants in self._groups:
+            yield rows, material, constants, self.history if len(self._groups) == 1 else self.history[rows]
+
+    def _elastic(self, F: Float) -> Float:
         """Return what is left of F (n, dim, dim) when the stress-free deformation is taken off (n, inside, inside)."""
-        chosen = slice(None) if rows is None else rows
         if self._solid:
             whole = np.zeros((len(F), 3, 3))
             whole[:, :2, :2] = F
             whole[:, 2, 2] = 1.0
             F = whole
         if self.material.linear:
-            return np.ascontiguousarray(F - self._strain[chosen])
-        return np.ascontiguousarray(F @ self._inverse[chosen])
+            return np.ascontiguousarray(F - self._strain)
+        return np.ascontiguousarray(F @ self._inverse)
 
-    def _times(self, values: Float, rows: GlobalIndex | None = None) -> Float:
+    def _times(self, values: Float) -> Float:
         if self._multiplier is None:
             return values
-        chosen = self._multiplier if rows is None else self._multiplier[rows]
-        return np.asarray(values * chosen.reshape(-1, *(1,) * (values.ndim - 1)))
+        return np.asarray(values * self._multiplier.reshape(-1, *(1,) * (values.ndim - 1)))

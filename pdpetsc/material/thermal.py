@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared, numbers_from, real_numbers, shown
+from pdpetsc.declared import Declared, called, numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import Material
 from pdpetsc.material.graded import Graded
@@ -25,7 +25,7 @@ NEARLY = 1e-9
 
 @dataclass(frozen=True)
 class Thermal(Declared):
-    """A material that expands with temperature, and whose moduli may depend on it.
+    """A material that expands with temperature, whose moduli may depend on it, and that may conduct heat.
 
     Its stress-free deformation is ``F_theta = I + alpha (T - T_ref)``. At finite strain the law sees what is left of
     the deformation gradient, ``F_e = F F_theta^-1``, and ``P = J_theta P_e(F_e) F_theta^-T``; the linear material has
@@ -47,11 +47,20 @@ class Thermal(Declared):
     factor : callable or Table, optional
         What multiplies all moduli, the yield stress among them, as a function of temperatures (n,) that returns
         positive numbers (n,) [-]; 1 by default.
+    law : callable, optional
+        The material as a function of one temperature, of the same kind as ``material``: for a yield stress or hardening
+        that depends on temperature otherwise than the moduli. The loops are called once for each different temperature.
+    conductivity : float or sequence of three float, optional
+        ``k`` [power / length / temperature], positive: one for all directions or one for each axis of the material;
+        for ``HeatConduction``.
+    capacity : float, optional
+        ``c``, heat per reference volume and temperature, density times specific heat [energy / volume / temperature],
+        positive; for ``HeatConduction`` that takes time.
 
     Raises
     ------
     CaseError
-        A number is not finite, or the orientation has no orthogonal unit vectors.
+        A number is not finite or not positive, or the orientation has no orthogonal unit vectors.
 
     References
     ----------
@@ -71,6 +80,9 @@ class Thermal(Declared):
     orientation: float | Sequence[Sequence[float]] | None = None
     reference: float = 0.0
     factor: Callable[[Float], Float] | None = None
+    conductivity: float | Sequence[float] | None = None
+    capacity: float | None = None
+    law: Callable[[float], Material] | None = None
 
     def __post_init__(self) -> None:
         # ``bond_based`` imports this package, so its type cannot be imported above, and the field is checked here.
@@ -96,6 +108,12 @@ class Thermal(Declared):
                     f"Thermal takes one finite coefficient, three, or a function of temperatures as expansion, not "
                     f"{shown(self.expansion)}."
                 )
+        for name, shapes in (("conductivity", ((), (3,))), ("capacity", ((),))):
+            given = getattr(self, name)
+            values = None if given is None else real_numbers(given)
+            good = values is not None and values.shape in shapes and np.isfinite(values).all() and np.all(values > 0.0)
+            if given is not None and not good:
+                raise CaseError(f"Thermal takes positive numbers as {name}, not {shown(given)}.")
         _ = self.axes
 
     @property
@@ -143,6 +161,31 @@ class Thermal(Declared):
                 f"shape {values.shape}."
             )
         return np.broadcast_to(values, (len(T), 3))
+
+    def conduction(self) -> Float | None:
+        """Return the conductivity as a tensor in the axes of the body (3, 3), None where it is not given."""
+        if self.conductivity is None:
+            return None
+        k, R = np.diag(np.broadcast_to(np.asarray(self.conductivity, dtype=float), 3)), self.axes
+        return k if R is None else np.asarray(R @ k @ R.T)
+
+    def material_at(self, T: float, plain: Material) -> Material:
+        """Return the law at a temperature, ``plain`` where it does not depend on it.
+
+        Raises
+        ------
+        CaseError
+            The function fails or returns another kind of material than ``plain``.
+        """
+        if self.law is None:
+            return plain
+        found = called("law of a Thermal material", self.law, T)
+        if type(found) is not type(plain) or found.plane != plain.plane:
+            raise CaseError(
+                f"The law of a Thermal material must return a {type(plain).__name__} in plane {plain.plane} as its "
+                f"material is one, not {shown(found)} at temperature {T:g}."
+            )
+        return found
 
     def factors(self, T: Float) -> Float:
         """Return what multiplies the moduli at temperatures (n,) [-].

@@ -98,7 +98,7 @@ def solve_scalar(
     operator.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     operator.setUp()
     x = cloud.x[: cloud.n_owned]
-    matrix, vectors = _assembled(cloud, near), _orthonormal(cloud, [np.ones(len(x)), *x.T])
+    matrix, vectors = assembled(cloud, near), _orthonormal(cloud, [np.ones(len(x)), *x.T])
     near_null_space = PETSc.NullSpace().create(vectors=vectors, comm=cloud.comm)
     matrix.setNearNullSpace(near_null_space)
     exact = _orthonormal(cloud, system.null_functions)
@@ -132,8 +132,8 @@ def solve_scalar(
     return found, iterations
 
 
-def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
-    """Return the sum over ranks of what each adds (collective)."""
+def assembled(cloud: Cloud, near: csr_matrix, lifted: float = LIFTED) -> PETSc.Mat:
+    """Return the sum over ranks of what each adds, its diagonal lifted by a share of it (collective)."""
     sizes = (cloud.n_owned, cloud.n_global)
     entries = near.tocoo()
     # Rows of a cloud count its particles first, in the order of ranks.
@@ -145,9 +145,11 @@ def _assembled(cloud: Cloud, near: csr_matrix) -> PETSc.Mat:
     own.sum_duplicates()
     csr = own.indptr.astype(PETSc.IntType), own.indices.astype(PETSc.IntType), own.data
     mat = PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=cloud.comm)
+    if not lifted:
+        return mat
     diagonal = mat.getDiagonal()
-    diagonal.scale(LIFTED)
-    diagonal.shift(float(diagonal.max()[1]) * LIFTED)
+    diagonal.scale(lifted)
+    diagonal.shift(float(diagonal.max()[1]) * lifted)
     mat.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     mat.setDiagonal(diagonal, addv=True)
     mat.assemble()

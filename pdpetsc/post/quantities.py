@@ -25,6 +25,7 @@ from pdpetsc.post.solution import (
     displacement,
     energy_density,
     first_piola_stress,
+    heat_flux,
     local_damage,
     lost_bonds,
     plastic_strain,
@@ -39,7 +40,7 @@ EVERYWHERE = All()
 _LETTERS: dict[Field, int] = {
     **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach, temperature), 0),
     **dict.fromkeys((damage_dissipation, triaxiality, von_mises), 0),
-    **dict.fromkeys((displacement, principal_strains, principal_stresses, reaction), 1),
+    **dict.fromkeys((displacement, heat_flux, principal_strains, principal_stresses, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
 # Fields of three values whatever the dimension of the body, which are not along axes.
@@ -264,7 +265,7 @@ class DissipatedEnergy(Quantity):
         """Return the energy."""
         problem = solution.problem
         known = problem.matter.dissipated_energy()
-        if known is None and problem.body.expansion is not None:
+        if (known is None or problem.ahead) and problem.body.expansion is not None:
             raise CaseError(
                 "The energy that this body dissipates is not the external work less the stored energy: strains without "
                 "stress store energy too; leave DissipatedEnergy out."

@@ -16,6 +16,7 @@ from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.terms.heat import Heat
 
 
 class Solution:
@@ -240,6 +241,20 @@ def temperature(solution: Solution) -> Float:
     if found is None:
         raise CaseError("The case says nothing of temperature; leave the field temperature out.")
     return found
+
+
+def heat_flux(solution: Solution) -> Float:
+    """Return ``q = -k grad T``, the mean over the points of each particle (n_owned, dim) [power / area].
+
+    Raises
+    ------
+    CaseError
+        The case has no heat conduction.
+    """
+    found = [term for term in solution.problem.terms if isinstance(term, Heat)]
+    if not found:
+        raise CaseError("The case has no heat conduction; leave the field heat_flux out.")
+    return found[0].flux(temperature(solution))
 
 
 def local_damage(solution: Solution) -> Float:

@@ -93,6 +93,7 @@ class StressFree:
     ) -> None:  # fmt: skip
         self._cloud = cloud
         self._families = families
+        self.thermals = thermals
         self._thermals = [
             (np.flatnonzero(material_of == number).astype(np.int32), one)
             for number, one in enumerate(thermals)
@@ -111,7 +112,7 @@ class StressFree:
     @property
     def softens(self) -> bool:
         """Return whether temperature changes moduli (not collective)."""
-        return any(one.factor is not None for _, one in self._thermals)
+        return any(one.factor is not None or one.law is not None for _, one in self._thermals)
 
     def temperature(self, t: float) -> Float | None:
         """Return the temperature of the own particles at step time ``t`` (n_owned,); None without (collective)."""

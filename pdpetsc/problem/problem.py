@@ -9,6 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
+from pdpetsc.problem.ahead import Ahead
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.loose_springs import LooseSprings
@@ -38,6 +39,8 @@ class Problem:
     ----------
     springs : LooseSprings or None
         The term that holds loose particles, whose springs solvers move; None where bonds cannot fail.
+    ahead : list of Ahead
+        What is found before the equilibrium of each load step.
 
     Notes
     -----
@@ -53,6 +56,7 @@ class Problem:
         self.supports = supports
         self.damage = damage
         self.springs: LooseSprings | None = None
+        self.ahead: list[Ahead] = []
         self._last: State | None = None
         self._last_version = -1
         self._unstrained: tuple[tuple[float, int, int], Float] | None = None
@@ -225,6 +229,15 @@ class Problem:
         """Take back what failed since the last ``commit``."""
         if self.damage is not None:
             self.damage.revert()
+        for one in self.ahead:
+            one.revert()
+            self._last = None
+
+    def advance(self, before: float, t: float) -> None:
+        """Find what goes ahead of the equilibrium at step time ``t``, from the converged one at ``before``."""
+        for one in self.ahead:
+            one.advance(before, t)
+            self._last = None
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most if the step ends at a state [-]."""

@@ -46,6 +46,7 @@ from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
+from pdpetsc.solvers.staggered import HeatMarch
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
@@ -53,6 +54,7 @@ from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.following import control_forces
+from pdpetsc.terms.heat import heat_of
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
@@ -181,8 +183,8 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 weights = case.chosen_weights
                 strained = [Eigenstrain(All(), xx=1e-3)] if case.expands else []
                 bare = replace(
-                    case, damage=damage, conditions=strained, cell=None, symmetry=(), terms=(), weights=weights,
-                    material=[(All(), material) for material in materials],
+                    case, damage=damage, conditions=strained, heat=None, cell=None, symmetry=(), terms=(),
+                    weights=weights, material=[(All(), material) for material in materials],
                 )  # fmt: skip
                 families = find_families(cloud, repeated=None if share is None else 0.0, in_order=_in_order(case))
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
@@ -206,6 +208,7 @@ def _problem(
     damage: Damage | None = None
     matter: Matter
     others: list[Term]
+    bonds: Neighbourhood | None = None
     repeats = body.families.repeats
     if repeats is not None:
         made = _repeated_bonds if case.of_bonds else _repeated_points
@@ -215,14 +218,21 @@ def _problem(
         listed = _bonds if case.of_bonds else partial(_points, options=options)
         matter, others, damage = listed(case, body, bonds, materials, material_of, factor)
     applied = apply(body, matter, case.conditions, case.particles)
-    supports = applied.supports
+    supports, heat = applied.supports, None
     if case.expands:
-        body.expansion = stress_free(body, applied, case.thermals, material_of, materials)
+        if case.heat is not None:
+            assert bonds is not None
+            operator = (lambda: matter.operator) if isinstance(matter, MaterialPoints) else None
+            heat = heat_of(case.heat, body, applied, case.thermals, material_of, operator, bonds.omega, damage)
+        field = None if heat is None else heat.field
+        body.expansion = stress_free(body, applied, case.thermals, material_of, materials, field)
         matter.expand()
     extra = []
     for number, declared in enumerate(case.terms, 1):
         extra.append(build_extra(declared, number, body))
-    problem = Problem(body, matter, [*others, *applied.terms, *extra], supports, damage)
+    conduction = [] if heat is None else [heat]
+    problem = Problem(body, matter, [*others, *applied.terms, *extra, *conduction], supports, damage)
+    problem.ahead = [HeatMarch(one, Options({}) if options is None else options) for one in conduction]
     if damage is not None:
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
         problem.terms.append(problem.springs)
@@ -247,7 +257,7 @@ def repeated_share(case: Case) -> float | None:
     Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
     than the family, controls that do not follow kappa, and bonds of several materials.
     """
-    if case.damage is not None:
+    if case.damage is not None or case.heat is not None:
         return None
     if case.of_bonds:
         if case.expands:  # every bond has a length without force of its own

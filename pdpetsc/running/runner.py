@@ -154,13 +154,19 @@ class _Run:
                 failure = self._end(error)
                 if self.solver is not None:
                     # After an error of PETSc its objects are in no order to be destroyed in, not by Python either.
-                    _abandoned.append(self.solver) if of_petsc(error) else self.solver.destroy()
+                    _abandoned.append(self.solver) if of_petsc(error) else self._free(self.solver)
                 if failure is error:
                     raise
                 raise failure from error
             if self.solver is not None:
-                self.solver.destroy()
+                self._free(self.solver)
         return result
+
+    def _free(self, solver: Solver) -> None:
+        """Free what solver and problem hold outside Python."""
+        solver.destroy()
+        for one in self.prepared.problem.ahead if self.prepared is not None else ():
+            one.destroy()
 
     @property
     def phase(self) -> str:

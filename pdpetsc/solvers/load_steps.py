@@ -88,6 +88,7 @@ def load_steps(
     while t < 1.0 - SAME_TIME:
         ahead = next(s for s in stops if s > t + SAME_TIME)
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
+        solver.problem.advance(t, target)
         attempt, result, broken, sweeps = equilibrium(solver, steps.bonds_at_once, u, target, stop)
         if result.converged and result.negative_pivots and steps.unstable != "warn":
             result = replace(result, converged=False, reason=_unstable(result.negative_pivots))

@@ -19,7 +19,7 @@ from pdpetsc.declare.conditions import (
     Value,
 )
 from pdpetsc.declare.particles import Particles
-from pdpetsc.declare.thermal import Eigenstrain, Temperature, ThermalCondition
+from pdpetsc.declare.thermal import Convection, Eigenstrain, HeatFlux, HeatSource, Temperature, ThermalCondition
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
@@ -57,6 +57,7 @@ class Applied:
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
         self.eigenstrains: list[tuple[str, Eigenstrain, Mask]] = []
+        self.heat: list[tuple[str, HeatFlux | HeatSource | Convection, Mask]] = []
 
     @property
     def terms(self) -> list[Term]:
@@ -110,6 +111,19 @@ class Applied:
         with agreed(self.body.cloud.comm):
             condition.refuse_beyond(self.body.dim, name)
         self.eigenstrains.append((name, condition, select(self.body.cloud, condition.region, name)))
+
+    def heat_source(self, condition: HeatSource, name: str) -> None:
+        """Note heat in particles."""
+        self.heat.append((name, condition, select(self.body.cloud, condition.region, name)))
+
+    def heat_flux(self, condition: HeatFlux | Convection, name: str) -> None:
+        """Note heat through facets."""
+        assert self.body.surface is not None
+        self.heat.append((name, condition, self.body.surface.select(self.body.cloud, condition.region, name)))
+
+    def convection(self, condition: Convection, name: str) -> None:
+        """Note heat exchange of facets."""
+        self.heat_flux(condition, name)
 
     def _where(
         self, condition: Displacement | Force | BodyForce | Traction, name: str

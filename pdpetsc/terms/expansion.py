@@ -43,6 +43,8 @@ def stress_free(
         the temperature of one particle; or a function fails at the beginning or the end of the load.
     """
     thermal = any(one is not None for one in thermals)
+    if field is None and applied.heat:
+        raise CaseError(f"{applied.heat[0][0]} needs heat conduction; give the case heat=pd.HeatConduction(...).")
     if field is None and bool(applied.temperatures) != thermal:
         raise CaseError(
             "A Thermal material needs a temperature; give the case a Temperature condition."

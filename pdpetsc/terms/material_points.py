@@ -81,11 +81,13 @@ class MaterialPoints(Matter):
 
     def expand(self) -> None:
         """Let the materials see what is left of F when the stress-free deformation is taken off (collective)."""
-        x, owner = self.body.cloud.x, self.operator.owner
+        x, owner, expansion = self.body.cloud.x, self.operator.owner, self.body.expansion
+        assert expansion is not None
+        thermals = expansion.thermals or [None] * len(self.materials)
         with agreed(self.body.cloud.comm):
             self.materials = [
-                ExpandedAtPoints(one.material, one.points, self.body.dim, one.factor, x[owner[one.points]])
-                for one in self.materials
+                ExpandedAtPoints(one.material, one.points, self.body.dim, one.factor, x[owner[one.points]], thermal)
+                for one, thermal in zip(self.materials, thermals, strict=True)
             ]
 
     def _at_time(self, t: float) -> None:
@@ -96,10 +98,13 @@ class MaterialPoints(Matter):
         strain, factor, operator = expansion.strain(t), expansion.factor(t), self.operator
         if self._expanded is not None and self._expanded[0] is strain and self._expanded[1] is operator:
             return
-        for one in self.materials:
-            assert isinstance(one, ExpandedAtPoints)
-            of = operator.owner[one.points]
-            one.expand(strain[of], None if factor is None else factor[of])
+        temperature = expansion.temperature(t)
+        with agreed(self.body.cloud.comm):
+            for one in self.materials:
+                assert isinstance(one, ExpandedAtPoints)
+                of = operator.owner[one.points]
+                besides = [None if values is None else values[of] for values in (factor, temperature)]
+                one.expand(strain[of], *besides)
         self._expanded = strain, operator
 
     @property

@@ -1,0 +1,127 @@
+"""Symmetric systems with one number per particle and prescribed values, assembled."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.sparse import csr_matrix
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.petsc.options import Options
+from pdpetsc.petsc.scalar import DIRECT, assembled
+
+PREFIX = "heat_"
+RTOL = 1e-13
+# The solution counts where its residual is below this share of the right-hand side.
+GOOD = 1e-10
+# And where it is below so many round-offs of the diagonal times the values.
+FLOOR = 20.0
+MOST = 2000
+# What is added to the diagonal of the preconditioner, as a share of the largest: round-off moves the level of pieces
+# that nothing holds by its inverse.
+LIFTED = 1e-6
+MULTIGRID = {"heat_pc_type": "gamg", "heat_pc_gamg_threshold": 0.02, "heat_mg_coarse_pc_type": "svd"}
+FACTOR = {"heat_pc_type": "cholesky", "heat_pc_factor_mat_solver_type": "mumps"}
+
+
+class ScalarMatrix:
+    """``A x = b`` with x given at some particles.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The particles.
+    near : (n_local, n_local) sparse
+        What this rank adds to A, over its particles with ghosts.
+    held : (n_owned,) bool
+        Where x is given.
+    options : Options
+        Those of the run.
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    def __init__(self, cloud: Cloud, near: csr_matrix, held: Mask, options: Options) -> None:
+        self._cloud = cloud
+        self._held = held
+        self._diagonal = np.zeros(cloud.n_owned)
+        self._whole = assembled(cloud, near, 0.0)
+        rows = (cloud.first + np.flatnonzero(held)).astype(PETSc.IntType)
+        self._inside = self._whole.copy()
+        # Of particles that nothing joins to others the value stays.
+        self._inside.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        diagonal = self._inside.getDiagonal()
+        self._diagonal[:] = diagonal.getArray(readonly=True)
+        scale = float(diagonal.max()[1])
+        lonely = diagonal.getArray(readonly=True) <= 0.0
+        self._scale = scale if scale > 0.0 else 1.0
+        diagonal.setArray(np.where(lonely, self._scale, diagonal.getArray(readonly=True)))
+        self._inside.setDiagonal(diagonal)
+        self._inside.assemble()
+        self._inside.zeroRowsColumns(rows, diag=self._scale)
+        self._lonely = lonely
+        # A piece that nothing holds has no level of its own: the matrix that preconditions has.
+        self._near = self._inside.copy()
+        diagonal.setArray(np.full(cloud.n_owned, LIFTED * self._scale))
+        self._near.setDiagonal(diagonal, addv=True)
+        self._near.assemble()
+        diagonal.destroy()
+        for mat in (self._inside, self._near):
+            mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._near.setOption(PETSc.Mat.Option.SPD, True)
+        self._ksp = PETSc.KSP().create(comm=cloud.comm)
+        self._ksp.setOptionsPrefix(PREFIX)
+        self._ksp.setType("cg")
+        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._ksp.setOperators(self._inside, self._near)
+        self._ksp.setInitialGuessNonzero(True)
+        options.suggest(FACTOR if cloud.n_global <= DIRECT[cloud.dim] else MULTIGRID)
+        with options.active():
+            self._ksp.setFromOptions()
+            self._ksp.setUp()
+
+    def product(self, values: Float) -> Float:
+        """Return ``A v`` (n_owned,), with the rows of given values."""
+        x, y = self._whole.createVecs()
+        x.setArray(values)
+        self._whole.mult(x, y)
+        found: Float = np.array(y.getArray(readonly=True))
+        x.destroy(), y.destroy()
+        return found
+
+    def solve(self, b: Float, start: Float) -> tuple[Float, int, bool]:
+        """Return x with its given values from ``start`` (n_owned,), the iterations, and whether it is a solution.
+
+        Where nothing holds a piece, its level is that of ``start``.
+        """
+        # The difference to the start: given values have none.
+        residual = b - self.product(start)
+        residual[self._held | self._lonely] = 0.0
+        x, r = self._inside.createVecs()
+        round_off = r.duplicate()
+        r.setArray(residual)
+        size = r.norm()
+        found, iterations, good = start.copy(), 0, True
+        if size > 0.0:
+            x.set(0.0)
+            round_off.setArray(self._diagonal * np.abs(start))
+            floor = FLOOR * float(np.finfo(float).eps) * round_off.norm()
+            self._ksp.setTolerances(rtol=RTOL, atol=floor, max_it=MOST)
+            self._ksp.solve(r, x)
+            iterations = int(self._ksp.getIterationNumber())
+            found += x.getArray(readonly=True)
+            self._inside.multAdd(-1.0 * x, r, r)
+            round_off.setArray(self._diagonal * np.abs(found))
+            floor = max(floor, 2.0 * FLOOR * float(np.finfo(float).eps) * round_off.norm())
+            good = bool(np.isfinite(r.norm()) and r.norm() <= max(GOOD * size, floor))
+        for vector in (x, r, round_off):
+            vector.destroy()
+        return found, iterations, good
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for thing in (self._ksp, self._near, self._inside, self._whole):
+            thing.destroy()

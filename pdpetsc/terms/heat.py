@@ -1,0 +1,366 @@
+"""Heat conduction on the gradient of the scheme, or along bonds: what flows, what is stored, what enters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.declare.thermal import Convection, HeatConduction, HeatFlux, HeatSource
+from pdpetsc.discrete.communicator import agreed
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.gradient.base import GradientOperator, stencil_weights
+from pdpetsc.gradient.base import with_centres as with_centres_of
+from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.material.thermal import Thermal
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.expansion import PrescribedTemperature, TemperatureField
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import KeptArray, LinearisedTerm, Term
+from pdpetsc.terms.conditions import Applied
+from pdpetsc.terms.expansion import prescribed_temperature, reference_temperature
+
+# Directions in which a family has less than this share of its largest second moment have no slope.
+FLAT = 1e-10
+# Strength of the control where a particle has one gradient point.
+CONTROL = 0.5
+
+
+class ConductedTemperature(TemperatureField):
+    """A temperature that is solved for, from one load step to the next.
+
+    Attributes
+    ----------
+    before, now : (n_owned,) float64
+        At the last converged step, and in the present one.
+    """
+
+    def __init__(self, start: Float) -> None:
+        self.before = start
+        self.now = start.copy()
+
+    def at(self, t: float) -> Float:
+        """Return the temperature of the present step, whatever the step time (not collective)."""
+        return self.now.copy()
+
+    def take(self, temperature: Float) -> None:
+        """Take the temperature of a step (not collective)."""
+        self.now[:] = temperature
+        self.version += 1
+
+
+@dataclass(frozen=True)
+class Conducting:
+    """Conductivity and capacity of the own particles.
+
+    Attributes
+    ----------
+    k : (n_owned, dim, dim) float64
+        [power / length / temperature].
+    c : (n_owned,) float64
+        [energy / volume / temperature]; zeros where conduction takes no time.
+    """
+
+    k: Float
+    c: Float
+
+    @staticmethod
+    def of(thermals: Sequence[Thermal | None], material_of: LocalIndex, dim: int, in_time: bool) -> Conducting:
+        """Return those of the materials of the own particles.
+
+        Raises
+        ------
+        CaseError
+            A material does not say what conduction needs.
+        """
+        k, c = np.zeros((len(thermals), dim, dim)), np.zeros(len(thermals))
+        for number, thermal in enumerate(thermals):
+            tensor = None if thermal is None else thermal.conduction()
+            if thermal is None or tensor is None or (in_time and thermal.capacity is None):
+                lacks = "capacity" if tensor is not None else "conductivity"
+                raise CaseError(
+                    f"HeatConduction needs the {lacks} of every material; material {number + 1} says nothing of it: "
+                    f"give it as Thermal(..., {lacks}=...)."
+                )
+            k[number] = tensor[:dim, :dim]
+            c[number] = float(thermal.capacity) if in_time and thermal.capacity is not None else 0.0
+        return Conducting(k[material_of], c[material_of])
+
+
+class Heat(Term):
+    """Heat conduction of a body: a term without forces, which keeps the temperature of a run.
+
+    ``C dT/dt + K T = Q`` with ``K = G^T (W k) G + K_control + K_convection`` and ``C = c V``. The control resists
+    ``T_j - T_i - grad T . xi`` with the strength ``G tr k / dim``, as Silling's does for displacements. Of materials of
+    bonds, ``K`` is the sum over bonds of ``kappa_ij (T_j - T_i)`` with ``kappa_ij = dim V_i k omega V_j / sum_j omega
+    V_j |xi|^2``, from both ends.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    declared : HeatConduction
+        As declared.
+    conducting : Conducting
+        Conductivity and capacity.
+    operator : callable or None
+        Returns the present gradient operator; None for a body of bonds.
+    omega : (n_bonds,) float64
+        Influence of every bond [-].
+    field : ConductedTemperature
+        The temperature.
+    held : PrescribedTemperature
+        What conditions prescribe of it.
+    entering : sequence of (condition, mask)
+        Heat through facets of the surface or in own particles.
+    damage : Damage, optional
+        The bonds that fail.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    energy_of = "extra"
+
+    def __init__(
+        self, body: Body, declared: HeatConduction, conducting: Conducting,
+        operator: Callable[[], GradientOperator] | None, omega: Float, field: ConductedTemperature,
+        held: PrescribedTemperature, entering: Sequence[tuple[HeatFlux | HeatSource | Convection, Mask]],
+        damage: Damage | None = None,
+    ) -> None:  # fmt: skip
+        self.body = body
+        self.declared = declared
+        self.conducting = conducting
+        self.field = field
+        self.prescribed = held
+        self._operator = operator
+        self._omega = omega
+        self._entering = entering
+        self._damage = damage
+        self._resisting = self._convection()
+
+    @property
+    def parts(self) -> list[str]:
+        """Return what it is made of."""
+        return ["heat conduction"]
+
+    @property
+    def has_history(self) -> bool:
+        """Return whether the temperature depends on that of the step before."""
+        return self.declared.duration is not None
+
+    def linearised(self, state: State) -> LinearisedTerm | None:
+        """Return None: it has no forces."""
+        return None
+
+    def commit(self, state: State) -> None:
+        """Take the temperature of the step for good."""
+        self.field.before[:] = self.field.now
+
+    def revert(self) -> None:
+        """Go back to the temperature of the last converged step (not collective)."""
+        self.field.take(self.field.before)
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return the temperature of the last converged step."""
+        return {"temperature": KeptArray(np.arange(self.body.cloud.n_owned, dtype=np.int32), self.field.before)}
+
+    def restored(self) -> None:
+        """Go on from a temperature that was read."""
+        self.revert()
+
+    @property
+    def broken(self) -> int:
+        """Return a number that grows whenever bonds break or mend (not collective)."""
+        return 0 if self._damage is None else self._damage.breaks
+
+    @property
+    def capacity(self) -> Float:
+        """Return ``c V`` of the own particles (n_owned,) [energy / temperature] (not collective)."""
+        return self.conducting.c * self.body.cloud.volume[: self.body.cloud.n_owned]
+
+    def matrix(self) -> csr_matrix:
+        """Return what this rank adds to K, over its particles with ghosts (n_local, n_local) (not collective)."""
+        intact = np.ones(len(self._omega)) if self._damage is None else self._damage.bonds.intact.astype(float)
+        if self._operator is None:
+            return self._along_bonds(intact) + self._resisting
+        operator = self._operator()
+        K = self._resisting + self._of_gradient(operator)
+        G = self.declared.control
+        if G is None:
+            G = CONTROL if operator.n_points == self.body.cloud.n_owned else 0.0
+        # Particles without a gradient have nothing but it.
+        alone = np.zeros(self.body.cloud.n_owned, dtype=bool)
+        alone[operator.owner[operator.volume == 0.0]] = True
+        strength = np.where(alone, max(G, CONTROL), G)
+        return K + self._control(intact, strength) if strength.any() else K
+
+    def sources(self, t: float) -> Float:
+        """Return Q of the own particles at step time ``t`` (n_owned,) [power] (collective)."""
+        body, surface = self.body, self.body.surface
+        n = body.cloud.n_owned
+        Q = np.zeros(body.cloud.n_local)
+        with agreed(body.cloud.comm):
+            for condition, mask in self._entering:
+                own = np.flatnonzero(mask)
+                if isinstance(condition, HeatSource):
+                    Q[own] += condition.values(body.cloud.x[own], t) * body.cloud.volume[own]
+                    continue
+                assert surface is not None
+                through = np.zeros(len(surface.x))
+                through[own] = condition.values(surface.x[own], t) * np.linalg.norm(surface.area[own], axis=1)
+                Q += np.bincount(surface.members, surface.N * through[self._facets], len(Q))
+        body.cloud.halo.reverse(Q)
+        return Q[:n]
+
+    def flux(self, temperature: Float) -> Float:
+        """Return ``q = -k grad T``, the mean over the points of each own particle (n_owned, dim) (collective)."""
+        cloud = self.body.cloud
+        local = np.empty(cloud.n_local)
+        local[: cloud.n_owned] = temperature
+        cloud.halo.forward(local)
+        if self._operator is None:
+            families = self.body.families
+            intact = np.ones(len(self._omega)) if self._damage is None else self._damage.bonds.intact.astype(float)
+            kappa = self._kappa(intact)
+            flow = kappa * (local[families.neighbours] - local[families.centres])
+            sums = sum_by(families.centres, flow[:, None] * families.bonds(cloud.x), cloud.n_owned)
+            return np.asarray(-sums / cloud.volume[: cloud.n_owned, None])
+        operator = self._operator()
+        of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+        gradient = sum_by(of, local[operator.members, None] * operator.g, operator.n_points)
+        q = -np.einsum("pab,pb->pa", self.conducting.k[operator.owner], gradient)
+        return operator.mean_over_points(q, cloud.n_owned)
+
+    def _of_gradient(self, operator: GradientOperator) -> csr_matrix:
+        """Return ``G^T (W k) G``."""
+        n, dim = self.body.cloud.n_local, self.body.dim
+        shape = (operator.n_points, n)
+        G = [csr_matrix((operator.g[:, a], operator.members, operator.point_ptr), shape=shape) for a in range(dim)]
+        k = operator.volume[:, None, None] * self.conducting.k[operator.owner]
+        parts = [
+            G[a].T @ diags(k[:, a, b]) @ G[b] for a in range(dim) for b in range(dim) if a == b or np.any(k[:, a, b])
+        ]
+        return csr_matrix(sum(parts[1:], parts[0]))
+
+    def _control(self, intact: Float, strength: Float) -> csr_matrix:
+        """Return ``sum_ij s_ij (T_j - T_i - grad T . xi_ij)^2`` as a matrix, over bonds that are left."""
+        cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
+        weight = self._omega * cloud.volume[families.neighbours] * intact
+        whole = with_centres_of(np.arange(cloud.n_owned, dtype=np.int32), families.indptr, families.neighbours, weight)
+        K = whole.shape_tensors(cloud.x)
+        trace = np.einsum("pii->p", K)
+        inverse = np.linalg.pinv(K, rcond=FLAT, hermitian=True)
+        g = stencil_weights(whole, cloud.x, inverse)
+        mean = np.einsum("pii->p", self.conducting.k) / dim
+        each = strength * mean * cloud.volume[: cloud.n_owned]
+        each = np.divide(each, trace, out=np.zeros_like(each), where=trace > 0.0)
+        D = _differences(families.centres, families.neighbours, cloud.n_local)
+        xi = families.bonds(cloud.x)
+        shape = (cloud.n_owned, cloud.n_local)
+        of = csr_matrix((np.ones(len(xi)), families.centres, np.arange(len(xi) + 1)), shape=(len(xi), cloud.n_owned))
+        for a in range(dim):
+            slope = csr_matrix((g[:, a], whole.members, whole.point_ptr), shape=shape)
+            D = D - diags(xi[:, a]) @ (of @ slope)
+        return csr_matrix(D.T @ diags(each[families.centres] * weight) @ D)
+
+    def _kappa(self, intact: Float) -> Float:
+        """Return ``kappa_ij`` of the bonds of the own particles (n_bonds,) [power / temperature]."""
+        cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
+        xi = families.bonds(cloud.x)
+        weight = self._omega * cloud.volume[families.neighbours]
+        moment = np.bincount(families.centres, weight * np.einsum("bi,bi->b", xi, xi), cloud.n_owned)
+        k = np.einsum("pii->p", self.conducting.k) / dim
+        each = dim * k * cloud.volume[: cloud.n_owned]
+        each = np.divide(each, moment, out=np.zeros_like(each), where=moment > 0.0)
+        return np.asarray(each[families.centres] * weight * intact)
+
+    def _along_bonds(self, intact: Float) -> csr_matrix:
+        """Return the conduction of bonds."""
+        families = self.body.families
+        D = _differences(families.centres, families.neighbours, self.body.cloud.n_local)
+        return csr_matrix(D.T @ diags(self._kappa(intact)) @ D)
+
+    @property
+    def _facets(self) -> GlobalIndex:
+        """Return the facet of every entry of the surface."""
+        surface = self.body.surface
+        assert surface is not None
+        return np.repeat(np.arange(len(surface.x)), np.diff(surface.ptr))
+
+    def _convection(self) -> csr_matrix:
+        """Return ``sum_f h |a_f| N_f (x) N_f``."""
+        n, surface = self.body.cloud.n_local, self.body.surface
+        K = csr_matrix((n, n))
+        for condition, mask in self._entering:
+            if isinstance(condition, Convection):
+                assert surface is not None
+                h = np.where(mask, condition.coefficient * np.linalg.norm(surface.area, axis=1), 0.0)
+                N = csr_matrix((surface.N, surface.members, surface.ptr), shape=(len(surface.x), n))
+                K = K + csr_matrix(N.T @ diags(h) @ N)
+        return K
+
+
+def _differences(first: LocalIndex, second: LocalIndex, n: int) -> csr_matrix:
+    """Return the matrix that takes ``T_j - T_i`` of bonds from the temperatures of n local particles."""
+    rows, one = np.arange(len(first)), np.ones(len(first))
+    shape = (len(first), n)
+    return csr_matrix((one, (rows, second)), shape=shape) - csr_matrix((one, (rows, first)), shape=shape)
+
+
+def heat_of(
+    declared: HeatConduction, body: Body, applied: Applied, thermals: Sequence[Thermal | None],
+    material_of: LocalIndex, operator: Callable[[], GradientOperator] | None, omega: Float,
+    damage: Damage | None,
+) -> Heat:  # fmt: skip
+    """Return the conduction that a case declares, at its start (collective).
+
+    Raises
+    ------
+    CaseError
+        A material does not say what conduction needs, nothing fixes the level of a steady temperature, or where
+        conduction takes time a condition does not say how it goes on in time.
+    """
+    cloud = body.cloud
+    _refuse_unfit(declared, applied)
+    conducting = Conducting.of(thermals, material_of, cloud.dim, declared.duration is not None)
+    with agreed(cloud.comm):
+        reference = reference_temperature(thermals, material_of)
+        start = declared.at_start(cloud.x[: cloud.n_owned], reference)
+    held = prescribed_temperature(body, applied, start.copy())
+    try:
+        given = held.at(0.0)
+        start[held.held] = given[held.held]
+        field = ConductedTemperature(start)
+        entering = [(condition, mask) for _, condition, mask in applied.heat]
+        made = Heat(body, declared, conducting, operator, omega, field, held, entering, damage)
+        for t in (0.0, 1.0):
+            made.sources(t)
+            held.at(t)
+    except SolveError as error:
+        raise CaseError(str(error)) from error
+    return made
+
+
+def _refuse_unfit(declared: HeatConduction, applied: Applied) -> None:
+    """Raise CaseError where conditions do not make a problem of conduction, on every rank."""
+    if declared.duration is None:
+        if not applied.temperatures and not any(isinstance(condition, Convection) for _, condition, _ in applied.heat):
+            raise CaseError(
+                "Nothing fixes the level of the steady temperature; prescribe it somewhere, let the surface convect, "
+                "or give HeatConduction a duration."
+            )
+        return
+    timed = [(name, one.timed) for name, one, _ in applied.heat if not isinstance(one, Convection)]
+    timed += [(name, one.timed) for name, one, _ in applied.temperatures]
+    for name, known in timed:
+        if not known:
+            raise CaseError(
+                f"{name} is a number, and heat conduction takes time: say with schedule=pd.Hold() that it acts from "
+                f"the start, or with schedule=pd.Ramp() that it grows over the whole run."
+            )

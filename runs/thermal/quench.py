@@ -1,0 +1,70 @@
+"""Hot ceramic plate that is quenched in water: parallel cracks whose spacing grows with depth. Units mm, N, s, K.
+
+Half of a plate 10 mm thick below its mirror plane; its lower face y = 0 convects to water, the others are insulated.
+Alumina of bonds in plane stress, whose strength scatters by ``scatter`` from place to place; heat flows along the bonds
+that are left. ``spacing_0`` to ``spacing_3`` are the mean distances of the cracks at four depths after ``time``: a
+quarter of a millimetre, and a tenth, a quarter and four tenths of the half plate.
+"""
+
+import numpy as np
+
+import pdpetsc as pd
+
+E, ALPHA, GC = 370e3, 7.5e-6, 0.0243  # MPa, 1 / K, N / mm
+CONDUCTIVITY, CAPACITY = 31.0, 3.5  # N / s / K, N / mm^2 / K
+WATER = 20.0
+
+
+def noise(x):
+    """Return a number between -1 and 1 for each place (n,), as good as random and the same on every rank."""
+    return 2.0 * np.modf(np.abs(np.sin(x @ np.array([12.9898, 78.233])) * 43758.5453))[0] - 1.0
+
+
+class Cracks(pd.Quantity):
+    """Number of cracks that cross a row of particles: runs of particles that have lost a third of their bonds."""
+
+    def __init__(self, depth, dx, columns):
+        self.depth, self.dx, self.columns = depth, dx, columns
+
+    def evaluate(self, solution):
+        row = np.abs(solution.x[:, 1] - (np.floor(self.depth / self.dx) + 0.5) * self.dx) < 0.25 * self.dx
+        hurt = row & (pd.lost_bonds(solution) > 0.34)
+        column = np.rint(solution.x[hurt, 0] / self.dx - 0.5).astype(int)
+        marked = solution.sum(np.bincount(column, minlength=self.columns).astype(float)) > 0.0
+        return float(np.count_nonzero(np.diff(np.concatenate([[False], marked]).astype(int)) == 1))
+
+
+def case(
+    width=10.0, half=5.0, dx=0.125, horizon=3.015, hot=320.0, coefficient=50.0, time=0.5, steps=50, scatter=0.1,
+    at_once=40,
+):  # fmt: skip
+    reach = horizon * dx
+    critical = np.sqrt(4.0 * np.pi * GC / (9.0 * E * reach))
+    depths = [0.25, 0.15 * half, 0.4 * half, 0.6 * half]
+    columns = round(width / dx)
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (width, half), dx),
+        horizon=reach,
+        material=pd.Thermal(
+            pd.BondBased(E=E, plane="stress"), ALPHA, reference=hot, conductivity=CONDUCTIVITY, capacity=CAPACITY
+        ),
+        symmetry=[pd.Symmetry("y", half)],
+        damage=pd.Brittle(pd.CriticalFunction(lambda length, middle: critical * (1.0 + scatter * noise(middle)))),
+        conditions=[
+            pd.Displacement(pd.region.Nearest((0.5 * width, half)), x=0.0),
+            pd.Convection(pd.region.Slab("y", high=0.0), coefficient, WATER),
+        ],
+        heat=pd.HeatConduction(duration=time),
+        steps=pd.Steps(steps, bonds_at_once=at_once),
+        history={
+            "broken": pd.BrokenBonds(),
+            "surface": pd.At((0.5 * width, 0.0), pd.temperature),
+            **{f"cracks_{n}": Cracks(depth, dx, columns) for n, depth in enumerate(depths)},
+        },
+        results=lambda h: {
+            "cooled_to": h["surface"][-1],
+            **{f"spacing_{n}": width / max(h[f"cracks_{n}"][-1], 1.0) for n in range(len(depths))},
+        },
+        fields=[pd.displacement, pd.temperature, pd.heat_flux, pd.lost_bonds],
+        picture=pd.Picture(pd.lost_bonds, ""),
+    )

@@ -20,7 +20,7 @@ from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.following import control_forces
-from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.mean_dilatation import material_points
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 import study
@@ -181,12 +181,12 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
         damage = make_damage(law, whole, omega, k, True)
     if damage is None:
-        matter = MaterialPoints(whole, scheme.build(cloud, families, omega), materials, material_of)
+        matter = material_points(scheme, whole, scheme.build(cloud, families, omega), materials, material_of)
     else:
         matter = DamagedPoints(whole, omega, scheme, materials, material_of, None, damage)
     terms = []
     if control is not None:
-        stiffness = stiffness_of(whole, materials, material_of, None)
+        stiffness = control.sees(stiffness_of(whole, materials, material_of, None))
         built = control.build(cloud, families, omega, stiffness)
         terms = [control_forces(control, whole, built, matter, damage)]
     return Small(Problem(whole, matter, terms, Supports(whole), damage))

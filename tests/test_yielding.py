@@ -234,7 +234,7 @@ def test_without_a_matrix_it_is_the_same(tmp_path):
     kinds = ("assembled", "matfree")
     found = [pd.run(strip(), tmp_path / kind, options={"pd_jacobian": kind}).summary["results"] for kind in kinds]
     for name, value in found[0].items():
-        assert found[1][name] == pytest.approx(value, rel=1e-6)
+        assert found[1][name] == pytest.approx(value, rel=1e-9)
 
 
 def test_elastic_bodies_have_the_control_that_is_followed():

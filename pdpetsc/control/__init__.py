@@ -2,6 +2,7 @@
 
 from pdpetsc.control.averaged_displacement import AveragedDisplacement, RelativeAverage
 from pdpetsc.control.base import Control, ZeroEnergyControl
+from pdpetsc.control.by_shear import ByShear
 from pdpetsc.control.following import Following
 from pdpetsc.control.littlewood import Littlewood
 from pdpetsc.control.penalty import Penalty
@@ -12,6 +13,7 @@ from pdpetsc.control.wan import Wan
 __all__ = [
     "CONTROLS",
     "AveragedDisplacement",
+    "ByShear",
     "Control",
     "Following",
     "Littlewood",

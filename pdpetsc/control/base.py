@@ -276,6 +276,10 @@ class ZeroEnergyControl(Declared, ABC):
         """Return the control of a body whose materials have no history: itself."""
         return self
 
+    def sees(self, stiffness: Stiffness) -> Stiffness:
+        """Return the stiffness that ``build`` is given for that of the material: the same (not collective)."""
+        return stiffness
+
     @property
     def least_share(self) -> float | None:
         """Return down to which share of its stiffness it follows a material that yields [-]; None where it does not."""

@@ -88,6 +88,10 @@ class Following(ZeroEnergyControl):
         """Return ``least``."""
         return self.least
 
+    def sees(self, stiffness: Stiffness) -> Stiffness:
+        """Return what the elastic control is given."""
+        return self.control.sees(stiffness)
+
     def build(self, cloud: Cloud, families: Families, omega: Float, stiffness: Stiffness) -> Control:
         """Return the elastic control (collective)."""
         return self.control.build(cloud, families, omega, stiffness)

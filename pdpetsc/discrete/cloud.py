@@ -156,7 +156,7 @@ class Cloud:
 
 def distribute(
     comm: Comm, x: Float, volume: Float, sets: Mapping[str, Mask], horizon: float | Float, cell: Cell | None = None,
-    planes: Sequence[Symmetry] = (), mutual: bool = False,
+    planes: Sequence[Symmetry] = (), mutual: bool = False, together: Float | None = None,
 ) -> Cloud:  # fmt: skip
     """Partition particles over the ranks, number them and give every rank its ghosts.
 
@@ -172,6 +172,9 @@ def distribute(
         Mirror planes, of different axes that are not periodic.
     mutual : bool
         Whether bonds are where either end reaches the other, as in ``Cloud``.
+    together : (n, dim) float64, optional
+        Places by which particles are given to ranks, the same for those that one rank must have; their positions where
+        absent.
 
     Returns
     -------
@@ -203,7 +206,7 @@ def distribute(
     reach = np.array(np.broadcast_to(np.asarray(horizon, dtype=float), len(x)))
     refuse_beyond(comm, planes, x, reach)
     arrays = [x, volume, gid, np.ascontiguousarray(flags), reach]
-    (x, volume, gid, flags, reach), _ = exchange(comm, bisect(comm, x), arrays)
+    (x, volume, gid, flags, reach), _ = exchange(comm, bisect(comm, x if together is None else together), arrays)
     order = _near_in_memory(x, gid, reach)
     x, volume, gid, flags, reach = x[order], volume[order], gid[order], flags[order], reach[order]
     widest, least = largest(comm, reach.max(initial=0.0)), smallest(comm, reach.min(initial=np.inf))

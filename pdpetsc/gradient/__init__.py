@@ -5,6 +5,7 @@ from pdpetsc.gradient.bond_associated import BondAssociated
 from pdpetsc.gradient.corrected import Corrected
 from pdpetsc.gradient.correspondence import Correspondence
 from pdpetsc.gradient.higher_order import HigherOrder
+from pdpetsc.gradient.mean_dilatation import MeanDilatation
 from pdpetsc.gradient.smoothed import SmoothedDisplacement
 from pdpetsc.gradient.stress_points import StressPoints
 from pdpetsc.gradient.sub_horizons import SubHorizons
@@ -19,6 +20,7 @@ __all__ = [
     "Correspondence",
     "GradientOperator",
     "HigherOrder",
+    "MeanDilatation",
     "Scheme",
     "SmoothedDisplacement",
     "Standard",

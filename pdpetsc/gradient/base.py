@@ -281,6 +281,22 @@ class ListedProduct(Product):
 
 
 @dataclass(frozen=True)
+class Patches:
+    """Which gradient points share one dilatation.
+
+    Attributes
+    ----------
+    edge : float
+        Edge of the boxes whose particles are a patch [length].
+    share : float
+        Stiffness of dilatations that the mean of a patch does not see over twice the shear modulus [-].
+    """
+
+    edge: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Scheme(Declared, ABC):
     """A correspondence scheme: where deformation gradients are evaluated, and with which weights.
 
@@ -294,6 +310,11 @@ class Scheme(Declared, ABC):
 
     of_family: ClassVar[bool] = False
     points_of_bonds: ClassVar[bool] = False
+
+    @property
+    def patches(self) -> Patches | None:
+        """Return which gradient points share one dilatation; None where each has its own."""
+        return None
 
     def memory(self, dim: int, family: float) -> float:
         """Return the least memory per bond while the operator is built, in families of ``family`` bonds [bytes]."""

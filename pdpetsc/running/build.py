@@ -23,7 +23,7 @@ from pdpetsc.declare.region import All
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
-from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, total
+from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, smallest, total
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.lattice import Repeats, positions_on_lattice
 from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
@@ -31,6 +31,7 @@ from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.gradient.repeated import RepeatedOperator
 from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
@@ -56,6 +57,7 @@ from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.following import control_forces
 from pdpetsc.terms.heat import heat_of
 from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.mean_dilatation import material_points
 from pdpetsc.terms.repeated_bonds import RepeatedBonds
 
 # Bonds are not listed where at least this share of the particles share one family.
@@ -83,7 +85,15 @@ def make_cloud(comm: Comm, case: Case) -> Cloud:
     _refuse_large_families(comm, case, chunk.x, reach, count)
     # A bond is one thing with two ends, of which a gradient reads one.
     mutual = case.of_bonds
-    return distribute(comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual)
+    patches = None if case.of_bonds else case.gradients.patches
+    together = None if patches is None else boxes(comm, chunk.x, patches.edge).astype(float)
+    cloud = distribute(comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual, together)
+    if patches is not None and smallest(comm, cloud.n_owned) == 0:
+        raise CaseError(
+            f"Patches of {patches.edge:g} are fewer than the {comm.size} ranks can share; run on fewer ranks, or take "
+            f"patches of two spacings."
+        )
+    return cloud
 
 
 def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Float, count: int) -> None:
@@ -306,7 +316,7 @@ def _repeated_points(
     control = control_of(case)
     if control is None:
         return matter, []
-    stiffness = stiffness_of(body, continuum, material_of, factor)
+    stiffness = control.sees(stiffness_of(body, continuum, material_of, factor))
     built = cast(NonUniform, control.build(edge.cloud, families, omega, of_edge(stiffness, repeats)))
 
     def listed() -> Control:
@@ -361,6 +371,8 @@ def _points(
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None:
+        if case.gradients.patches is not None:
+            raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
         alike = [BondBased(one.young_modulus(), plane=one.plane, calibration="lattice") for one in continuum]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         _refuse_several(case.damage, materials, factor)
@@ -368,11 +380,11 @@ def _points(
         matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
-        matter = MaterialPoints(body, operator, continuum, material_of, factor)
+        matter = material_points(case.gradients, body, operator, continuum, material_of, factor)
     control = control_of(case)
     if control is None:
         return matter, [], damage
-    stiffness = stiffness_of(body, continuum, material_of, factor)
+    stiffness = control.sees(stiffness_of(body, continuum, material_of, factor))
     built = control.build(body.cloud, body.families, bonds.omega, stiffness)
     return matter, [control_forces(control, body, built, matter, damage)], damage
 

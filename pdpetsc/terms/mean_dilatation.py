@@ -1,0 +1,333 @@
+"""Correspondence whose gradient points share one dilatation in each patch of particles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.sparsity import sharing_stencil
+from pdpetsc.errors import CaseError
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, ListedProduct, Moduli, Patches, Scheme
+from pdpetsc.gradient.mean_dilatation import boxes
+from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.kernels.gradient import determinant_kernel
+from pdpetsc.kernels.sparsity import sum_by, transpose
+from pdpetsc.material.base import Material
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Entries, Term
+from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
+
+
+class Shared(NamedTuple):
+    """Gradient points at a state, with the dilatations of their patches.
+
+    Attributes
+    ----------
+    F, F_bar : (n_points, dim, dim) float64
+        Gradients of the points, and what the material sees [-].
+    missing : (n_points,) float64
+        ``<theta> - theta`` [-].
+    """
+
+    F: Float
+    F_bar: Float
+    missing: Float
+
+
+class Response(NamedTuple):
+    """What a material answers to shared dilatations.
+
+    Attributes
+    ----------
+    P_bar, P : (n_points, dim, dim) float64
+        Stress at ``F_bar``, and the stress that forces have [stress].
+    lacking : (n_points,) float64
+        ``<r> - r`` [stress].
+    """
+
+    P_bar: Float
+    P: Float
+    lacking: Float
+
+
+@dataclass(frozen=True)
+class PatchOperator(GradientOperator):
+    """Vectors on the particles of patches in the place of the weights of points; the owner of a patch stands for it."""
+
+    n_owned: int = 0
+
+    @property
+    def points_of(self) -> GlobalIndex:
+        """Return where the patches of every own particle start (n_owned + 1,)."""
+        return np.searchsorted(self.owner, np.arange(self.n_owned + 1)).astype(np.int64)
+
+
+class PatchPoints(MaterialPoints):
+    """Internal forces with one dilatation for each patch of particles (``gradient.mean_dilatation``).
+
+    With ``b = <F^-T g>`` and ``s`` of the same kind, vectors on the particles of a patch, the tangent is that of points
+    which keep their mean dilatation, and ``W (s (x) b + b (x) s + k b (x) b)`` of every patch.
+
+    Parameters
+    ----------
+    body, operator, materials, material_of, factor
+        As for ``MaterialPoints``.
+    patches : Patches
+        Which points share a dilatation.
+
+    Raises
+    ------
+    CaseError
+        The body is in plane stress, on every rank.
+
+    Notes
+    -----
+    Construction is collective.
+    """
+
+    horizons = 3
+
+    def __init__(
+        self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
+        factor: Float | None, patches: Patches,
+    ) -> None:  # fmt: skip
+        super().__init__(body, operator, materials, material_of, factor)
+        cloud, dim = body.cloud, body.dim
+        with agreed(cloud.comm):
+            if dim == 2 and any(material.plane == "stress" for material in materials):
+                raise CaseError(
+                    "MeanDilatation is for bodies that keep their volume in the plane; plane stress does not."
+                )
+        self._rest = np.empty(operator.n_points)
+        for one in self.materials:
+            twice = patches.share * twice_shear(one.material.moduli(dim))
+            self._rest[one.points] = twice if one.factor is None else twice * one.factor
+        found = np.unique(boxes(cloud.comm, cloud.x[: cloud.n_owned], patches.edge), axis=0, return_inverse=True)[1]
+        self._gather(np.asarray(found).ravel())
+
+    def _gather(self, patch_of: GlobalIndex) -> None:
+        """Set up the patches of the own particles (n_owned,)."""
+        cloud, operator = self.body.cloud, self.operator
+        n, own = cloud.n_owned, np.arange(cloud.n_owned)
+        # Work on families with ghosts is done after they arrive, before that on others ends: a patch is of the last.
+        late = self.body.families.with_any(np.arange(cloud.n_local) >= n)
+        last = np.full(int(patch_of.max(initial=-1)) + 1, -1)
+        np.maximum.at(last, patch_of, own + n * late)
+        owner = last % n if n else last
+        order = np.argsort(owner)
+        number = np.empty(len(order), dtype=np.int64)
+        number[order] = np.arange(len(order))
+        self.patch_of_point = number[patch_of][operator.owner]
+        self._patch_owner = owner[order].astype(np.int32)
+        self._weight = operator.volume / self._sum(operator.volume)[self.patch_of_point]
+        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+        pairs = self.patch_of_point[point_of] * cloud.n_local + operator.members
+        kept, self._slot = np.unique(pairs, return_inverse=True)
+        patch, member = np.divmod(kept, max(cloud.n_local, 1))
+        ptr = np.searchsorted(patch, np.arange(len(order) + 1)).astype(np.int64)
+        # The owner is in front, without a vector of its own, as the centre of a point is.
+        self._front = ptr[:-1]
+        self._patch_ptr = ptr + np.arange(len(ptr))
+        self._patch_members = np.insert(member, self._front, self._patch_owner).astype(np.int32)
+        self._point_of_entry = point_of
+
+    @property
+    def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
+        """Return the particles of patches with their families."""
+        return self._patch_ptr, self._patch_members
+
+    @property
+    def within_families(self) -> bool:
+        """Return False."""
+        return False
+
+    def reach(self, marked: Float) -> Mask:
+        """Return the own particles that share a patch with a marked local one (collective)."""
+        return sharing_stencil(self.body.cloud, self._patch_ptr, self._patch_members, marked)
+
+    def shared(self, state: State) -> Shared:
+        """Return the gradients at an admissible state, with the dilatations of patches."""
+        operator, dim = self.operator, self.body.dim
+
+        def make() -> Shared:
+            F = self._own_gradient(state)
+            theta = np.einsum("pii->p", F) - dim if self._linear else np.log(np.linalg.det(F))
+            missing = self._sum(self._weight * theta)[self.patch_of_point] - theta
+            if self._linear:
+                F_bar = F + missing[:, None, None] / dim * np.eye(dim)
+            else:
+                F_bar = np.exp(missing / dim)[:, None, None] * F
+            return Shared(F, F_bar, missing)
+
+        return state.kept(("shared", id(operator)), make)
+
+    def response(self, state: State) -> Response:
+        """Return the stresses at an admissible state."""
+        dim = self.body.dim
+
+        def make() -> Response:
+            F, F_bar, missing = self.shared(state)
+            P_bar = self.stress(F_bar)
+            work = np.einsum("pii->p", P_bar) if self._linear else np.einsum("pij,pij->p", P_bar, F_bar)
+            r = work / dim + self._rest * missing
+            lacking = self._sum(self._weight * r)[self.patch_of_point] - r
+            if self._linear:
+                return Response(P_bar, P_bar + lacking[:, None, None] * np.eye(dim), lacking)
+            scale = np.exp(missing / dim)[:, None, None]
+            turned = np.swapaxes(np.linalg.inv(F), 1, 2)
+            return Response(P_bar, scale * P_bar + lacking[:, None, None] * turned, lacking)
+
+        return state.kept(("response", id(self.operator), self.version), make)
+
+    def deformation(self, state: State) -> Float:
+        """Return ``F_bar`` (n_points, dim, dim) [-], what materials see."""
+        return self.shared(state).F_bar
+
+    def admissible(self, state: State) -> bool:
+        """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
+        F = self._own_gradient(state)
+        if not self._linear and not determinant_kernel(self.body.dim)(F) > 0.0:
+            return False
+        return super().admissible(state)
+
+    def add_force(self, state: State, f: Float) -> None:
+        """Add ``G^T (W P)``."""
+        self.operator.divergence(self.response(state).P, f)
+
+    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
+        """Add the forces of a control on the same gradient in the same loop."""
+        control = other.control_of(self.operator, state)
+        if control is None or not self.operator.adds_together(control):
+            return False
+        H = self.shared(state).F - np.eye(self.body.dim)
+        self.operator.divergence(self.response(state).P, f, ControlledGradient(control, H, state.u_local))
+        return True
+
+    def linearised(self, state: State) -> PatchTangent:
+        """Return the tangent of points and patches at a state."""
+        return PatchTangent(self, state)
+
+    def energy(self, state: State) -> float:
+        """Return ``sum_p W_p (psi_p + share mu (<theta> - theta_p)^2)``."""
+        return super().energy(state) + float(self.operator.volume @ self._rest_energy(state))
+
+    def energy_density(self, state: State) -> Float:
+        """Return the mean over the points of each own particle (n_owned,) [energy / volume]."""
+        return super().energy_density(state) + self._mean(self._rest_energy(state))
+
+    def deformation_gradient(self, state: State) -> Float:
+        """Return the mean of F, not of what materials see, over the points of each own particle (n_owned, dim, dim)."""
+        return self._mean(self.shared(state).F)
+
+    def first_piola_stress(self, state: State) -> Float:
+        """Return the mean of the stress that forces have (n_owned, dim, dim) [stress]."""
+        return self.mean_stress(self.response(state).P)
+
+    def cauchy_stress(self, state: State) -> Float:
+        """Return the mean of ``P F^T / det F`` (n_owned, dim, dim) [stress]; of P where the body is linear."""
+        P, F = self.response(state).P, self.shared(state).F
+        if self._linear:
+            return self.mean_stress(P)
+        return self.mean_stress(np.einsum("pik,pjk->pij", P, F) / np.linalg.det(F)[:, None, None])
+
+    def vectors(self, weighted: Float) -> Float:
+        """Return ``sum_p w_p B_p g_pk`` on the entries of patches (n_entries, dim) for tensors ``w B`` of points."""
+        of = self._point_of_entry
+        each = np.einsum("eim,em->ei", weighted[of], self.operator.g)
+        sums = sum_by(self._slot, each, len(self._patch_members) - len(self._front))
+        return np.asarray(np.insert(sums, self._front, 0.0, axis=0))
+
+    def patch_operator(self, vectors: Float, volume: Float) -> PatchOperator:
+        """Return vectors on the entries of patches as an operator with volumes of the patches (n_patches,)."""
+        data = self._patch_owner, self._patch_ptr, self._patch_members
+        return PatchOperator(*data, vectors, volume, n_owned=self.body.cloud.n_owned)
+
+    def _sum(self, values: Float) -> Float:
+        """Return the sums over the points of patches (n_patches,)."""
+        return np.asarray(np.bincount(self.patch_of_point, values, len(self._patch_owner)))
+
+    def _own_gradient(self, state: State) -> Float:
+        """Return F of the points (n_points, dim, dim) [-]."""
+        return super().deformation(state)
+
+    def _rest_energy(self, state: State) -> Float:
+        return np.asarray(0.5 * self._rest * self.shared(state).missing ** 2)
+
+
+class PatchTangent(PointsTangent):
+    """The tangent of ``PatchPoints`` at a state."""
+
+    points: PatchPoints
+
+    def __init__(self, points: PatchPoints, state: State) -> None:
+        dim, linear = points.body.dim, points._linear
+        F, F_bar, missing = points.shared(state)
+        P_bar, _, lacking = points.response(state)
+        A = points.moduli(F_bar)
+        scale = np.ones(len(F)) if linear else np.exp(missing / dim)
+        seen = np.broadcast_to(np.eye(dim), F.shape) if linear else F
+        B = np.array(np.broadcast_to(np.eye(dim), F.shape)) if linear else np.swapaxes(np.linalg.inv(F), 1, 2)
+        A *= (scale**2)[:, None, None, None, None]
+        right, left = np.einsum("pimkn,pkn->pim", A, seen), np.einsum("pim,pimkn->pkn", seen, A)
+        if not linear:
+            right += scale[:, None, None] * P_bar
+            left += scale[:, None, None] * P_bar
+        k = np.einsum("pim,pim->p", left, seen) / dim**2 + points._rest
+        A -= np.einsum("pim,pkn->pimkn", right / dim, B) + np.einsum("pim,pkn->pimkn", B, left / dim)
+        A += np.einsum("p,pim,pkn->pimkn", k, B, B)
+        if not linear:
+            A -= np.einsum("p,pin,pkm->pimkn", lacking, B, B)
+        super().__init__(points, Moduli(A))
+        w = points._weight
+        of_patch = points._sum(w * k)
+        b = points.vectors(w[:, None, None] * B)
+        s_right = points.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
+        s_left = points.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
+        s_left += np.repeat(of_patch, np.diff(points._patch_ptr))[:, None] * b
+        volume = points._sum(points.operator.volume)
+        one = np.eye(dim)
+        self._one = np.tile(np.einsum("im,kn->imkn", one, one), (len(volume), 1, 1, 1, 1))
+        self._pairs = [(s_right, points.patch_operator(b, volume)), (b, points.patch_operator(s_left, volume))]
+        self._products = [ListedProduct(operator, self._one, h) for h, operator in self._pairs]
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of points and patches, and of a control that shares the loop."""
+        super().add_product(du, f, particles)
+        for product in self._products:
+            product.add(particles, du, f)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of points and patches."""
+        super().add_rows(entries)
+        points, sparsity = self.points, entries.sparsity
+        by_particle = transpose(points._patch_ptr, points._patch_members, points.body.cloud.n_local)
+        for h, operator in self._pairs:
+            for rows, own in entries.row_sets():
+                assemble_kernel(points.body.dim)(
+                    rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *by_particle,
+                    operator.point_ptr, operator.members, h, operator.g, operator.volume, self._one, own, entries.off,
+                )  # fmt: skip
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add those of points and patches."""
+        super().add_point_blocks(blocks)
+        for product in self._products:
+            product.add_point_blocks(blocks)
+        return True
+
+
+def material_points(
+    scheme: Scheme, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
+    factor: Float | None = None,
+) -> MaterialPoints:  # fmt: skip
+    """Return the term of materials at the points of a scheme, which share dilatations where it says so (collective)."""
+    if scheme.patches is None:
+        return MaterialPoints(body, operator, materials, material_of, factor)
+    return PatchPoints(body, operator, materials, material_of, factor, scheme.patches)

@@ -1,42 +1,20 @@
 """Laws with history at points: derivatives, objectivity, closed forms, free sides, time, and small bodies."""
 
 import dataclasses
-import re
+import json
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.command_line.cli import load_case
 from pdpetsc.material.at_points import MaterialAtPoints
-from tests.commands import ROOT
+from tests.commands import ROOT, field, results
+from tests.laws import DURATION, ISOTROPIC, LAWS, NU, E, Y
 from tests.scenes import body, dense_tangent, differences, displacement, rotation
 
 hard, rates = pd.hardening, pd.rate
-E, NU, Y = 10.0, 0.3, 0.3
-DURATION = 4.0
-ISOTROPIC = {
-    "linear": hard.Linear(1.0),
-    "voce": hard.Linear(0.4) + hard.Voce(0.4, 8.0),
-    "swift": hard.Power(0.8, 0.4, 0.01),
-    "ludwik": hard.Power(0.8, 0.4),
-    "table": hard.Tabular([0.0, 0.02, 0.1, 0.6], [0.0, 0.05, 0.1, 0.2]),
-}
-LAWS = {name: pd.J2(E, NU, yield_stress=Y, hardening=law) for name, law in ISOTROPIC.items()}
-LAWS["perzyna"] = pd.J2(
-    E, NU, yield_stress=Y, hardening=ISOTROPIC["voce"], rate=rates.Perzyna(DURATION, rate_0=0.5, drag=0.3, exponent=2.0)
-)
-LAWS["johnson_cook"] = pd.J2(
-    E, NU, yield_stress=Y, hardening=hard.Power(0.8, 0.4, 0.01),
-    rate=rates.JohnsonCook(DURATION, C=0.1, rate_0=0.02, temperature=500.0, room=300.0, melting=1300.0, m=1.1),
-)  # fmt: skip
-SOIL = pd.DruckerPrager(E, NU, cohesion=0.15, friction=0.5, hardening=hard.Linear(0.4) + hard.Voce(0.1, 8.0))
-LAWS |= {"drucker_prager": SOIL, "not_associated": dataclasses.replace(SOIL, dilatancy=0.15, fit="plane strain")}
-LAWS["kinematic"] = pd.KinematicJ2(E, NU, yield_stress=Y, kinematic=0.8, hardening=ISOTROPIC["voce"])
-LAWS["kinematic_perzyna"] = dataclasses.replace(LAWS["kinematic"], rate=LAWS["perzyna"].rate)
-LAWS["maxwell"] = pd.Maxwell(E, NU, shear=[3.0, 1.0], times=[0.5, 5.0], duration=DURATION)
-OWN: dict = {}
-exec(re.search(r"```python\n(.*?)```", (ROOT / "docs/plasticity.md").read_text(), re.DOTALL).group(1), OWN)
-LAWS["own"] = OWN["Norton"](E, NU, q_0=0.5, rate_0=0.2, n=3.0, duration=DURATION)
+CASE = "tests/laws.py"
 TIMED = [name for name, law in LAWS.items() if getattr(law, "rate", None)]
 BODIES = {"bar": (1, "strain"), "strain": (2, "strain"), "stress": (2, "stress"), "solid": (3, "strain")}
 STEP = 1e-6
@@ -439,3 +417,57 @@ def test_the_tangent_of_a_body_in_plane_stress_is_that_of_differences(name, rng)
 def test_wrong_laws_are_refused(make, message):
     with pytest.raises(pd.CaseError, match=message):
         make()
+
+
+@pytest.mark.parametrize("name", ["kinematic_perzyna", pytest.param("perzyna", marks=pytest.mark.long)])
+def test_a_run_that_stops_goes_on_as_if_it_had_not(name, tmp_path):
+    """On two ranks from a checkpoint of one: the same as a run on one rank without a stop."""
+    plane = "strain" if name == "not_associated" else "stress"
+    words = (f"law={name}", f"plane={plane}")
+    whole = results(CASE, *words, output=tmp_path / "whole")
+    case = load_case(ROOT / CASE)
+    with pytest.raises(pd.Interrupted):
+        pd.run(case(law=name, plane=plane, stop=0.5), output=tmp_path / "half")
+    again = results(
+        CASE, *words, "--restart-anyway", "--restart", tmp_path / "half", ranks=2, output=tmp_path / "again"
+    )
+    assert again["results"]["force"] == pytest.approx(whole["results"]["force"], rel=1e-8)
+    for quantity in ("displacement", "stress", "plastic_strain"):
+        one, two = (field(tmp_path / run, quantity) for run in ("whole", "again"))
+        assert np.abs(one - two).max() <= 1e-8 * max(np.abs(one).max(), 1e-3), quantity
+
+
+@pytest.mark.parametrize("name", ["voce", "kinematic_perzyna", "not_associated"])
+def test_runs_with_and_without_a_matrix_are_the_same(name, tmp_path):
+    plane = "strain" if name == "not_associated" else "stress"
+    case = load_case(ROOT / CASE)(law=name, plane=plane)
+    found = []
+    for options in ({}, {"pd_jacobian": "matfree", "ksp_rtol": 1e-10}):
+        found.append(pd.run(dataclasses.replace(case, options=options), output=tmp_path)["force"])
+    assert found[1] == pytest.approx(found[0], rel=1e-7)
+
+
+def test_steps_are_cut_where_plastic_strain_grows_by_too_much(tmp_path):
+    case = load_case(ROOT / CASE)
+    free = pd.run(case(), output=tmp_path).history["plastic"]
+    assert np.diff(free).max() > 0.015
+    held = pd.run(case(growth=0.01), output=tmp_path).history
+    assert len(held["t"]) > len(free)
+    assert held["t"][-1] == 1.0
+    # The largest value over particles grows by no more than that at any of their points.
+    assert np.diff(held["plastic"]).max() <= 0.01
+    with pytest.raises(pd.SolveError, match=r"plastic strain grew by .* in one step"):
+        pd.run(case(growth=1e-6), output=tmp_path)
+
+
+def test_a_law_with_a_rate_needs_load_steps(tmp_path):
+    case = load_case(ROOT / CASE)
+    with pytest.raises(pd.CaseError, match="which is no time"):
+        pd.run(case(law="perzyna", solver="path"), output=tmp_path)
+
+
+def test_a_tangent_that_is_not_symmetric_is_not_factorised_as_one(tmp_path):
+    case = load_case(ROOT / CASE)
+    for name, chosen in (("drucker_prager", "cholesky"), ("not_associated", "lu")):
+        pd.run(case(law=name, plane="strain", steps=2), output=tmp_path)
+        assert json.loads((tmp_path / "summary.json").read_text())["options"]["pc_type"]["value"] == chosen

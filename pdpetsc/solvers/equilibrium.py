@@ -273,7 +273,7 @@ def _words(reason: int, linear: int) -> str:
         return f"the linear solver failed ({kinds.get(linear, linear)})"
     return {
         "DIVERGED_MAX_IT": "too many Newton iterations",
-        "DIVERGED_FUNCTION_DOMAIN": "det F <= 0 could not be avoided",
+        "DIVERGED_FUNCTION_DOMAIN": "det F <= 0, or a strain for which a material has no stress, could not be avoided",
         "DIVERGED_FNORM_NAN": "det F <= 0 or a number overflowed",
         "DIVERGED_LINE_SEARCH": "the line search failed",
     }.get(name, name)

@@ -263,6 +263,28 @@ def test_factors_are_refused_beyond_small_strain():
         pd.StressIntensity(**WHERE).evaluate(body(material=fibres).solution())
 
 
+def test_expansion_is_part_of_the_integrals_or_refused():
+    """An even one changes no J of a body that is free of it; of an uneven one the derivative has to be known."""
+    everywhere = pd.region.All()
+
+    def heated(temperature):
+        return body(
+            material=pd.Thermal(LAW, 1e-3), conditions=[*CORNER, pd.Temperature(everywhere, temperature, pd.Hold())]
+        )
+
+    free = 1e-3 * (1.0 + LAW.nu)  # in plane strain
+    even = at(heated(1.0), lambda x: free * x + k_field(x, 1.0, 0.0, LAW))
+    cold = at(body(conditions=CORNER), lambda x: k_field(x, 1.0, 0.0, LAW))
+    assert pd.JIntegral(**WHERE).evaluate(even) == pytest.approx(pd.JIntegral(**WHERE).evaluate(cold), rel=1e-2)
+    with pytest.raises(pd.CaseError, match="is not of small linear strain"):
+        pd.StressIntensity(**WHERE).evaluate(even)
+    uneven = heated(lambda x, t: 100.0 * x[:, 0]).solution()
+    for kind in (pd.JIntegral, pd.EnergyReleaseRate, pd.StressIntensity):
+        with pytest.raises(pd.CaseError, match="changes from place to place"):
+            kind(**WHERE).evaluate(uneven)
+    assert np.isfinite(pd.JIntegral(**WHERE, explicit=lambda solution: 0.0 * solution.x).evaluate(uneven))
+
+
 @pytest.mark.parametrize("what", [{"inner": 2.0}, {"outer": np.inf}, {"direction": (0.0, 0.0)}, {"tip": (0.0,)}])
 def test_wrong_contours_are_refused_where_they_are_declared(what):
     with pytest.raises(pd.CaseError):

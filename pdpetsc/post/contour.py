@@ -27,6 +27,8 @@ LEAST = 24
 CUT = 0.5
 # Tractions on faces change along a crack by less than this share from one half of the radius to the other.
 UNIFORM = 0.1
+# Numbers that differ by less than this share are the same: round-off of sums.
+SAME = 1e-12
 # Loads beside the crack are body forces as elsewhere where they are at most this many times as dense.
 MIXED = 2.0
 
@@ -350,6 +352,26 @@ def materials_in(solution: Solution, inside: Mask) -> tuple[list[int], bool]:
     high = solution.largest(float(factor[inside].max(initial=-np.inf)))
     low = -solution.largest(float((-factor[inside]).max(initial=-np.inf)))
     return np.flatnonzero(count).tolist(), high > low
+
+
+def strained_unevenly(solution: Solution, inside: Mask) -> bool:
+    """Return whether strain without stress, or moduli by temperature, differ between some own particles (n_owned,).
+
+    The same on all ranks (collective).
+    """
+    expansion = solution.problem.body.expansion
+    if expansion is None:
+        return False
+    strain, factor = expansion.strain(solution.state.t), expansion.factor(solution.state.t)
+    values = strain.reshape(len(strain), -1)
+    if factor is not None:
+        values = np.column_stack([values, factor])
+    for one in values[inside].T if inside.any() else np.zeros((values.shape[1], 0)):
+        high = solution.largest(float(one.max(initial=-np.inf)))
+        low = -solution.largest(float((-one).max(initial=-np.inf)))
+        if high - low > SAME * max(abs(high), abs(low)):
+            return True
+    return False
 
 
 def _materials(solution: Solution) -> tuple[GlobalIndex, Float]:

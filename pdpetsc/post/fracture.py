@@ -23,6 +23,7 @@ from pdpetsc.post.contour import (
     loads_in,
     materials_in,
     refuse,
+    strained_unevenly,
     trouble,
     weight,
 )
@@ -114,6 +115,9 @@ class AtTip(Quantity):
         if (len(numbers) > 1 or graded) and not self.knows_inhomogeneity:
             advice = "" if self.of_one_material else ", or the derivative of the energy density as explicit"
             return f"holds several materials or moduli that change from place to place; take smaller radii{advice}"
+        if not self.knows_inhomogeneity and strained_unevenly(solution, domain.near(solution.x)):
+            advice = "" if self.of_one_material else "; give the derivative of the energy density as explicit"
+            return f"holds strain without stress, or a temperature, that changes from place to place{advice}"
         return ""
 
 
@@ -346,7 +350,7 @@ class StressIntensity(AtTip):
         """
         fields, law, sums = continuum(solution), self._law(solution, domain), np.zeros(2)
         assert law is not None
-        if solution.problem.matter.linear:
+        if solution.problem.matter.linear and solution.problem.body.expansion is None:
             return 0.0
         ring = np.zeros(len(solution.x))
         for frame in domain.frames:

@@ -370,6 +370,11 @@ def _points(
         solve = partial(solve_scalar, options=options)
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
+    if case.expands and case.gradients.patches is not None:
+        raise CaseError(
+            "MeanDilatation shares the whole dilatation, not what stress comes from; take its scheme alone where a body "
+            "expands or has strain without stress."
+        )
     if case.damage is not None:
         if case.gradients.patches is not None:
             raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")

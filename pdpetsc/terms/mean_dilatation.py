@@ -155,9 +155,9 @@ class PatchPoints(MaterialPoints):
     def shared(self, state: State) -> Shared:
         """Return the gradients at an admissible state, with the dilatations of patches."""
         operator, dim = self.operator, self.body.dim
+        F = self._own_gradient(state)  # materials are those of the step time of the state from here on
 
         def make() -> Shared:
-            F = self._own_gradient(state)
             theta = np.einsum("pii->p", F) - dim if self._linear else np.log(np.linalg.det(F))
             missing = self._sum(self._weight * theta)[self.patch_of_point] - theta
             if self._linear:

@@ -372,8 +372,8 @@ def _points(
 
     if case.expands and case.gradients.patches is not None:
         raise CaseError(
-            "MeanDilatation shares the whole dilatation, not what stress comes from; take its scheme alone where a body "
-            "expands or has strain without stress."
+            "MeanDilatation shares the whole dilatation, not what stress comes from; take its scheme alone where a "
+            "body expands or has strain without stress."
         )
     if case.damage is not None:
         if case.gradients.patches is not None:

@@ -10,7 +10,7 @@ from pdpetsc.control.following import Yielding, tangent_share
 from pdpetsc.running.build import control_of, repeated_share
 from pdpetsc.terms.control import ControlForces
 from pdpetsc.terms.following import FollowingForces
-from tests.commands import Stop
+from tests.commands import Stop, results
 from tests.scenes import ALL_CONTROLS, DIMS, SCHEMES, body, dense_tangent, differences, displacement, rotation
 
 STEEL = pd.J2(E=100.0, nu=0.3, yield_stress=1.0, hardening=5.0)
@@ -82,24 +82,24 @@ def test_families_lose_what_the_law_says_and_never_give_it_back(rng):
     """Any path of sizes and slopes: force and energy continuous, what is lost only grows, the energy is the work."""
     yielding, e = Yielding.unloaded(1), np.zeros(1)
     work, lost = 0.0, 0.0
-    for _ in range(200):
+    for _ in range(60):
         target = np.abs(rng.uniform(0.0, 2.0, 1))
-        path = np.linspace(e, target, 2001)
+        path = np.linspace(e, target, 1001)
         q = np.array([yielding.secant(one) * one for one in path])
         work += float(np.sum(0.5 * (q[1:] + q[:-1]) * np.diff(path, axis=0)))
-        slope = np.gradient(q[:, 0], path[:, 0])[1000]
-        bend = yielding.bend(path[1000]) * path[1000] ** 2 + yielding.secant(path[1000])
-        if (path[999] > yielding.kept[0, 1]) == (path[1001] > yielding.kept[0, 1]):
+        slope = np.gradient(q[:, 0], path[:, 0])[500]
+        bend = yielding.bend(path[500]) * path[500] ** 2 + yielding.secant(path[500])
+        if (path[499] > yielding.kept[0, 1]) == (path[501] > yielding.kept[0, 1]):
             assert bend[0] == pytest.approx(slope, rel=1e-6)
         before = yielding.secant(target) * target, yielding.energy(target)
         yielding.commit(target, rng.uniform(0.01, 1.0, 1))
         assert yielding.secant(target) * target == pytest.approx(before[0], rel=1e-12)
         assert yielding.energy(target) == pytest.approx(before[1], rel=1e-12)
-        assert yielding.energy(target)[0] == pytest.approx(work, rel=1e-4, abs=1e-9)
+        assert yielding.energy(target)[0] == pytest.approx(work, rel=1e-3, abs=1e-9)
         assert yielding.kept[0, 3] >= lost
         assert yielding.kept[0, 2] <= yielding.kept[0, 0]
         lost, e = yielding.kept[0, 3], target
-    assert lost > 0.1
+    assert lost > 0.05
 
 
 @pytest.mark.parametrize("dim", DIMS)
@@ -216,8 +216,8 @@ def test_it_is_the_same_in_all_units_and_gives_way(tmp_path):
     assert small["force"] / 1e10 == pytest.approx(found[1.0]["force"], rel=1e-8)
     assert small["control"] / 1e7 == pytest.approx(found[1.0]["control"], rel=1e-8)
     assert small["plastic"] == pytest.approx(found[1.0]["plastic"], rel=1e-8)
-    elastic = pd.run(strip(pd.Silling()), tmp_path / "elastic").summary["results"]
-    assert found[1.0]["control"] < 0.3 * elastic["control"]
+    elastic = pd.run(strip(pd.Silling()), tmp_path / "elastic").history["force"].max()
+    assert 0.5 * elastic < pd.run(strip(), tmp_path / "following").history["force"].max() < 0.95 * elastic
 
 
 def test_a_run_goes_on_where_it_stopped(tmp_path):
@@ -276,3 +276,26 @@ def test_a_control_without_families_is_refused_in_one_sentence(rng):
     model = body(2, control=pd.Following(Plain()), material=STEEL)
     with pytest.raises(pd.CaseError, match="family_forces"):
         model.internal_force(displacement(model, rng))
+
+
+NECK = "runs/solids/yielding_neck.py"
+
+
+def test_two_ranks_find_what_one_does(tmp_path):
+    words = "n=3", "steps=20"
+    one = results(NECK, *words, output=tmp_path / "one")["results"]
+    two = results(NECK, *words, ranks=2, output=tmp_path / "two")["results"]
+    for name, value in one.items():
+        assert two[name] == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.long
+def test_a_bar_necks_as_finite_elements_say(tmp_path):
+    """Elastic control holds it: the pull only grows; with one that yields the errors fall with the spacing."""
+    found = {}
+    for n, method in ((4, "elastic"), (4, "following"), (8, "following")):
+        found[n, method] = results(NECK, f"n={n}", f"method={method}", output=tmp_path / f"{method}_{n}")["results"]
+    assert found[4, "elastic"]["end"] == found[4, "elastic"]["peak"] > 1.1 * found[4, "following"]["peak"]
+    for name, most in (("peak", 0.01), ("end", 0.04), ("thinning", 0.12)):
+        assert abs(found[4, "following"][f"error_{name}"]) < most
+        assert abs(found[8, "following"][f"error_{name}"]) < 0.6 * abs(found[4, "following"][f"error_{name}"])

@@ -20,7 +20,7 @@ import cook_elements as membrane
 E, NU, YIELD, HARDENING, SHEAR = 206.9, 0.29, 0.45, 2.0, 0.3125
 
 
-def case(n=16, method="following", horizon=2.015, steps=10, G=0.5, least=0.01):
+def case(n=16, method="following", horizon=2.015, steps=20, G=0.5, least=0.01):
     scheme, control = pd.choose("method", method, neck.METHODS)
     if method == "elastic":
         control = pd.Silling(G)

@@ -112,7 +112,7 @@ def cooking(n, steps=10):
 def main():
     """Write the numbers."""
     found = {}
-    for name, solve, sizes in (("neck", necking, (6, 12)), ("cook", cooking, (12, 24))):
+    for name, solve, sizes in (("neck", necking, (6, 12)), ("cook", cooking, (20, 40))):
         coarse, fine = (solve(n) for n in sizes)
         change = {key: coarse[key] / fine[key] - 1.0 for key in fine}
         found[name] = {key: float(f"{value:.6g}") for key, value in fine.items()} | {

@@ -49,7 +49,7 @@ VALID = [
     pd.Mean(pd.stress, "xx"), pd.Largest(pd.stress, "xx"),
     pd.OnSurface(pd.stress, "xx"), pd.Reaction("x"), pd.CellStrain("xx"), pd.CellStress("xx"),
     pd.JIntegral((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.EnergyReleaseRate((2.0, 2.0), (1.0, 0.0), 1.0, 2.0),
-    pd.StressIntensity((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.CrackOpening((0.0, 2.0), (2.0, 2.0)),
+    pd.StressIntensity((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.CrackOpening((0.0, 2.0), (2.0, 2.0)), pd.CrackLength(),
     pd.CrackTip((1.0, 0.0)), pd.RelativeError(pd.stress, ones), pd.LargestError(pd.stress, ones), pd.Picture(),
     pd.Graded(pd.Hencky(1.0), ones), pd.Hencky(1.0, 0.3), pd.NeoHookean(1.0), pd.SaintVenantKirchhoff(1.0),
     pd.Hyperelastic("mu/2*(I1 - 3 - 2*log(J)) + lam/2*log(J)**2 + k*(I4 - 1)**2", fibre=(1.0,), mu=1.0, lam=1.0, k=1.0),

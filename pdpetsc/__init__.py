@@ -62,6 +62,7 @@ from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveE
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
 from pdpetsc.output.picture import Picture
+from pdpetsc.post.crack_path import CrackLength, crack_faces, crack_lines
 from pdpetsc.post.fracture import EnergyReleaseRate, JIntegral, StressIntensity
 from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
 from pdpetsc.post.opening import CrackOpening
@@ -131,6 +132,7 @@ __all__ = [
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
+    "CrackLength",
     "CrackOpening",
     "CrackTip",
     "CriticalFunction",
@@ -209,6 +211,8 @@ __all__ = [
     "Traction",
     "VonMisesStrain",
     "choose",
+    "crack_faces",
+    "crack_lines",
     "damage_dissipation",
     "deformation_gradient",
     "displacement",

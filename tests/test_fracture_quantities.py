@@ -291,3 +291,72 @@ def test_wrong_contours_are_refused_where_they_are_declared(what):
         pd.JIntegral(**(WHERE | what))
     with pytest.raises(pd.CaseError, match="3 dimensions"):
         pd.JIntegral(**WHERE).check(3)
+
+
+def faces_of(segment, n=40, ends=(2.0, 1.0), cloud=None, ranks=1, **changes):
+    """Return the faces that a crack cuts, as lines too."""
+    dx = ends[0] / n
+    case = pd.Case(
+        particles=pd.Lattice((0.0,) * len(ends), ends, dx) if cloud is None else cloud,
+        horizon=2.015 * dx,
+        material=pd.BondBased(1.0, plane="stress"),
+        cracks=[segment],
+        conditions=[pd.Displacement(pd.region.Slab("x", high=dx), **dict.fromkeys("xyz"[: len(ends)], 0.0))],
+        **changes,
+    )
+    solution = pd.prepare(case).solution()
+    return solution, pd.crack_faces(solution, precracks=True)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 1.7])
+def test_the_length_of_a_slanted_crack_is_its_own(slope):
+    """Not that of the steps of the lattice, which is up to 1.4 times as long."""
+    along = np.array([1.0, slope]) / np.hypot(1.0, slope)
+    middle = np.array([1.013, 0.5])
+    length = 0.8
+    segment = pd.Segment(tuple(middle - 0.5 * length * along), tuple(middle + 0.5 * length * along))
+    solution, faces = faces_of(segment)
+    found = pd.CrackLength(precracks=True).evaluate(solution)
+    assert found == pytest.approx(length, abs=0.06)
+    (line,) = pd.crack_lines(faces)
+    assert np.linalg.norm(np.diff(line, axis=0), axis=1).sum() == pytest.approx(length, rel=0.12)
+    off = np.abs((line - middle) @ [-along[1], along[0]])
+    assert off.max() < 0.05
+    assert pd.CrackLength().evaluate(solution) == 0.0
+    steps = (1.0 + slope) / np.hypot(1.0, slope)
+    assert faces.area.sum() == pytest.approx(steps * length, abs=0.1)
+
+
+def test_the_length_of_a_crack_along_the_lattice_is_exact_from_edge_to_tip():
+    solution, faces = faces_of(pd.Segment((-1.0, 0.5), (1.2, 0.5)), n=40)
+    assert pd.CrackLength(precracks=True).evaluate(solution) == pytest.approx(1.2, rel=1e-9)
+    (line,) = pd.crack_lines(faces)
+    assert np.allclose(line[:, 1], 0.5)
+    assert np.allclose(sorted(line[[0, -1], 0]), [0.0, 1.2])
+    left = pd.CrackLength(pd.region.Slab("x", high=0.5), precracks=True).evaluate(solution)
+    assert left == pytest.approx(0.5, rel=1e-9)
+
+
+def test_a_crack_between_mirror_images_is_half_that_of_the_whole():
+    dx = 0.05
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (2.0, 1.0), dx), horizon=3.015 * dx, material=pd.BondBased(1.0),
+        cracks=[pd.Segment((-1.0, 0.0), (1.2, 0.0))], symmetry=[pd.Symmetry("y")],
+        conditions=[pd.Displacement(pd.region.Slab("x", high=dx), x=0.0)],
+    )  # fmt: skip
+    solution = pd.prepare(case).solution()
+    assert pd.CrackLength(precracks=True).evaluate(solution) == pytest.approx(0.6, rel=1e-9)
+
+
+def test_the_surface_of_a_crack_in_space(rng):
+    """A disc on a shaken cloud has about its area, on a plane of the lattice one of whole faces."""
+    disc = pd.Disc((0.5, 0.5, 0.5), (0.0, 0.0, 1.0), 0.3)
+    solution, faces = faces_of(disc, n=14, ends=(1.0, 1.0, 1.0))
+    assert np.allclose(faces.area, 1.0 / 14**2)
+    assert np.allclose(faces.normal @ [0.0, 0.0, 1.0], 1.0)
+    x = (np.stack(np.meshgrid(*[np.arange(14.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5) / 14
+    cloud = pd.Arrays(x + rng.uniform(-0.012, 0.012, x.shape), np.full(len(x), 14.0**-3))
+    tilted = pd.Disc((0.5, 0.5, 0.5), (0.6, 0.0, 0.8), 0.3)
+    solution, faces = faces_of(tilted, n=14, ends=(1.0, 1.0, 1.0), cloud=cloud)
+    assert pd.CrackLength(precracks=True).evaluate(solution) == pytest.approx(np.pi * 0.09, rel=0.1)
+    assert all(corners.shape[1] == 3 for corners in faces.corners)

@@ -49,7 +49,7 @@ VALID = [
     pd.Mean(pd.stress, "xx"), pd.Largest(pd.stress, "xx"),
     pd.OnSurface(pd.stress, "xx"), pd.Reaction("x"), pd.CellStrain("xx"), pd.CellStress("xx"),
     pd.JIntegral((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.EnergyReleaseRate((2.0, 2.0), (1.0, 0.0), 1.0, 2.0),
-    pd.StressIntensity((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.CrackOpening((0.0, 2.0), (2.0, 2.0)),
+    pd.StressIntensity((2.0, 2.0), (1.0, 0.0), 1.0, 2.0), pd.CrackOpening((0.0, 2.0), (2.0, 2.0)), pd.CrackLength(),
     pd.CrackTip((1.0, 0.0)), pd.RelativeError(pd.stress, ones), pd.LargestError(pd.stress, ones), pd.Picture(),
     pd.Graded(pd.Hencky(1.0), ones), pd.Thermal(pd.Hencky(1.0), 1e-5), pd.Temperature(region.All(), 1.0),
     pd.HeatConduction(), pd.HeatFlux(region.All(), 1.0), pd.HeatSource(region.All(), 1.0),

@@ -280,6 +280,7 @@ def _of_earlier_run(folder: Path) -> list[Path]:
         "checkpoint.h5",
         "history.csv",
         "broken_bonds.csv",
+        "crack.vtk",
         "fields.h5",
         "fields.xdmf",
         "picture.png",

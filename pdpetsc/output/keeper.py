@@ -9,6 +9,7 @@ from pathlib import Path
 from pdpetsc.discrete.communicator import Comm, is_root
 from pdpetsc.output.broken import BrokenBonds, broken_header
 from pdpetsc.output.checkpoint import Origin, Record, write_checkpoint
+from pdpetsc.output.crack import write_crack
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.folder import set_history_aside
@@ -131,6 +132,7 @@ class Keeper:
         """
         if self._fields is not None:
             self._fields.flush()
+        write_crack(self._last.cloud.comm, self._checkpoint.parent, self._quantities.values(), self._last)
         self._checkpoint_now()
 
     def _checkpoint_now(self) -> None:

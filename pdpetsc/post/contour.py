@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
-from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import IsotropicMaterial
 from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.post.bonds_left import pairs_of
 from pdpetsc.post.solution import Solution
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.material_points import MaterialPoints
@@ -226,7 +225,9 @@ def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
     """Return what is wrong with the bonds that are gone in a domain (collective)."""
     stray, crossing, cut, gone, where = 0, 0, 0, 0, np.full(2, np.inf)
     for frame in domain.frames:
-        pairs, left = _pairs(solution, frame, domain.outer)
+        reach = solution.cloud.reach[: solution.cloud.n_owned]
+        zone = np.flatnonzero(np.linalg.norm(frame.at(solution.x), axis=1) < domain.outer + reach)
+        pairs, left = pairs_of(solution, zone)
         a, b = frame.at(solution.cloud.x[pairs[:, 0]]), frame.at(solution.cloud.x[pairs[:, 1]])
         over = a[:, 1] * b[:, 1] < 0.0
         share = np.where(over, a[:, 1] / np.where(over, a[:, 1] - b[:, 1], 1.0), 0.5)
@@ -257,47 +258,6 @@ def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
             f"are cut; give the tip of the crack, the direction in which it grows, and radii below its length"
         )
     return ""
-
-
-def _pairs(solution: Solution, frame: Frame, outer: float) -> tuple[LocalIndex, Float]:
-    """Return the pairs (n, 2) of an own and a local particle within its reach, and what their bonds hold (n,) [-].
-
-    That is 1 for a whole bond, 0 for a broken one or one that a crack cuts, of the own particles near the domain.
-    """
-    cloud = solution.cloud
-    own, reach = cloud.x[: cloud.n_owned], cloud.reach[: cloud.n_owned]
-    zone = np.flatnonzero(np.linalg.norm(frame.at(own), axis=1) < outer + reach)
-    if not len(zone):
-        return np.empty((0, 2), dtype=np.int64), np.empty(0)
-    widest = float(reach[zone].max()) * (1.0 + HORIZON_TOLERANCE)
-    around = np.flatnonzero(np.linalg.norm(frame.at(cloud.x), axis=1) < outer + 2.0 * widest)
-    found = cKDTree(own[zone]).sparse_distance_matrix(cKDTree(cloud.x[around]), widest, output_type="ndarray")
-    i, j = zone[found["i"]], around[found["j"]]
-    kept = (i != j) & (found["v"] <= reach[i] * (1.0 + HORIZON_TOLERANCE))
-    pairs = np.stack([i[kept], j[kept]], axis=1)
-    key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
-    centres, neighbours, integrity = _bonds(solution, zone)
-    bonded = centres * np.int64(cloud.n_local) + neighbours
-    order = np.argsort(bonded)
-    place = np.minimum(np.searchsorted(bonded[order], key), max(len(bonded) - 1, 0))
-    left = np.zeros(len(key))
-    if len(bonded):
-        same = bonded[order][place] == key
-        left[same] = integrity[order][place[same]]
-    return pairs, left
-
-
-def _bonds(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
-    """Return both ends of the bonds of some own particles, and their integrity (n,) [-]."""
-    families: Families = solution.problem.body.families
-    repeats, damage = families.repeats, solution.problem.damage
-    if repeats is not None:
-        indptr, neighbours = repeats.families(zone.astype(np.int32))
-        return np.repeat(zone, np.diff(indptr)), neighbours.astype(np.int64), np.ones(len(neighbours))
-    size = np.diff(families.indptr)[zone]
-    bonds = np.repeat(families.indptr[zone] - np.cumsum(size) + size, size) + np.arange(int(size.sum()))
-    integrity = np.ones(len(bonds)) if damage is None else damage.bonds.integrity[bonds]
-    return np.repeat(zone, size), families.neighbours[bonds].astype(np.int64), integrity
 
 
 def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:

@@ -103,7 +103,7 @@ class AtTip(Quantity):
         if self.follows is not None:
             along = np.asarray(self.follows.direction, dtype=float)
             along = along / np.linalg.norm(along)
-            tip = tip + (self.follows.evaluate(solution) - tip @ along) * along
+            tip = tip + max(self.follows.evaluate(solution) - tip @ along, 0.0) * along
         return Domain.of(solution, tip, self.direction, self.inner, self.outer)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
@@ -186,8 +186,8 @@ class JIntegral(_Release):
         Between them the weight falls [length]. The inner one is at least the horizon: nearer to the tip fields are not
         those of a continuum.
     follows : CrackTip, optional
-        The tip of a crack that grows: the domain moves along its direction with it. It gives nan where the domain has
-        left the body or meets something else.
+        The tip of a crack that grows: the domain moves along its direction with it, once it is ahead of ``tip``. The
+        number is nan where the domain has left the body or meets something else.
     explicit : Field, optional
         Derivative of the energy density by the place at constant F (n_owned, 2) [energy / volume / length], of bodies
         whose moduli, temperature or eigenstrain depend on it: ``-tr(sigma) alpha grad T`` of small thermal strain;

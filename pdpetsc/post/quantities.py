@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -58,6 +58,13 @@ class Quantity(Declared, ABC):
 
     def check(self, dim: int) -> None:
         """Raise CaseError where a body of ``dim`` dimensions lacks what is asked for; nothing is computed."""
+
+    def drawn(self, solution: Solution) -> tuple[Sequence[Float], bool] | None:
+        """Return lines or surfaces that a run leaves as a file, each as points (n, dim), and whether they are closed.
+
+        The same on all ranks; None where there is nothing to draw (collective).
+        """
+        return None
 
 
 @dataclass(frozen=True)

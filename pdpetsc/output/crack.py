@@ -1,0 +1,59 @@
+"""``crack.vtk``: the crack of the last step as lines or surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import Comm, agreed, is_root
+from pdpetsc.output.files import write_whole
+from pdpetsc.post.quantities import Quantity
+from pdpetsc.post.solution import Solution
+
+FILE = "crack.vtk"
+
+
+def write_crack(comm: Comm, folder: Path, quantities: Iterable[Quantity], solution: Solution) -> None:
+    """Write what the first of the quantities that draws lines or surfaces draws of a state, if any does (collective).
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, on all ranks.
+    """
+    for quantity in quantities:
+        drawn = quantity.drawn(solution)
+        if drawn is not None:
+            with agreed(comm):
+                if is_root(comm):
+                    write_whole(folder / FILE, polydata(*drawn, title=f"pdpetsc, step {solution.step}"))
+            return
+
+
+def polydata(parts: Sequence[Float], closed: bool, title: str) -> str:
+    """Return polylines, or polygons where they are closed, as a file of VTK.
+
+    Parameters
+    ----------
+    parts : sequence of (n, 2) or (n, 3) float64
+        Points of each [length].
+    closed : bool
+        Whether they are polygons.
+    title : str
+        The second line of the file.
+    """
+    points = np.zeros((sum(map(len, parts)), 3))
+    if len(points):
+        points[:, : parts[0].shape[1]] = np.concatenate(parts)
+    lines = ["# vtk DataFile Version 3.0", title, "ASCII", "DATASET POLYDATA", f"POINTS {len(points)} double"]
+    lines += [" ".join(map(repr, point)) for point in points.tolist()]
+    if parts:
+        lines.append(f"{'POLYGONS' if closed else 'LINES'} {len(parts)} {len(parts) + len(points)}")
+        first = 0
+        for part in parts:
+            lines.append(" ".join(map(str, [len(part), *range(first, first + len(part))])))
+            first += len(part)
+    return "\n".join(lines) + "\n"

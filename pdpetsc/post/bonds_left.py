@@ -1,0 +1,69 @@
+"""What is left of the bonds between particles: whole, damaged, broken, or cut from the start."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE
+from pdpetsc.post.solution import Solution
+
+
+def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tuple[GlobalIndex, Float]:
+    """Return the pairs of some own particles with those in their reach, and what is left of their bonds.
+
+    Parameters
+    ----------
+    solution : Solution
+        A state.
+    zone : (n,) int64
+        Own particles.
+    listed : bool
+        Whether broken bonds count as whole: what is zero then has been cut from the start.
+
+    Returns
+    -------
+    pairs : (n_pairs, 2) int64
+        A particle of the zone, and a local one within its reach.
+    left : (n_pairs,) float64
+        Integrity of the bond [-]: 1 whole, 0 broken or cut by a crack.
+
+    Notes
+    -----
+    Not collective.
+    """
+    cloud = solution.cloud
+    if not len(zone):
+        return np.empty((0, 2), dtype=np.int64), np.empty(0)
+    own, reach = cloud.x[zone], cloud.reach[zone]
+    widest = float(reach.max()) * (1.0 + HORIZON_TOLERANCE)
+    low, high = own.min(axis=0) - widest, own.max(axis=0) + widest
+    around = np.flatnonzero(np.all((cloud.x >= low) & (cloud.x <= high), axis=1))
+    found = cKDTree(own).sparse_distance_matrix(cKDTree(cloud.x[around]), widest, output_type="ndarray")
+    i, j = zone[found["i"]], around[found["j"]]
+    kept = (i != j) & (found["v"] <= cloud.reach[i] * (1.0 + HORIZON_TOLERANCE))
+    pairs = np.stack([i[kept], j[kept]], axis=1)
+    centres, neighbours, integrity = _bonds_of(solution, zone)
+    key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
+    bonded = centres * np.int64(cloud.n_local) + neighbours
+    left = np.zeros(len(key))
+    if len(bonded):
+        order = np.argsort(bonded)
+        place = np.minimum(np.searchsorted(bonded[order], key), len(bonded) - 1)
+        same = bonded[order][place] == key
+        left[same] = 1.0 if listed else integrity[order][place[same]]
+    return pairs, left
+
+
+def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
+    """Return both ends of the bonds of some own particles, and their integrity (n,) [-]."""
+    families, damage = solution.problem.body.families, solution.problem.damage
+    repeats = families.repeats
+    if repeats is not None:
+        indptr, neighbours = repeats.families(zone.astype(np.int32))
+        return np.repeat(zone, np.diff(indptr)), neighbours.astype(np.int64), np.ones(len(neighbours))
+    size = np.diff(families.indptr)[zone]
+    bonds = np.repeat(families.indptr[zone] - np.cumsum(size) + size, size) + np.arange(int(size.sum()))
+    integrity = np.ones(len(bonds)) if damage is None else damage.bonds.integrity[bonds]
+    return np.repeat(zone, size), families.neighbours[bonds].astype(np.int64), integrity

@@ -1,0 +1,324 @@
+"""Cracks as lines and surfaces: the faces between neighbouring particles whose bonds are broken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from scipy.spatial import QhullError, Voronoi, cKDTree
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.region import Region
+from pdpetsc.discrete.communicator import agreed
+from pdpetsc.errors import CaseError
+from pdpetsc.post.bonds_left import pairs_of
+from pdpetsc.post.quantities import EVERYWHERE, Quantity
+from pdpetsc.post.solution import Solution
+from pdpetsc.problem.body import Body
+
+# Faces smaller than this share of volume over distance are corners of four and more cells of a lattice; of larger ones
+# than the second multiple the cell has no end, as at the surface.
+LEAST_FACE, LARGEST_FACE = 1e-3, 2.0
+# Ends of faces this near to each other, as a share of the distance of the particles, are one.
+SAME_POINT = 0.05
+
+
+@dataclass(frozen=True)
+class CrackFaces:
+    """The faces between the cells of neighbouring particles whose bond is broken, of all ranks, each once.
+
+    Attributes
+    ----------
+    middle : (n, dim) float64
+        Middles of the bonds [length].
+    normal : (n, dim) float64
+        Their directions from the particle created first to the other, unit vectors.
+    area : (n,) float64
+        Length of a face in the plane, area in space [length^(dim - 1)].
+    corners : list of (n_corners, dim) float64
+        Ends of a face in the plane, corners in order in space [length].
+    share : (n,) float64
+        1, or 1/2 of faces on a mirror plane, which belong to both sides [-].
+    """
+
+    middle: Float
+    normal: Float
+    area: Float
+    corners: list[Float]
+    share: Float
+
+    def __len__(self) -> int:
+        return len(self.area)
+
+    def smooth_area(self, radius: float) -> Float:
+        """Return the areas as seen along the normal of the crack (n,).
+
+        A slanted crack runs over the steps of a lattice, and the sum of the faces does not tend to its area. The normal
+        of the crack is that of the plane, or line, that fits the middles of the faces within a radius best.
+        """
+        if not len(self):
+            return np.empty(0)
+        near = cKDTree(self.middle).query_ball_point(self.middle, radius)
+        seen = self.area.copy()
+        for face, members in enumerate(near):
+            apart = self.middle[members] - self.middle[members].mean(axis=0)
+            moments = (self.area[members, None] * apart).T @ apart
+            size, axes = np.linalg.eigh(moments)
+            # One face, or a line of them in space, has no plane but its own.
+            if size[1] > 1e-6 * radius**2 * self.area[face]:
+                seen[face] *= abs(float(axes[:, 0] @ self.normal[face]))
+        return seen
+
+
+def crack_faces(solution: Solution, region: Region = EVERYWHERE, precracks: bool = False) -> CrackFaces:
+    """Return the faces of a crack: of neighbouring particles, in the sense of Voronoi, whose bond is broken.
+
+    Parameters
+    ----------
+    solution : Solution
+        A state.
+    region : Region
+        Where: a face counts where either of its particles is.
+    precracks : bool
+        Whether faces that cracks of the case cut from the start count too.
+
+    Raises
+    ------
+    CaseError
+        The body is a line.
+
+    Notes
+    -----
+    Collective; the same on all ranks.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> faces = pd.crack_faces(result.solution)          # doctest: +SKIP
+    >>> lines = pd.crack_lines(faces)                    # doctest: +SKIP
+    """
+    cloud = solution.cloud
+    if cloud.dim < 2:
+        raise CaseError("Cracks are lines in a plane body and surfaces in space; a line has none.")
+    chosen = np.zeros(cloud.n_local)
+    chosen[: cloud.n_owned] = solution.select(region)
+    cloud.halo.forward(chosen)
+    with agreed(cloud.comm):
+        rows, corners = _own_faces(solution, chosen > 0.0, precracks)
+    parts = cloud.comm.allgather((rows, corners))
+    rows = np.concatenate([part[0] for part in parts])
+    corners = [one for part in parts for one in part[1]]
+    dim = cloud.dim
+    # Most pairs are seen from both of their ends.
+    keys, first = np.unique(rows[:, :3], axis=0, return_index=True)
+    mirrored = (keys[:, 0] == keys[:, 1]) & (cloud.places.behind(keys[:, 2].astype(np.int64)) > 0)
+    found = rows[first, 3:]
+    return CrackFaces(
+        found[:, :dim],
+        found[:, dim : 2 * dim],
+        found[:, -1],
+        [corners[place] for place in first],
+        np.where(mirrored, 0.5, 1.0),
+    )
+
+
+_cut: WeakKeyDictionary[Body, GlobalIndex] = WeakKeyDictionary()
+
+
+def _cut_from_the_start(solution: Solution) -> GlobalIndex:
+    """Return the own particles that a crack of the case has cut from any other (n,)."""
+    body = solution.problem.body
+    if body not in _cut:
+        pairs, left = pairs_of(solution, np.arange(len(solution.x)), listed=True)
+        _cut[body] = np.unique(pairs[left == 0.0, 0])
+    return _cut[body]
+
+
+def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float, list[Float]]:
+    """Return rows (n, 3 + 2 dim + 1) of the faces of own particles: key, middle, normal, area; and their corners."""
+    cloud, damage, families = solution.cloud, solution.problem.damage, solution.problem.body.families
+    dim = cloud.dim
+    none = np.empty((0, 4 + 2 * dim)), list[Float]()
+    zone = np.empty(0, dtype=np.int64)
+    if damage is not None:
+        zone = np.unique(families.centres[damage.bonds.integrity == 0.0]).astype(np.int64)
+    if precracks:
+        zone = np.union1d(zone, _cut_from_the_start(solution))
+    if not len(zone):
+        return none
+    pairs, left = pairs_of(solution, zone)
+    gone = left == 0.0
+    if not precracks:
+        gone &= pairs_of(solution, zone, listed=True)[1] > 0.0
+    pairs = pairs[gone & (chosen[pairs[:, 0]] | chosen[pairs[:, 1]])]
+    if not len(pairs):
+        return none
+    around = cloud.x[np.unique(pairs)]
+    reach = float(cloud.reach[zone].max())
+    near = np.flatnonzero(cKDTree(around).query(cloud.x, distance_upper_bound=2.0 * reach)[0] < np.inf)
+    place = np.full(cloud.n_local, -1)
+    place[near] = np.arange(len(near))
+    scale = reach
+    try:
+        diagram = Voronoi((cloud.x[near] - cloud.x[near].mean(axis=0)) / scale)
+    except QhullError:
+        return none
+    ridges = {(min(p), max(p)): n for n, p in enumerate(diagram.ridge_points.tolist())}
+    thickness = solution.problem.body.thickness if dim == 2 else 1.0
+    rows, corners = [], []
+    for i, j in pairs.tolist():
+        a, b = int(place[i]), int(place[j])
+        ridge = ridges.get((min(a, b), max(a, b)))
+        if ridge is None:
+            continue
+        xi = cloud.x[j] - cloud.x[i]
+        length, middle = float(np.linalg.norm(xi)), 0.5 * (cloud.x[i] + cloud.x[j])
+        usual = 0.5 * (cloud.volume[i] + cloud.volume[j]) / thickness / length
+        vertices = diagram.ridge_vertices[ridge]
+        points = diagram.vertices[[v for v in vertices if v >= 0]] * scale + cloud.x[near].mean(axis=0)
+        area = _area(points)
+        if -1 in vertices or area > LARGEST_FACE * usual:
+            points, area = _patch(middle, xi / length, usual, points), usual
+        if area < LEAST_FACE * usual:
+            continue
+        key, forward = _key(solution, i, j)
+        rows.append([*key, *middle, *((xi if forward else -xi) / length), area])
+        corners.append(points)
+    return (np.array(rows), corners) if rows else none
+
+
+def _key(solution: Solution, i: int, j: int) -> tuple[tuple[int, int, int], bool]:
+    """Return ids of both ends, the lower first, and the place of the second seen from the first; and if i is first."""
+    cloud = solution.cloud
+    place = int(cloud.place[j])
+    back = int(cloud.places.opposite(np.array([place]))[0])
+    one, other = int(cloud.gid[i]), int(cloud.gid[j])
+    low = one < other or (one == other and back <= place)
+    return ((one, other, place) if low else (other, one, back)), low
+
+
+def _area(points: Float) -> float:
+    """Return the length between two points of a plane, or the area of a polygon in space."""
+    if len(points) < 2:
+        return 0.0
+    if points.shape[1] == 2:
+        return float(np.linalg.norm(points[1] - points[0]))
+    sides = points - points[0]
+    return float(0.5 * np.linalg.norm(np.cross(sides[1:-1], sides[2:]).sum(axis=0)))
+
+
+def _patch(middle: Float, normal: Float, area: float, points: Float) -> Float:
+    """Return a face of an area about a middle: at the surface, where the cell of a particle has no end."""
+    dim = len(middle)
+    if dim == 2:
+        along = np.array([-normal[1], normal[0]]) * 0.5 * area
+        ends = np.array([middle - along, middle + along])
+        for point in points:  # the end that it has, which the face beside it shares
+            nearer = int(np.argmin(np.linalg.norm(ends - point, axis=1)))
+            if np.linalg.norm(ends[nearer] - point) < 0.5 * area:
+                ends[nearer] = point
+        return ends
+    one = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    one *= 0.5 * np.sqrt(area) / np.linalg.norm(one)
+    other = np.cross(normal, one)
+    return np.array([middle - one - other, middle + one - other, middle + one + other, middle - one + other])
+
+
+def crack_lines(faces: CrackFaces) -> list[Float]:
+    """Return the faces of a crack in the plane as polylines (n_points, 2) [length], not collective.
+
+    A line ends where a crack ends or forks. It runs through the middles of the faces, from the end of the first one to
+    the end of the last: along a slanted crack the steps of a lattice are smoothed.
+
+    Parameters
+    ----------
+    faces : CrackFaces
+        What ``crack_faces`` returns.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> lines = pd.crack_lines(pd.crack_faces(result.solution))      # doctest: +SKIP
+    """
+    n = len(faces)
+    if not n:
+        return []
+    ends = np.concatenate(faces.corners)
+    near = cKDTree(ends).query_pairs(SAME_POINT * float(np.median(faces.area)), output_type="ndarray")
+    node = np.arange(2 * n)
+    for a, b in near.tolist():
+        node[node == node[max(a, b)]] = node[min(a, b)]
+    of = node.reshape(n, 2)
+    at: dict[int, list[int]] = {}
+    for face in range(n):
+        for one in of[face].tolist():
+            at.setdefault(one, []).append(face)
+    used, lines = np.zeros(n, dtype=bool), []
+    starts = sorted(one for one, members in at.items() if len(members) != 2)
+    for start in [*starts, *sorted(at)]:
+        for face in at[start]:
+            if not used[face]:
+                lines.append(_line(faces, of, at, used, start, face))
+    return lines
+
+
+def _line(
+    faces: CrackFaces, of: GlobalIndex, at: dict[int, list[int]], used: Mask, start: int, face: int
+) -> Float:  # fmt: skip
+    """Return the line from a node along a face to where it ends or forks."""
+    ends = np.concatenate(faces.corners)
+    points, here = [ends[start]], start
+    while True:
+        used[face] = True
+        points.append(faces.middle[face])
+        here = int(of[face].sum()) - here
+        beyond = [other for other in at[here] if not used[other]]
+        if len(at[here]) != 2 or not beyond:
+            return np.array([*points, ends[here]])
+        face = beyond[0]
+
+
+@dataclass(frozen=True)
+class CrackLength(Quantity):
+    """Length of the cracks of a plane body, area of those of a solid one [length^(dim - 1)], from broken bonds.
+
+    A crack is the faces between neighbouring particles, in the sense of Voronoi, whose bond is broken; its length is
+    that of the faces seen along the normal of the line, or plane, that fits them best within a horizon, so that one
+    that runs over the steps of a lattice has its own length. Where particles lose the bonds to both sides both faces
+    count. Of a part before mirror planes it is that of the part, half of a crack on a plane.
+
+    A run that has it in its history leaves the crack of its last step in ``crack.vtk``, as lines or surfaces.
+
+    Parameters
+    ----------
+    region : Region
+        Where; everywhere by default. A face counts where either of its particles is.
+    precracks : bool
+        Whether what cracks of the case cut from the start counts too.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> history = {"grown": pd.CrackLength(), "length": pd.CrackLength(precracks=True)}
+    """
+
+    region: Region = EVERYWHERE
+    precracks: bool = False
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the body is a line, or the region does not fit."""
+        if dim < 2:
+            raise CaseError("A CrackLength is of a plane body or a solid one; this one is a line.")
+        self.region.check(dim)
+
+    def evaluate(self, solution: Solution) -> float:
+        """Return the length."""
+        faces = crack_faces(solution, self.region, self.precracks)
+        return float(faces.share @ faces.smooth_area(solution.cloud.horizon))
+
+    def drawn(self, solution: Solution) -> tuple[Sequence[Float], bool]:
+        """Return polylines, or polygons, and whether they are closed."""
+        faces = crack_faces(solution, self.region, self.precracks)
+        return (crack_lines(faces), False) if solution.cloud.dim == 2 else (faces.corners, True)

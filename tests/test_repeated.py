@@ -162,6 +162,10 @@ def test_two_materials_grading_mirrors_cells_cracks_and_other_units_do_not_chang
         {"symmetry": (pd.Symmetry("y", at=0.0),)},
         {"particles": whole, "cell": pd.Cell([0.0, 0.0], LENGTHS[2]), "conditions": mean},
         {"cracks": [pd.Segment((9.3, 0.0), (9.3, 12.2))]},
+        {
+            "material": pd.Thermal(pd.Hencky(10.0, 0.3), 1e-3, factor=lambda T: 1.0 + 1e-3 * T),
+            "conditions": [*block(2).conditions, pd.Temperature(pd.region.All(), lambda x, t: x[:, 0] + x[:, 1] ** 2)],
+        },
     ]
     for change in changes:
         found, _ = furthest(block(2, **change))

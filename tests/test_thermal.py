@@ -92,6 +92,54 @@ def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
         assert abs(sum(model.energy(u))) < 1e-12 * size, name
 
 
+def test_free_expansion_of_a_smoothed_displacement_and_beside_every_control(rng):
+    for dim in DIMS:
+        strain = tensor(rng, dim)
+        models = [scenes.body(dim, pd.SmoothedDisplacement(), horizon=3.3, rng=rng)]
+        for name, control in (scenes.ALL_CONTROLS | (scenes.PLANE if dim > 1 else {})).items():
+            if name not in scenes.NOT_AFFINE:
+                models.append(scenes.body(dim, pd.Correspondence(), control, pd.LinearElastic(10.0, 0.3), rng=rng))
+        for model in models:
+            if dim == 2:  # plane strain
+                strain[2, 2] = 0.0
+            G = strain[:dim, :dim]
+            expanded(model, strain)
+            u = model.cloud.x[: model.cloud.n_owned] @ G.T
+            assert np.abs(model.internal_force(u)).max() < 1e-11
+
+
+def test_a_free_cell_and_half_a_body_expand(tmp_path):
+    everywhere = pd.region.All()
+    material = pd.Thermal(pd.NeoHookean(10.0, 0.3, plane="stress"), (0.05, 0.02, 0.01), orientation=0.4)
+    stretch = np.eye(2) + material.strain(np.array([2.0]))[0, :2, :2]
+    cell = pd.Case(
+        pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0), 2.015, material,
+        [
+            pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.Temperature(everywhere, 2.0),
+            pd.MeanStress(xx=0.0, yy=0.0, xy=0.0),
+        ],
+        cell=pd.Cell((0.0, 0.0), (4.0, 4.0)),
+    )  # fmt: skip
+    end = pd.run(cell, output=tmp_path / "cell").solution
+    assert np.abs(pd.stress(end)).max() < 1e-9 and np.abs(end.cell_strain + np.eye(2) - stretch).max() < 1e-9
+
+    def plate(width, law, **changes):
+        hot = pd.Temperature(everywhere, lambda x, t: t * (x[:, 0] ** 2 + 3.0 * x[:, 1]))
+        held = pd.Displacement(pd.region.Nearest((0.5, 0.5)) | pd.region.Nearest((-0.5, 0.5)), y=0.0)
+        centred = [pd.Displacement(pd.region.Slab("y", high=1.0), x=0.0)]
+        case = pd.Case(
+            pd.Lattice((-width, 0.0), (5.0, 4.0), 1.0), 2.015, pd.Thermal(law, (2e-3, 1e-3, 3e-3)),
+            [hot, held, *centred], **changes,
+        )  # fmt: skip
+        return pd.run(case, output=tmp_path / "plate").solution
+
+    for law in (pd.Hencky(10.0, 0.3), pd.BondBased(10.0, kinematics="finite")):
+        whole, half = plate(5.0, law), plate(0.0, law, symmetry=[pd.Symmetry("x")])
+        right = whole.x[:, 0] > 0.0
+        assert np.abs(whole.u[right] - half.u).max() < 1e-9 * np.abs(whole.u).max()
+        assert np.abs(pd.stress(whole)[right] - pd.stress(half)).max() < 1e-7
+
+
 @pytest.mark.parametrize("dim", DIMS)
 def test_tangent_against_differences_and_force_against_energy(dim, rng):
     for name, material in laws(dim):

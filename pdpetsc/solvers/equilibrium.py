@@ -179,7 +179,9 @@ class Equilibrium:
             self.problem.body.cloud.comm,
             [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum(), held],
         )
-        self.reference = float(np.sqrt(max(squares[0], squares[1], squares[3])))
+        # The undeformed body may be one in which a law has no stress.
+        held = float(squares[3]) if np.isfinite(squares[3]) else 0.0
+        self.reference = float(np.sqrt(max(squares[0], squares[1], held)))
         return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
 
     def interrupted(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import dataclasses
+import difflib
 import errno
 import importlib.util
 import inspect
@@ -14,7 +15,7 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -39,8 +40,10 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   -h              print this, and the parameters of CASE.py if it is given
 Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 
+python -m pdpetsc new FILE.py                    writes a commented case to begin with
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
-python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture"""
+python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
+python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
 
 # PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
 PETSC = ["pdpetsc", "-skip_petscrc"]
@@ -126,7 +129,8 @@ def load_case(path: Path) -> Callable[..., Case]:
     except OSError as error:  # a name that is too long
         raise CaseError(f"Cannot read the case file {path}: {error.strerror or error}.") from None
     if not there:
-        raise CaseError(f"Cannot read the case file {path}: file not found.")
+        command = "" if path.suffix else meant(str(path), COMMANDS, "; did you mean the command {}?")
+        raise CaseError(f"Cannot read the case file {path}: file not found{command or '.'}")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
         raise CaseError(f"The case file {path} must end in .py.")
@@ -154,9 +158,17 @@ def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict
     for name in given:
         if name not in parameters:
             known = ", ".join(parameters) or "none"
-            raise CaseError(f"The case has no parameter {name!r}; it has {known}.")
+            raise CaseError(
+                f"The case has no parameter {name!r}; {meant(name, parameters, 'did you mean {}? ')}it has {known}."
+            )
     values = {name: parameter.default for name, parameter in parameters.items()}
     return values | {name: _convert(name, text, values[name]) for name, text in given.items()}
+
+
+def meant(word: str, known: Iterable[str], sentence: str) -> str:
+    """Return a sentence with the known word that is nearest to one that is not known; empty where none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return sentence.format(near[0]) if near else ""
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -261,10 +273,8 @@ def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
 
 
 def _run(argv: list[str]) -> int:
-    if argv[:1] == ["plot"]:
-        return _plot(argv[1:])
-    if argv[:1] == ["compare"]:
-        return _compare(argv[1:])
+    if argv and argv[0] in COMMANDS:
+        return COMMANDS[argv[0]](argv[1:])
     arguments = split(argv)
     petsc4py.init([*PETSC, *arguments.petsc])
     from pdpetsc.discrete.communicator import world
@@ -304,8 +314,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         parameters = arguments_of(function, {} if arguments.help else arguments.parameters)
     if arguments.help:
         if is_root(comm):
-            print(USAGE, "", inspect.getdoc(sys.modules.get(function.__module__)) or "", "parameters:", sep="\n")
-            print("\n".join(f"  {name}={value!r}" for name, value in parameters.items()))
+            print(_described(arguments.path, function, parameters))
         return 0
     with agreed(comm):
         case = _make_case(arguments.path, function, parameters)
@@ -321,6 +330,44 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
     )
     return 0
+
+
+def _described(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> str:
+    """Return what a case is, by the first paragraph of its file and function, and its parameters with their types."""
+    written = (getattr(function, "__globals__", {}).get("__doc__"), function.__doc__)
+    paragraphs = [inspect.cleandoc(text).split("\n\n")[0] for text in written if text]
+    width = max((len(name) for name in parameters), default=0)
+    kinds = {name: "value" if value is None else type(value).__name__ for name, value in parameters.items()}
+    wide = max((len(kind) for kind in kinds.values()), default=0)
+    lines = [f"  {name:{width}}  {kinds[name]:{wide}}  {value!r}" for name, value in parameters.items()]
+    listed = ["parameters, their types and defaults:", *lines] if lines else ["It has no parameters."]
+    return "\n".join([USAGE, "", str(path), "", *paragraphs, "", *listed])
+
+
+def _new(argv: list[str]) -> int:
+    from pdpetsc.command_line import new
+
+    if "-h" in argv or "--help" in argv or not argv:
+        print(new.USAGE)
+        return 0 if argv else 2
+    if len(argv) > 1:
+        raise CaseError("new takes one file name; python -m pdpetsc new -h shows the usage.")
+    print(new.new(Path(argv[0])))
+    return 0
+
+
+def _doctor(argv: list[str]) -> int:
+    petsc4py.init(PETSC)
+    _take_signals()
+    from pdpetsc.command_line import doctor
+    from pdpetsc.discrete.communicator import is_root, world
+
+    comm = world()
+    if argv:
+        if is_root(comm):
+            print(doctor.USAGE)
+        return 0 if argv in (["-h"], ["--help"]) else 2
+    return doctor.doctor(comm)
 
 
 def _plot(argv: list[str]) -> int:
@@ -372,6 +419,12 @@ def _compare(argv: list[str]) -> int:
     except KeyboardInterrupt:
         raise Interrupted(f"Stopped; the same command goes on with what {output} holds.") from None
     return 0
+
+
+# What the command line does besides running a case, by its first word.
+COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
+    "plot": _plot, "compare": _compare, "new": _new, "doctor": _doctor,
+}  # fmt: skip
 
 
 def _make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:

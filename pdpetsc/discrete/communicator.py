@@ -21,6 +21,11 @@ def world() -> Comm:
     return MPI.COMM_WORLD
 
 
+def mpi_library() -> str:
+    """Return name and version of the MPI that mpi4py stands on."""
+    return str(MPI.Get_library_version()).split(",")[0].split("\n")[0].strip()
+
+
 def communicator(given: Any = None) -> Comm:
     """Return the communicator that a user gives, of mpi4py or petsc4py, or that of all ranks.
 

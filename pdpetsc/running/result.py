@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
 
 
@@ -92,6 +94,69 @@ class Result(Mapping[str, float]):
         """Return the reference positions of all particles (n, 3) in creation order [length] (not collective)."""
         return np.asarray(self.fields.of_particles("position"))
 
+    @property
+    def results(self) -> dict[str, float]:
+        """Return the named results."""
+        return dict(self._results)
+
+    def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
+        """Return a field at points, by linear fits to the nearest particles (not collective).
+
+        Parameters
+        ----------
+        points : (m, d) array
+            Where [length]; d is the dimension of the body, or 3: ``np.linspace(start, end, 50)`` is a line.
+        name : str
+            The field, as for ``field``.
+        step : int, optional
+            The step, the last one by default.
+
+        Returns
+        -------
+        (m, ...) float64
+            nan outside of the body.
+
+        Raises
+        ------
+        CaseError
+            The run wrote no such field or step, or the points have another dimension.
+        """
+        return sampled(self.x, np.asarray(self.field(name, step), dtype=float), points)
+
+    def frame(self) -> Any:
+        """Return the history as a pandas data frame, a row a step.
+
+        Raises
+        ------
+        CaseError
+            pandas is not installed.
+        """
+        pandas = _module("pandas", "the history is a dictionary of arrays without it")
+        return pandas.DataFrame(self.history)
+
+    def to_pyvista(self, step: int | None = None) -> Any:
+        """Return the particles as a PyVista point cloud in the undeformed body, with all fields of a step.
+
+        Not collective. ``warp_by_vector("displacement")`` of it is the deformed body. Tensors have nine components,
+        row by row.
+
+        Parameters
+        ----------
+        step : int, optional
+            The step, the last one by default.
+
+        Raises
+        ------
+        CaseError
+            PyVista is not installed, or the run wrote no fields.
+        """
+        pyvista = _module("pyvista", "fields.xdmf opens in ParaView without it")
+        cloud = pyvista.PolyData(np.array(self.x))
+        for name in self.fields.names(step):
+            values = np.asarray(self.field(name, step))
+            cloud.point_data[name] = values.reshape(len(values), -1) if values.ndim > 1 else values
+        return cloud
+
     def gathered(self, field: Field) -> NDArray[Any] | None:
         """Return a field of the last solution, all particles in creation order, on rank 0; None on the others.
 
@@ -112,6 +177,14 @@ class Result(Mapping[str, float]):
         if self.solution is None:
             raise CaseError("A run opened from its folder has the fields that it wrote, by name: use field(name).")
         return gathered(self.solution, field)
+
+
+def _module(name: str, otherwise: str) -> Any:
+    """Return a module that pdpetsc does not need, where it is installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise CaseError(f"{name} is not installed: pip install {name}; {otherwise}.") from None
 
 
 def gathered(solution: Solution, field: Field) -> NDArray[Any] | None:

@@ -1,0 +1,128 @@
+"""What users do with a finished run: sampling, data frames, PyVista, a first case, the doctor."""
+
+import importlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.command_line import doctor
+from pdpetsc.command_line.new import new
+from pdpetsc.discrete.communicator import world
+from pdpetsc.post.sampling import sampled
+from tests.commands import ROOT, run
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    everywhere = pd.region.All()
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5),
+        horizon=1.0075,
+        material=pd.LinearElastic(1.0),
+        scheme=pd.SubHorizons(),
+        conditions=[
+            pd.Displacement(
+                everywhere, x=lambda x, t: t * (0.1 * x[:, 0] - 0.02 * x[:, 1]), y=lambda x, t: 0.03 * t * x[:, 0]
+            )
+        ],
+        steps=pd.Steps(2),
+        fields=[pd.displacement, pd.stress],
+        history={"force": pd.Reaction("x")},
+    )
+    return pd.run(case, tmp_path_factory.mktemp("result"))
+
+
+def test_a_linear_field_is_sampled_exactly(result):
+    line = np.linspace((0.1, 0.3), (5.9, 2.8), 17)
+    u = pd.open(result.folder).sample(line)
+    assert u.shape == (17, 3)
+    assert np.allclose(u[:, 0], 0.1 * line[:, 0] - 0.02 * line[:, 1], atol=1e-12)
+    assert np.allclose(u[:, 1], 0.03 * line[:, 0], atol=1e-12)
+    assert np.allclose(result.sample(np.c_[line, np.zeros(17)]), u, atol=1e-15)
+    assert np.allclose(result.sample(line, step=1), 0.5 * u, atol=1e-12)
+    assert result.sample(line, "stress").shape == (17, 3, 3)
+
+
+def test_there_is_nothing_outside_of_the_body(result):
+    outside = result.sample([(-1.0, 1.0), (3.0, 3.9), (3.0, 1.0)])
+    assert np.isnan(outside[:2]).all() and np.isfinite(outside[2]).all()
+    with pytest.raises(pd.CaseError, match="2 or 3 coordinates"):
+        result.sample([(1.0,)])
+    with pytest.raises(pd.CaseError, match="no field"):
+        result.sample([(1.0, 1.0)], "temperature")
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_sampling_in_other_units_and_shaken_clouds_is_exact_for_linear_fields(dim, rng):
+    grid = np.stack(np.meshgrid(*[np.arange(7.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    x = np.zeros((len(grid), 3))
+    x[:, :dim] = (grid + rng.uniform(-0.2, 0.2, grid.shape)) * 1e-9
+    slope = rng.normal(size=dim)
+    at = rng.uniform(1.0, 5.0, (20, dim)) * 1e-9
+    found = sampled(x, x[:, :dim] @ slope, at)
+    assert np.allclose(found, at @ slope, rtol=1e-9, atol=1e-9 * np.abs(at @ slope).max())
+
+
+def test_results_come_as_frames_and_clouds_where_the_libraries_are(result):
+    for call, name in ((result.frame, "pandas"), (result.to_pyvista, "pyvista")):
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            with pytest.raises(pd.CaseError, match=f"pip install {name}"):
+                call()
+            continue
+        found = call()
+        if name == "pandas":
+            assert list(found["step"]) == [0.0, 1.0, 2.0] and found["force"].iloc[-1] == result.history["force"][-1]
+        else:
+            assert found.n_points == 72 and found.point_data["stress"].shape == (72, 9)
+            assert np.allclose(found.point_data["displacement"], result.field("displacement"))
+    assert result.results == dict(result)
+
+
+def test_a_new_case_runs_as_it_is(tmp_path):
+    words, environment = [sys.executable, "-m", "pdpetsc", "new", "bar.py"], {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert finished.returncode == 0 and finished.stdout.strip() == "bar.py"
+    assert run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "out").returncode == 0
+    force = pd.open(tmp_path / "out").history["force"][-1]
+    assert force == pytest.approx(200e3 * 0.01 * 4.0, rel=0.03)
+    with pytest.raises(pd.CaseError, match="is there already"):
+        new(tmp_path / "bar.py")
+    with pytest.raises(pd.CaseError, match=r"ends in \.py"):
+        new(tmp_path / "bar.txt")
+    with pytest.raises(pd.CaseError, match="Cannot write"):
+        new(tmp_path / "nowhere" / "bar.py")
+
+
+def test_the_doctor_finds_nothing_broken_where_tests_run(capsys):
+    assert doctor.doctor(world()) == 0
+    said = capsys.readouterr().out
+    assert "MUMPS" in said and "broken" not in said
+
+
+def test_the_doctor_tells_processes_that_do_not_hear_each_other(monkeypatch):
+    monkeypatch.setenv("SLURM_STEP_NUM_TASKS", "4")
+    (found,) = doctor.ranks(world())
+    assert found.verdict == "broken" and "4 processes, each alone" in found.found and found.advice
+    monkeypatch.setattr(doctor, "_factored", lambda comm: 0.5)
+    assert [one.verdict for one in doctor.petsc(world())] == ["ok", "broken"]
+
+    def fails(comm):
+        raise RuntimeError("no such library")
+
+    monkeypatch.setattr(doctor, "CHECKS", (fails,))
+    assert doctor.doctor(world()) == 1
+
+
+def test_words_that_are_nearly_right_are_named(tmp_path):
+    assert "did you mean the command doctor?" in run("docter").stderr
+    new(tmp_path / "bar.py")
+    finished = run(tmp_path / "bar.py", "strian=0.1")
+    assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
+    said = run(tmp_path / "bar.py", "-h").stdout
+    assert "A bar that is pulled" in said and "strain  float  0.01" in said

@@ -85,7 +85,7 @@ class PatchPoints(MaterialPoints):
     Raises
     ------
     CaseError
-        The body is in plane stress, on every rank.
+        The body is a bar or in plane stress, on every rank.
 
     Notes
     -----
@@ -101,9 +101,10 @@ class PatchPoints(MaterialPoints):
         super().__init__(body, operator, materials, material_of, factor)
         cloud, dim = body.cloud, body.dim
         with agreed(cloud.comm):
-            if dim == 2 and any(material.plane == "stress" for material in materials):
+            if dim == 1 or (dim == 2 and any(material.plane == "stress" for material in materials)):
                 raise CaseError(
-                    "MeanDilatation is for bodies that keep their volume in the plane; plane stress does not."
+                    "MeanDilatation is for solids and plane strain; a bar, or a plane without stress across it, "
+                    "changes its section as it likes and needs no patches: take the scheme alone."
                 )
         self._rest = np.empty(operator.n_points)
         for one in self.materials:

@@ -1,11 +1,11 @@
 """Nearly incompressible column of circular section, twisted between plates that keep their distance.
 
-Radius 1 mm, length 2 mm, neo-Hookean with mu = 1 N/mm2; the upper plate turns by ``angle`` degrees. Incompressible, every
-section turns as a whole: with the twist per length k the torque is ``mu k pi R^4 / 2`` and the plates press with
-``mu k^2 pi R^4 / 4``, at any angle (Rivlin). Particles are the nodes of hexahedra on sections of 4 ``n`` quadrilaterals on the
-circumference; the discs' polygons have less area, so ``torque_error`` compares with the polar moment of the polygon.
-``method`` as in ``cook_incompressible.py``. Results: ``torque``, ``press``, ``J_error``, the largest difference of the mean
-dilatation of a particle from 1, and how far the side has moved radially. Units mm, N.
+Radius 1 mm, length 2 mm, neo-Hookean with mu = 1 N/mm2; the upper plate turns by ``angle`` degrees. Incompressible,
+every section turns as a whole: with the twist per length k the torque is ``mu k pi R^4 / 2`` and the plates press with
+``mu k^2 pi R^4 / 4``, at any angle (Rivlin). Particles are the nodes of hexahedra, n x n on a section and n over the
+length; the sections are polygons, so errors are those against the polar moment of the polygon. ``method`` as in
+``cook_incompressible.py``. Results: ``torque``, ``press`` and their errors, ``J_error``, the largest difference of
+det F of a particle from 1, and ``radial``, how far the side has moved outwards half-way up. Units mm, N.
 """
 
 import sys

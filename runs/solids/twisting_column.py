@@ -79,7 +79,7 @@ def dilatation(solution):
     return np.linalg.det(pd.deformation_gradient(solution))
 
 
-def case(n=6, nu=0.4999, angle=90.0, method="patches_control", horizon=2.015, steps=6, share=0.5):
+def case(n=6, nu=0.4999, angle=45.0, method="patches_control", horizon=2.015, steps=8, share=2.0):
     points, block = common.grid(n, 0.0, 0, (1.0, 1.0, 1.0), common.cubes)
     points = np.column_stack([RADIUS * disc(points[:, :2]), LENGTH * points[:, 2]])
     spacing = 2.0 * RADIUS / n

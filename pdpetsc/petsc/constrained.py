@@ -6,6 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.communicator import largest
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.two_level import TwoLevel
 from pdpetsc.problem.body import Body
@@ -13,10 +14,10 @@ from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Constraints
 
-# Tolerance of a solve with conditions as unknowns over that of the solve that it preconditions: what is left of a
-# condition counts with its stiffness there. And its largest number of iterations.
-CLOSER, MOST = 1e-3, 1000
-# What a displacement that the soft tangent resists least makes of a condition, over that of the stiffest.
+# Tolerance of a solve with conditions as unknowns over that of the solve that it preconditions and over the largest
+# stiffness of a condition, with which what is left of it counts there; its least, and its largest number of iterations.
+CLOSER, LEAST, MOST = 1e-2, 1e-13, 1000
+# The Schur complement of the soft tangent, over the inverse of what that resists a condition with.
 SPREAD = 1.0
 
 
@@ -85,7 +86,7 @@ class Constrained(Preconditioning):
         values[:n] = x.array_r
         right.setArray(values)
         self._system.mat.stateIncrease()
-        self._ksp.setTolerances(rtol=CLOSER * self._outer.getTolerances()[0])
+        self._ksp.setTolerances(rtol=max(LEAST, CLOSER * self._outer.getTolerances()[0] / self._system.stiffest))
         self._ksp.solve(right, found)
         self.iterations += self._ksp.getIterationNumber()
         y.setArray(found.array_r[:n])
@@ -150,6 +151,8 @@ class _System:
         self._condition_of = np.repeat(np.arange(len(sizes)), sizes)
         with np.errstate(divide="ignore"):
             self._compliance = self._scale / np.maximum(constraints.stiffness, 1e-12 * constraints.soft)
+        stiffest = float(np.max(constraints.stiffness / constraints.soft, initial=1.0))
+        self.stiffest = largest(self._body.cloud.comm, stiffest)
         self._schur = self._compliance + SPREAD * self._scale / constraints.soft
 
     def solver(self, levels: TwoLevel, comm: PETSc.Comm, n: int) -> PETSc.KSP:

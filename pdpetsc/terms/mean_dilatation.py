@@ -25,6 +25,9 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Constraints, Entries, Term
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
+# What a softened patch resists its mean dilatation with, over twice the shear modulus.
+SOFTER = 1.0
+
 
 class Shared(NamedTuple):
     """Gradient points at a state, with the dilatations of their patches.
@@ -293,7 +296,7 @@ class PatchTangent(PointsTangent):
         self._b, self._volume = points.vectors(w[:, None, None] * B), points._sum(points.operator.volume)
         self._k = points._sum(w * k)
         # Softened, a patch resists its mean dilatation as it resists shear.
-        self._soft = np.minimum(self._k, points._sum(w * points.twice_shear))
+        self._soft = np.minimum(self._k, SOFTER * points._sum(w * points.twice_shear))
         self._s_right = points.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
         self._s_left = points.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
         one = np.eye(dim)

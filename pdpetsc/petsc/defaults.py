@@ -54,6 +54,10 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if solver.of_energy and not problem.linear and problem.damage is None:
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
+    if choice.levels and problem.constrained:
+        # A solve with conditions as unknowns preconditions, and is another one each time.
+        defaults |= {"ksp_type": "fgmres", "pc_type": "python"}
+        return defaults | {f"soft_{name}": value for name, value in _of_levels(choice.levels).items()}
     if choice.levels:
         return defaults | {"pc_type": "mg"} | _of_levels(choice.levels)
     if choice.pc in ("", "gamg"):

@@ -14,6 +14,7 @@ from pdpetsc.arrays import Mask
 from pdpetsc.declare.solvers import DeclaredSolver
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
+from pdpetsc.petsc.constrained import Constrained
 from pdpetsc.petsc.matrix import TangentMatrix, predicted_bytes
 from pdpetsc.petsc.matrix_free import MatrixFreeTangent, NearMatrix
 from pdpetsc.petsc.tangent import PetscTangent
@@ -176,7 +177,10 @@ def _by_nearest_neighbours(filler: Any, fixed: Mask, scale: float) -> PetscTange
 
 
 def _on_two_levels(filler: Any, fixed: Mask, scale: float) -> PetscTangent:
-    return MatrixFreeTangent(filler.problem, TwoLevel(filler, fixed, scale), fixed, scale)
+    levels = TwoLevel(filler, fixed, scale)
+    if not filler.problem.constrained:
+        return MatrixFreeTangent(filler.problem, levels, fixed, scale)
+    return MatrixFreeTangent(filler.problem, Constrained(levels, filler.problem, fixed, scale), fixed, scale)
 
 
 def _of_pattern(filler: Any) -> int:

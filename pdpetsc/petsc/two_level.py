@@ -67,10 +67,11 @@ class TwoLevel(Preconditioning):
         self._interpolation.setUp()
 
     def fill(self, state: State) -> Tangent:
-        """Fill the diagonal blocks and the matrix of the nodes; return the tangent."""
+        """Fill the diagonal blocks and the matrix of the nodes, without constraints; return the tangent."""
         cloud, dim = self._problem.body.cloud, self._problem.dim
-        tangent = self._problem.linearised(state)
+        whole = self._problem.linearised(state)
         state.forget()
+        tangent = whole.softened()
         blocks = np.concatenate([tangent.point_blocks(), _blocks_of_virtual(tangent)])
         diagonal = np.einsum("pii->pi", blocks).copy()
         self.diagonal = diagonal.ravel()
@@ -91,7 +92,7 @@ class TwoLevel(Preconditioning):
         self.mat.setValuesBlockedCSR(ptr, ptr[:-1] + first, blocks)
         self.mat.assemble()
         self.mat.stateIncrease()
-        return tangent
+        return whole
 
     def renewed(self) -> Preconditioning:
         """Return that of the pieces that bonds hold together now."""

@@ -16,7 +16,7 @@ from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
-from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
+from pdpetsc.problem.term import Constraints, Entries, KeptArray, LinearisedTerm, Term
 
 
 class Problem:
@@ -84,6 +84,11 @@ class Problem:
     def symmetric(self) -> bool:
         """Return whether the tangent is symmetric (not collective)."""
         return all(term.symmetric for term in self.terms)
+
+    @property
+    def constrained(self) -> bool:
+        """Return whether the tangent has a part that is nearly conditions on the displacement (not collective)."""
+        return any(term.constrained for term in self.terms)
 
     @property
     def horizons(self) -> int:
@@ -295,6 +300,16 @@ class Tangent:
         """Add the forces of the families of some own particles (not collective): all arrays (n_local, dim)."""
         for part in self._passes:
             part.add_product(du, f, particles)
+
+    def softened(self) -> Tangent:
+        """Return it without the constraints of its parts; itself where there are none (not collective)."""
+        if all(part.constraints() is None for part in self.parts):
+            return self
+        return Tangent(self.body, [part.softened() for part in self.parts])
+
+    def constraints(self) -> Constraints | None:
+        """Return those of the part that has some (not collective)."""
+        return next((found for found in (part.constraints() for part in self.parts) if found is not None), None)
 
     def columns_of_virtual(self) -> Iterator[tuple[int, int, Float]]:
         """Yield virtual row, component and column (n_rows, dim) of each virtual unknown; the next may overwrite it."""

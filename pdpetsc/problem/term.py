@@ -77,6 +77,31 @@ class Entries:
         yield self.sparsity.ghost, self.ghost
 
 
+@dataclass(frozen=True)
+class Constraints:
+    """A part ``sum_c D_c b_c (x) b_c`` of a tangent, so stiff that it is nearly one condition ``b_c . du = 0`` each.
+
+    Attributes
+    ----------
+    ptr : (n + 1,) int64
+        Where the entries of each condition start.
+    members : (n_entries,) int32
+        Local particles.
+    b : (n_entries, dim) float64
+        ``b_c`` [1 / length].
+    stiffness : (n,) float64
+        ``D_c`` [energy].
+    soft : (n,) float64
+        What the rest of the tangent resists such displacements with, about [energy].
+    """
+
+    ptr: GlobalIndex
+    members: LocalIndex
+    b: Float
+    stiffness: Float
+    soft: Float
+
+
 class LinearisedTerm:
     """The tangent of a term at one state.
 
@@ -115,6 +140,14 @@ class LinearisedTerm:
         """Return the trace of ``stiffness`` (n_owned,) [energy], or None (not collective)."""
         D = self.stiffness()
         return None if D is None else np.asarray(np.einsum("pikik->p", D))
+
+    def softened(self) -> LinearisedTerm:
+        """Return it without what ``constraints`` gives (not collective)."""
+        return self
+
+    def constraints(self) -> Constraints | None:
+        """Return the part that is nearly conditions on the displacement, None where there is none (not collective)."""
+        return None
 
     def absorb(self, other: LinearisedTerm) -> bool:
         """Compute the product of another term in the same loop, if that is quicker; return whether it does."""
@@ -170,6 +203,8 @@ class Term(ABC):
         members of one family.
     energy_of : str
         Under which name its energy is summed; that of the material is ``"strain"``, that of a control ``"control"``.
+    constrained : bool
+        Whether its tangents have ``constraints``.
     version : int
         Grows whenever its forces or its tangent at the same unknowns and step time change, as when ``commit`` moves
         what it remembers.
@@ -186,6 +221,7 @@ class Term(ABC):
     of_solver: bool = False
     horizons: int = 0
     energy_of: str = "extra"
+    constrained: bool = False
     version: int = 0
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,8 +22,11 @@ from pdpetsc.kernels.sparsity import sum_by, transpose
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, Term
+from pdpetsc.problem.term import Constraints, Entries, Term
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
+
+# What a softened patch resists its mean dilatation with, over twice the shear modulus.
+SOFTER = 1.0
 
 
 class Shared(NamedTuple):
@@ -85,7 +89,7 @@ class PatchPoints(MaterialPoints):
     Raises
     ------
     CaseError
-        The body is in plane stress, on every rank.
+        The body is a bar or in plane stress, on every rank.
 
     Notes
     -----
@@ -93,6 +97,7 @@ class PatchPoints(MaterialPoints):
     """
 
     horizons = 3
+    constrained = True
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
@@ -101,14 +106,16 @@ class PatchPoints(MaterialPoints):
         super().__init__(body, operator, materials, material_of, factor)
         cloud, dim = body.cloud, body.dim
         with agreed(cloud.comm):
-            if dim == 2 and any(material.plane == "stress" for material in materials):
+            if dim == 1 or (dim == 2 and any(material.plane == "stress" for material in materials)):
                 raise CaseError(
-                    "MeanDilatation is for bodies that keep their volume in the plane; plane stress does not."
+                    "MeanDilatation is for solids and plane strain; a bar, or a plane without stress across it, "
+                    "changes its section as it likes and needs no patches: take the scheme alone."
                 )
-        self._rest = np.empty(operator.n_points)
+        self.twice_shear = np.empty(operator.n_points)
         for one in self.materials:
-            twice = patches.share * twice_shear(one.material.moduli(dim))
-            self._rest[one.points] = twice if one.factor is None else twice * one.factor
+            twice = twice_shear(one.material.moduli(dim))
+            self.twice_shear[one.points] = twice if one.factor is None else twice * one.factor
+        self._rest = patches.share * self.twice_shear
         found = np.unique(boxes(cloud.comm, cloud.x[: cloud.n_owned], patches.edge), axis=0, return_inverse=True)[1]
         self._gather(np.asarray(found).ravel())
 
@@ -286,16 +293,37 @@ class PatchTangent(PointsTangent):
             A -= np.einsum("p,pin,pkm->pimkn", lacking, B, B)
         super().__init__(points, Moduli(A))
         w = points._weight
-        of_patch = points._sum(w * k)
-        b = points.vectors(w[:, None, None] * B)
-        s_right = points.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
-        s_left = points.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
-        s_left += np.repeat(of_patch, np.diff(points._patch_ptr))[:, None] * b
-        volume = points._sum(points.operator.volume)
+        self._b, self._volume = points.vectors(w[:, None, None] * B), points._sum(points.operator.volume)
+        self._k = points._sum(w * k)
+        # Softened, a patch resists its mean dilatation as it resists shear.
+        self._soft = np.minimum(self._k, SOFTER * points._sum(w * points.twice_shear))
+        self._s_right = points.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
+        self._s_left = points.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
         one = np.eye(dim)
-        self._one = np.tile(np.einsum("im,kn->imkn", one, one), (len(volume), 1, 1, 1, 1))
-        self._pairs = [(s_right, points.patch_operator(b, volume)), (b, points.patch_operator(s_left, volume))]
+        self._one = np.tile(np.einsum("im,kn->imkn", one, one), (len(self._k), 1, 1, 1, 1))
+        self._couple(self._k)
+
+    def _couple(self, k: Float) -> None:
+        """Set up the products of the patches, whose means are resisted with ``k`` (n_patches,) [stress]."""
+        points, volume = self.points, self._volume
+        left = self._s_left + np.repeat(k, np.diff(points._patch_ptr))[:, None] * self._b
+        self._pairs = [
+            (self._s_right, points.patch_operator(self._b, volume)), (self._b, points.patch_operator(left, volume))
+        ]  # fmt: skip
         self._products = [ListedProduct(operator, self._one, h) for h, operator in self._pairs]
+
+    def softened(self) -> PatchTangent:
+        """Return it with means that are resisted as shear is."""
+        soft = copy.copy(self)
+        soft._product = self.operator.product(self._A)
+        soft._couple(self._soft)
+        return soft
+
+    def constraints(self) -> Constraints:
+        """Return the rest of what the means of patches are resisted with."""
+        points, stiff = self.points, self._volume * np.maximum(self._k - self._soft, 0.0)
+        data = points._patch_ptr, points._patch_members, self._b
+        return Constraints(*data, stiff, self._volume * self._soft)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of points and patches, and of a control that shares the loop."""

@@ -1,0 +1,227 @@
+"""Preconditioner of a tangent that is nearly conditions on the displacement: a solve with them as unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.communicator import largest
+from pdpetsc.petsc.matrix_free import Preconditioning
+from pdpetsc.petsc.two_level import TwoLevel
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.problem import Problem, Tangent
+from pdpetsc.problem.state import State
+from pdpetsc.problem.term import Constraints
+
+# Tolerance of a solve with conditions as unknowns over that of the solve that it preconditions and over the largest
+# stiffness of a condition, with which what is left of it counts there; its least, and its largest number of iterations.
+CLOSER, LEAST, MOST = 1e-2, 1e-13, 1000
+# The Schur complement of the soft tangent, over the inverse of what that resists a condition with.
+SPREAD = 1.0
+
+
+class Constrained(Preconditioning):
+    """``K = K_0 + B^T D B`` with a stiff D by the system ``[K_0 B^T; B -D^-1]``, whose condition does not know D.
+
+    MINRES solves it, preconditioned by the two levels of the soft ``K_0`` and by the diagonal of the Schur complement
+    ``D^-1 + B K_0^-1 B^T``, of which the second part is about the inverse of what ``K_0`` resists a condition with.
+
+    Parameters
+    ----------
+    levels : TwoLevel
+        The two levels.
+    problem : Problem
+        Whose tangent it is.
+    fixed : (n_rows, dim) bool
+        Prescribed degrees of freedom.
+    scale : float
+        The stiffness that is 1 in the matrices [force / length].
+
+    Attributes
+    ----------
+    iterations : int
+        Of MINRES so far.
+    """
+
+    def __init__(self, levels: TwoLevel, problem: Problem, fixed: Mask, scale: float) -> None:
+        self._levels, self._problem, self._fixed, self._scale = levels, problem, fixed, scale
+        self.mat, self.diagonal, self.bounded = levels.mat, levels.diagonal, False
+        self._system: _System | None = None
+        self._ksp: PETSc.KSP | None = None
+        self.iterations = 0
+
+    def fill(self, state: State) -> Tangent:
+        """Make it that of a state; return the tangent there."""
+        tangent = self._levels.fill(state)
+        self.diagonal = self._levels.diagonal
+        constraints = tangent.constraints()
+        assert constraints is not None
+        if self._system is None:
+            self._system = _System(self._problem.body, self._fixed, self._scale)
+        self._system.take(tangent.softened(), constraints)
+        return tangent
+
+    def renewed(self) -> Preconditioning:
+        """Return another one for the bonds that there are now."""
+        levels = self._levels.renewed()
+        assert isinstance(levels, TwoLevel)
+        return Constrained(levels, self._problem, self._fixed, self._scale)
+
+    def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
+        """Let the preconditioner of a solver be a solve with conditions as unknowns, where options do not ask else."""
+        pc = ksp.getPC()
+        self._outer = ksp
+        if pc.getType() == "python":
+            pc.setPythonContext(_Solve(self))
+
+    def solve(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Write to y what the system makes of forces x."""
+        assert self._system is not None
+        if self._ksp is None:
+            self._ksp = self._system.solver(self._levels, x.getComm(), x.getLocalSize())
+        right, found = self._system.right, self._system.found
+        n = x.getLocalSize()
+        values = np.zeros(right.getLocalSize())
+        values[:n] = x.array_r
+        right.setArray(values)
+        self._system.mat.stateIncrease()
+        self._ksp.setTolerances(rtol=max(LEAST, CLOSER * self._outer.getTolerances()[0] / self._system.stiffest))
+        self._ksp.solve(right, found)
+        self.iterations += self._ksp.getIterationNumber()
+        y.setArray(found.array_r[:n])
+
+    @property
+    def bytes(self) -> int:
+        """Return the memory of the entries of the two levels, over all ranks [bytes]."""
+        return self._levels.bytes
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self._ksp is not None and self._system is not None:
+            self._ksp.destroy()
+            self._system.destroy()
+        self._levels.destroy()
+
+
+class _Solve:
+    """A solve of the system as a preconditioner; PETSc would call a method destroy of what made it."""
+
+    def __init__(self, of: Constrained) -> None:
+        self._of = of
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Precondition; PETSc calls it."""
+        self._of.solve(x, y)
+
+
+class _Diagonal:
+    """The two levels, and the diagonal of the Schur complement."""
+
+    def __init__(self, system: _System) -> None:
+        self._system = system
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Precondition; PETSc calls it."""
+        self._system.precondition(x, y)
+
+
+class _Whole:
+    """The system times a vector."""
+
+    def __init__(self, system: _System) -> None:
+        self._system = system
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply; PETSc calls it."""
+        self._system.times(x, y)
+
+
+class _System:
+    """``[K_0 B^T; B -D^-1]`` over the scale of the tangent, and its preconditioner, as PETSc asks for them."""
+
+    def __init__(self, body: Body, fixed: Mask, scale: float) -> None:
+        self._body, self._free, self._scale = body, ~fixed, scale
+        self._masked = np.zeros(fixed.shape)
+
+    def take(self, soft: Tangent, constraints: Constraints) -> None:
+        """Be the system of a tangent."""
+        self._soft, self._of = soft, constraints
+        sizes = np.diff(constraints.ptr)
+        self._condition_of = np.repeat(np.arange(len(sizes)), sizes)
+        with np.errstate(divide="ignore"):
+            self._compliance = self._scale / np.maximum(constraints.stiffness, 1e-12 * constraints.soft)
+        stiffest = float(np.max(constraints.stiffness / constraints.soft, initial=1.0))
+        self.stiffest = largest(self._body.cloud.comm, stiffest)
+        self._schur = self._compliance + SPREAD * self._scale / constraints.soft
+
+    def solver(self, levels: TwoLevel, comm: PETSc.Comm, n: int) -> PETSc.KSP:
+        """Return MINRES with the two levels (collective)."""
+        size = n + len(self._compliance)
+        self.mat = PETSc.Mat().createPython(((size, None), (size, None)), context=_Whole(self), comm=comm)
+        self.mat.setUp()
+        self.right, self.found = self.mat.createVecs()
+        self._soft_mat = PETSc.Mat().createPython(levels.mat.getSizes(), context=_Soft(self), comm=comm)
+        self._soft_mat.setUp()
+        self._inner = PETSc.KSP().create(comm=comm)
+        self._inner.setOperators(self._soft_mat, levels.mat)
+        self._inner.setOptionsPrefix("soft_")
+        self._inner.setType("preonly")
+        self._inner.getPC().setType("mg")
+        levels.equip(self._soft_mat, self._inner)
+        self._x, self._y = levels.mat.createVecs()
+        ksp = PETSc.KSP().create(comm=comm)
+        ksp.setOptionsPrefix("conditions_")
+        ksp.setOperators(self.mat, self.mat)
+        ksp.setType("minres")
+        ksp.setTolerances(atol=0.0, max_it=MOST)
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(_Diagonal(self))
+        ksp.setFromOptions()
+        return ksp
+
+    def times(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply."""
+        n, of, body = self._free.size, self._of, self._body
+        values = x.array_r
+        u, q = values[:n].reshape(self._free.shape), values[n:]
+        np.multiply(u, self._free, out=self._masked)
+        f = np.zeros((body.cloud.n_local, body.dim))
+        np.add.at(f, of.members, q[self._condition_of][:, None] * of.b)
+        result = body.gather(f) + self._soft(self._masked) / self._scale
+        local = body.with_ghosts(self._masked)
+        strain = np.bincount(self._condition_of, np.einsum("ei,ei->e", of.b, local[of.members]), len(q))
+        whole = y.array_w
+        whole[:n] = np.where(self._free, result, u).ravel()
+        whole[n:] = strain - self._compliance * q
+
+    def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Precondition."""
+        n = self._free.size
+        self._x.setArray(x.array_r[:n])
+        self._inner.solve(self._x, self._y)
+        whole = y.array_w
+        whole[:n] = self._y.array_r
+        whole[n:] = x.array_r[n:] / self._schur
+
+    def soft_times(self, x: Float) -> Float:
+        """Return the soft tangent over the scale times unknowns (n_rows * dim,)."""
+        u = x.reshape(self._free.shape)
+        np.multiply(u, self._free, out=self._masked)
+        return np.where(self._free, self._soft(self._masked) / self._scale, u).ravel()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for one in (self._inner, self._soft_mat, self.mat, self.right, self.found, self._x, self._y):
+            one.destroy()
+
+
+class _Soft:
+    """The soft tangent times a vector."""
+
+    def __init__(self, system: _System) -> None:
+        self._system = system
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply; PETSc calls it."""
+        y.setArray(self._system.soft_times(x.array_r))

@@ -1,0 +1,232 @@
+"""Nearly incompressible bodies: patches that share one dilatation, and controls scaled with the shear modulus."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.gradient.mean_dilatation import boxes
+from pdpetsc.petsc.constrained import Constrained
+from tests.commands import results
+from tests.scenes import SCHEMES, body, dense_tangent, differences, displacement, rotation
+
+COOK = "runs/solids/cook_incompressible.py"
+CONTROL = pd.ByShear(pd.Silling(0.5))
+MATERIALS = {
+    "linear": pd.LinearElastic(E=10.0, nu=0.499),
+    "neo_hookean": pd.NeoHookean(E=10.0, nu=0.499),
+    "hencky": pd.Hencky(E=10.0, nu=0.49),
+    "j2": pd.J2(E=100.0, nu=0.4, yield_stress=1.0, hardening=5.0),
+}
+
+
+def patched(dim, material, rng, scheme="sub_horizons", patch=2.0):
+    return body(dim, pd.MeanDilatation(SCHEMES[scheme], patch), CONTROL, material, rng=rng)
+
+
+@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons", "bond_associated"])
+@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_forces_and_tangent_derive_from_the_energy(dim, name, scheme, rng):
+    material = MATERIALS[name]
+    model = patched(dim, material, rng, scheme)
+    u = displacement(model, rng)
+    if material.has_history:
+        model.commit(0.7 * u)
+        assert model.matter.plastic_strain().max() > 1e-3
+    K, f = dense_tangent(model, u), model.internal_force(u)
+    size = np.abs(K).max()
+    assert np.abs(K - K.T).max() < 1e-12 * size
+    du = rng.standard_normal(u.shape)
+    assert np.allclose(model.tangent_times(u, du).ravel(), K @ du.ravel(), atol=1e-12 * size)
+    columns = list(range(0, u.size, 5))
+    assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-7 * size
+    step = 1e-6 * du
+    work = (sum(model.energy(u + step)) - sum(model.energy(u - step))) / 2.0
+    assert work == pytest.approx(np.vdot(f, step), rel=1e-4)
+    blocks = model.linearised(u).point_blocks()
+    n = np.arange(len(u))
+    assert np.allclose(blocks, K.reshape(-1, dim, len(u), dim)[n, :, n], atol=1e-13 * size)
+    assert np.abs(f.sum(axis=0)).max() < 1e-12 * np.abs(f).max()
+
+
+@pytest.mark.parametrize("name", ["neo_hookean", "hencky", "j2"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_forces_turn_with_the_body_and_balance(dim, name, rng):
+    model = patched(dim, MATERIALS[name], rng)
+    u, Q = displacement(model, rng), rotation(dim, rng)
+    x = model.cloud.x
+    y, f = x + u, model.internal_force(u)
+    turned = model.internal_force(y @ Q.T - x)
+    assert np.allclose(turned, f @ Q.T, atol=1e-9 * np.abs(f).max())
+    moment = np.einsum("ki,kj->ij", y, f)
+    assert np.abs(moment - moment.T).max() < 1e-11 * np.abs(y).max() * np.abs(f).max()
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_uniform_states_are_those_of_the_scheme(dim, name, rng):
+    """The patch test: in uniform deformation forces, energy and stress are those without patches."""
+    material, seed = MATERIALS[name], 5
+    one = patched(dim, material, np.random.default_rng(seed))
+    other = body(dim, SCHEMES["sub_horizons"], CONTROL, material, rng=np.random.default_rng(seed))
+    u = one.cloud.x @ (0.02 * rng.standard_normal((dim, dim))).T
+    assert np.allclose(
+        one.internal_force(u), other.internal_force(u), atol=1e-10 * np.abs(other.internal_force(u)).max()
+    )
+    assert one.energy(u)[0] == pytest.approx(other.energy(u)[0], rel=1e-10)
+    sigma, expected = (m.matter.cauchy_stress(m.at(u)) for m in (one, other))
+    assert np.allclose(sigma, expected, atol=1e-10 * np.abs(expected).max())
+    F = one.matter.deformation_gradient(one.at(u))
+    assert np.allclose(F, other.matter.deformation_gradient(other.at(u)), atol=1e-12)
+
+
+def test_the_energy_is_that_of_the_equations(rng):
+    """One patch for the body, with numpy: the mean of ln det F, F_bar, and the stiffness of what it does not see."""
+    material, dim, share = MATERIALS["neo_hookean"], 2, 0.3
+    model = body(dim, pd.MeanDilatation(pd.SubHorizons(), 100.0, share), None, material, rng=rng)
+    u, operator = displacement(model, rng), model.operator
+    lam, mu = material.lame(3)
+    point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
+    F = np.tile(np.eye(dim), (operator.n_points, 1, 1))
+    np.add.at(F, point_of, np.einsum("ei,em->eim", u[operator.members], operator.g))
+    W, theta = operator.volume, np.log(np.linalg.det(F))
+    mean = (W @ theta) / W.sum()
+    squares = np.einsum("pij,pij->p", F, F) * np.exp(mean - theta)
+    expected = W @ (0.5 * mu * (squares - 2.0 - 2.0 * mean) + 0.5 * lam * mean**2 + share * mu * (mean - theta) ** 2)
+    assert model.energy(u)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_mean_over_each_point_alone_changes_nothing(rng):
+    """Patches of one particle with one point each are the scheme without patches."""
+    one = patched(2, MATERIALS["hencky"], np.random.default_rng(7), "correspondence", patch=1e-3)
+    other = body(2, SCHEMES["correspondence"], CONTROL, MATERIALS["hencky"], rng=np.random.default_rng(7))
+    u = displacement(one, rng)
+    assert np.allclose(one.internal_force(u), other.internal_force(u), atol=1e-10)
+    assert np.allclose(dense_tangent(one, u), dense_tangent(other, u), atol=1e-10 * np.abs(dense_tangent(one, u)).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_control_by_shear_does_not_know_the_bulk_modulus(dim, rng):
+    u, energies = None, []
+    for nu in (0.25, 0.49, 0.4999):
+        material = pd.Hencky(E=2.0 * (1.0 + nu), nu=nu)
+        assert twice_shear(material.moduli(dim)) == pytest.approx(2.0, rel=1e-10)
+        model = body(dim, control=CONTROL, material=material, rng=np.random.default_rng(3))
+        u = displacement(model, rng) if u is None else u
+        energies.append(model.energy(u)[1])
+        plain = body(dim, control=pd.Silling(0.5), material=material, rng=np.random.default_rng(3)).energy(u)[1]
+        assert plain / energies[-1] == pytest.approx(material.bulk_like_modulus(dim) / 2.0, rel=1e-9)
+    assert energies == pytest.approx([energies[0]] * 3, rel=1e-9)
+
+
+@pytest.mark.parametrize("control", [pd.Wan(), pd.Littlewood(), pd.RelativeSprings(), pd.RelativeAverage()])
+def test_every_relative_control_can_go_by_shear(control, rng):
+    found = []
+    for nu in (0.3, 0.4999):
+        material = pd.Hencky(E=2.0 * (1.0 + nu), nu=nu)
+        model = body(2, control=pd.ByShear(control), material=material, rng=np.random.default_rng(3))
+        found.append(model.energy(0.01 * np.sin(np.arange(2.0 * model.cloud.n_owned)).reshape(-1, 2))[1])
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+def test_particles_of_a_lattice_do_not_lie_on_the_borders_of_patches():
+    from pdpetsc.discrete.communicator import world
+
+    for dx, many in itertools.product((1.0, 0.1, 1e-3 / 3.0), (2, 3)):
+        x = 7.3 + dx * (0.5 + np.arange(300.0))
+        found = boxes(world(), x[:, None], many * dx)[:, 0]
+        assert np.array_equal(found, np.arange(300) // many)
+
+
+def block(dim=2, **changes):
+    """Return a block of a nearly incompressible material that is held at its left end and pressed at its right."""
+    sides = (8.0, 6.0, 4.0)[:dim]
+    left, right = pd.region.Slab("x", high=1.1), pd.region.Slab("x", low=6.9)
+    held = dict.fromkeys("xyz"[:dim], 0.0)
+    declared = {
+        "particles": pd.Lattice((0.0,) * dim, sides, 1.0),
+        "horizon": 1.515,
+        "material": pd.NeoHookean(E=10.0, nu=0.499),
+        "scheme": pd.MeanDilatation(pd.Correspondence(), 2.0),
+        "control": CONTROL,
+        "conditions": [pd.Displacement(left, **held), pd.Displacement(right, **{**held, "x": -0.4})],
+        "steps": pd.Steps(2),
+        "history": {"force": pd.Reaction("x", right), "energy": pd.StrainEnergy()},
+        "results": lambda h: {name: h[name][-1] for name in ("force", "energy")},
+    }  # fmt: skip
+    return pd.Case(**(declared | changes))
+
+
+def test_without_a_matrix_it_is_the_same(tmp_path):
+    found = [
+        pd.run(block(), tmp_path / kind, options={"pd_jacobian": kind}).summary["results"]
+        for kind in ("assembled", "matfree")
+    ]
+    for name, value in found[0].items():
+        assert found[1][name] == pytest.approx(value, rel=1e-8)
+
+
+def test_iterations_without_a_matrix_do_not_know_the_bulk_modulus(monkeypatch, tmp_path):
+    """The solve with conditions as unknowns takes about as many at nu = 0.4999 as at 0.49."""
+    solve, taken = Constrained.solve, []
+
+    def counted(self, x, y):
+        before = self.iterations
+        solve(self, x, y)
+        taken.append(self.iterations - before)
+
+    monkeypatch.setattr(Constrained, "solve", counted)
+    found = []
+    for nu in (0.49, 0.4999):
+        taken.clear()
+        case = block(material=pd.LinearElastic(E=10.0, nu=nu), steps=pd.Steps(1))
+        pd.run(case, tmp_path / f"{nu}", options={"pd_jacobian": "matfree"})
+        found.append(max(taken))
+    assert found[0] > 10
+    assert found[1] < 1.7 * found[0]
+
+
+def test_two_ranks_find_what_one_does(tmp_path):
+    for law, jacobian in (("neo_hookean", "assembled"), ("linear", "matfree")):
+        words = "n=6", f"law={law}", "method=patches_control", "steps=1"
+        one = results(COOK, *words, output=tmp_path / f"{law}_1")["results"]
+        two = results(COOK, *words, "-pd_jacobian", jacobian, ranks=2, output=tmp_path / f"{law}_2")["results"]
+        assert two["tip"] == pytest.approx(one["tip"], rel=1e-8)
+
+
+@pytest.mark.parametrize("law", ["linear", "neo_hookean"])
+def test_the_membrane_neither_locks_nor_oscillates(law, tmp_path):
+    """Against Taylor-Hood elements: the scheme alone locks, patches do not, and their pressure does not know nu."""
+    found = {}
+    for method, nu in (("sub_horizons", 0.4999), ("patches_control", 0.49), ("patches_control", 0.4999)):
+        words = f"law={law}", f"method={method}", f"nu={nu}", "n=8"
+        found[method, nu] = results(COOK, *words, output=tmp_path / f"{method}{nu}")["results"]
+    assert found["sub_horizons", 0.4999]["tip_error"] < -0.5
+    one, other = found["patches_control", 0.49], found["patches_control", 0.4999]
+    assert abs(other["tip_error"]) < 0.02
+    assert other["pressure_roughness"] < 1.2 * one["pressure_roughness"]
+    assert other["pressure_roughness"] < 0.1 * found["sub_horizons", 0.4999]["pressure_roughness"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"patch": 0.0}, "positive edge"), ({"patch": -1.0}, "positive edge"), ({"share": -0.1}, "share >= 0"),
+        ({"scheme": pd.MeanDilatation(pd.SubHorizons(), 1.0)}, "patches already"),
+    ],
+)  # fmt: skip
+def test_wrong_numbers_are_refused(wrong, words):
+    with pytest.raises(pd.CaseError, match=words):
+        pd.MeanDilatation(**({"scheme": pd.SubHorizons(), "patch": 1.0} | wrong))
+
+
+def test_plane_stress_and_damage_are_refused():
+    stress = dataclasses.replace(block().material, plane="stress")
+    with pytest.raises(pd.CaseError, match="plane without stress"):
+        pd.prepare(block(material=stress))
+    with pytest.raises(pd.CaseError, match="bonds stay"):
+        pd.prepare(block(damage=pd.Brittle(pd.ConstantCritical(0.1))))

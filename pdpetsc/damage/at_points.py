@@ -94,7 +94,7 @@ class PointDrive(Drive):
         count = np.bincount(operator.owner, minlength=n)
         each = np.einsum("emn,en->em", D[point_of], operator.g) / count[operator.owner[point_of]][:, None]
         found = _by_member(operator, point_of, each, families.indptr, families.neighbours, self._bonds.cloud.n_local)
-        return Gradient(bonds, np.zeros(len(bonds)), None, OfEnds(by, found))
+        return Gradient(bonds, np.zeros(len(bonds)), None, (OfEnds(by, found),))
 
     def commit(self, state: Displaced) -> None:
         """Remember how far the measure has grown (collective)."""

@@ -161,14 +161,14 @@ class Gradient:
         Derivative by the elongation of the bond itself [1 / length].
     beyond : Beyond or None
         What is left; None where the elongation of the bond says all.
-    ends : OfEnds or None
-        What is left besides, of means of both ends.
+    ends : tuple of OfEnds
+        What is left besides, of means of both ends, each of all bonds.
     """
 
     bonds: GlobalIndex
     along: Float
     beyond: Beyond | None = None
-    ends: OfEnds | None = None
+    ends: tuple[OfEnds, ...] = ()
 
 
 class Solid(Protocol):

@@ -105,6 +105,16 @@ class BondDamage(Declared, ABC):
         one = np.ones(1)
         return float(self.dissipated(0.0 * one, self.final * one, one, degree)[0])
 
+    @property
+    def of_one_material(self) -> bool:
+        """Return whether its criterion fits a body of one material only."""
+        return self.criterion.of_one_material
+
+    @property
+    def places(self) -> list[tuple[str, Region]]:
+        """Return its regions with what they are."""
+        return [] if self.protected is None else [("What damage is protected from", self.protected)]
+
     def resolved(self, bonds: DrivenBonds) -> BondDamage:
         """Return the law whose criterion knows the bonds of the body (collective)."""
         criterion = self.criterion.resolve(bonds, self.toughness)

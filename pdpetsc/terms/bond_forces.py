@@ -215,10 +215,7 @@ class BondForces(Matter):
         y = families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local)
         n = y / np.linalg.norm(y, axis=1)[:, None]
         v = self._whole_tension(state)[:, None] * n
-        found = falling_beyond(self.body, gradient, v[bonds])
-        if gradient.ends is not None:
-            v = 0.5 * (v - self.damage.driven_bonds.opposite.of_vectors(v))[bonds]
-            found.append(FallingFamilies.of_ends(self.body, bonds, v, gradient.ends))
+        found = falling_beyond(self.body, gradient, v, self.damage.driven_bonds.opposite.of_vectors)
         a = self.shares(state)
         if a is not None and self.a is not None and self.B is not None:
             force = (a * self.B[families.centres])[:, None] * n

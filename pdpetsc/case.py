@@ -231,6 +231,11 @@ class Case(Declared):
             named[name] = function
 
     def _check_formulation(self) -> None:
+        if self.damage is not None and self.damage.closes and not self.of_bonds:
+            raise CaseError(
+                "Cracks that close (closes=True) take bond-based materials: a broken bond has left its gradient, which "
+                "does not tell whether its ends touch; take BondBased, or leave closes out."
+            )
         if self.of_bonds:
             if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):
                 raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")

@@ -39,11 +39,16 @@ class BondDamage(Declared, ABC):
     effect : DamageEffect
         How the integrity enters the force states of deformation gradients; ``PresentStretch()`` as published by Hashim
         et al. Bodies of bonds take the default alone.
+    closes : bool
+        Whether cracks that close carry compression: a bond that is shorter than at the start has its whole stiffness,
+        however damaged or broken it is. Of bond-based materials alone; the ends of the bond are those that it had, so
+        that faces which slide past each other by more than a spacing need contact.
     """
 
     criterion: Criterion
     protected: Region | None = field(default=None, kw_only=True)
     effect: DamageEffect = field(default_factory=LargestStretch, kw_only=True)
+    closes: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.criterion, Criterion):

@@ -38,7 +38,8 @@ class DamageOf(Declared):
     ------
     CaseError
         A name is not one of the regions, laws are missing, have regions of their own that are protected, or different
-        effects; in a case, particles are in no region or several, or two share a bond for which there is no law.
+        effects, or one lets cracks close and another does not; in a case, particles are in no region or several, or
+        two share a bond for which there is no law.
 
     Notes
     -----
@@ -79,8 +80,8 @@ class DamageOf(Declared):
             raise CaseError("DamageOf needs a law; leave it out where no bond fails.")
         if any(law.protected is not None for law in self._declared):
             raise CaseError("A law in DamageOf protects no region of its own; give DamageOf the protected one.")
-        if any(law.effect != self.effect for law in self._declared):
-            raise CaseError("All laws in DamageOf need the same effect.")
+        if any(law.effect != self.effect or law.closes != self.closes for law in self._declared):
+            raise CaseError("All laws in DamageOf need the same effect, and cracks that close or do not.")
 
     @property
     def _declared(self) -> list[BondDamage]:
@@ -90,6 +91,11 @@ class DamageOf(Declared):
     def effect(self) -> DamageEffect:
         """Return the effect of the laws."""
         return self._declared[0].effect
+
+    @property
+    def closes(self) -> bool:
+        """Return whether cracks that close carry compression."""
+        return self._declared[0].closes
 
     @property
     def of_one_material(self) -> bool:

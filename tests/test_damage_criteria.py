@@ -314,3 +314,27 @@ def test_scaled_units_break_the_same_bonds(name, rng):
     one, other = build(1.0, 1.0), build(length, stress)
     u = 0.02 * one.cloud.x * [1.0, 0.2] + 0.002 * rng.standard_normal(one.cloud.x.shape)
     assert np.allclose(one.driven(u), other.driven(length * u), rtol=1e-7, atol=1e-9)
+
+
+FIBRES = {
+    "orthotropic": pd.Orthotropic((300.0, 100.0, 100.0), (0.2, 0.2, 0.2), (40.0, 40.0, 40.0), 0.3),
+    "holzapfel": pd.HolzapfelGasserOgden(40.0, 100.0, 1.0, 300.0, (1.0, 0.0), dispersion=0.1),
+}
+
+
+@pytest.mark.parametrize("material", FIBRES)
+def test_materials_with_directions_break_by_criteria_that_need_no_modulus(material, tmp_path):
+    """Critical stretches, strain and stress are known without a modulus of bonds; fracture energies are not."""
+    made = FIBRES[material]
+    for criterion in (pd.ConstantCritical(0.02), pd.MazarsStrain(0.02), pd.PrincipalStress(2.0)):
+        case = strip(
+            particles=pd.Lattice((0.0, 0.0), (12.0, 4.0), 1.0), material=made, damage=pd.Brittle(criterion),
+            steps=pd.Steps(4),
+        )  # fmt: skip
+        found = pd.run(case, output=tmp_path)
+        assert found["broken"] > 4
+        assert abs(found["force"]) < found["peak"]
+    if material != "orthotropic":  # these fibres bear nothing at F = I
+        return
+    with pytest.raises(pd.CaseError, match="modulus"):
+        pd.prepare(strip(material=made, damage=pd.Brittle(pd.FractureEnergy(0.1))))

@@ -228,3 +228,15 @@ def test_protected_bonds_of_laws_by_region_do_not_fail(tmp_path):
     for row in rows:
         for end in (int(row[2]), int(row[3])):
             assert not 4.0 <= places[end][0] <= 8.0
+
+
+@pytest.mark.parametrize("model", ["bonds", pytest.param("gradients", marks=pytest.mark.long)])
+def test_a_fibre_debonds_from_its_poles(model, tmp_path):
+    """Where the pull opens the interface most; it stops where the matrix presses on the fibre, some 70 degrees on."""
+    found = results("runs/fracture/interface.py", f"model={model}", output=tmp_path)["results"]
+    assert found["first_angle"] < 30.0
+    assert 55.0 < found["debonded"] < 90.0
+    assert found["at_interface"] == 1.0
+    h = history(tmp_path)
+    # Debonded all the same, the body carries more and more.
+    assert h["force"][-1] > 20.0 * found["debonding_stress"] * 0.5

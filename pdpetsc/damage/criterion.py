@@ -362,9 +362,12 @@ class Criterion(Declared, ABC):
     ----------
     of_one_material : bool
         Whether what it resolves from the bonds fits a body of one material only.
+    reads_stiffness : bool
+        Whether it reads the stiffness of bonds, which materials without one Young's modulus do not have.
     """
 
     of_one_material: ClassVar[bool] = False
+    reads_stiffness: ClassVar[bool] = True
 
     @abstractmethod
     def build(self, bonds: DrivenBonds) -> Drive:

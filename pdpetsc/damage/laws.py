@@ -116,6 +116,11 @@ class BondDamage(Declared, ABC):
         return self.criterion.of_one_material
 
     @property
+    def reads_stiffness(self) -> bool:
+        """Return whether its criterion reads the stiffness of bonds."""
+        return self.criterion.reads_stiffness
+
+    @property
     def places(self) -> list[tuple[str, Region]]:
         """Return its regions with what they are."""
         return [] if self.protected is None else [("What damage is protected from", self.protected)]

@@ -103,6 +103,11 @@ class DamageOf(Declared):
         return any(law.of_one_material for law in self._declared)
 
     @property
+    def reads_stiffness(self) -> bool:
+        """Return whether a criterion reads the stiffness of bonds."""
+        return any(law.reads_stiffness for law in self._declared)
+
+    @property
     def places(self) -> list[tuple[str, Region]]:
         """Return its regions with what they are."""
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]

@@ -329,7 +329,10 @@ def _points(
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
     if case.damage is not None:
-        alike = [BondBased(one.young_modulus(), plane=one.plane, calibration="lattice") for one in continuum]
+        # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
+        reads, dim = case.damage.reads_stiffness, body.dim
+        moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in continuum]
+        alike = [BondBased(E, plane=one.plane, calibration="lattice") for E, one in zip(moduli, continuum, strict=True)]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         _refuse_several(case.damage, materials, factor)
         damage = _failing(case.damage, body, bonds, k, True, material_of, factor)

@@ -9,6 +9,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood
 from pdpetsc.command_line.cli import load_case
+from pdpetsc.damage import DrivenBonds
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -338,3 +339,51 @@ def test_materials_with_directions_break_by_criteria_that_need_no_modulus(materi
         return
     with pytest.raises(pd.CaseError, match="modulus"):
         pd.prepare(strip(material=made, damage=pd.Brittle(pd.FractureEnergy(0.1))))
+
+
+@pytest.mark.parametrize("of_bonds", [True, False])
+def test_half_of_a_body_with_a_mirror_plane_breaks_as_the_whole(of_bonds, tmp_path, capfd):
+    """Bonds across the plane have their other direction behind it; the tangent knows that."""
+
+    def pulled_strip(low, **more):
+        far = pd.region.Slab("x", low=10.0)
+        bonds = {"scheme": None, "control": None, "material": pd.BondBased(E=100.0, calibration="family")}
+        return strip(
+            particles=pd.Lattice((0.0, low), (12.0, 2.0), 1.0), **(bonds if of_bonds else {}),
+            damage=pd.LinearSoftening(pd.MazarsStrain(0.01), 4.0), steps=pd.Steps(2),
+            conditions=[
+                pd.Displacement(pd.region.Slab("x", high=2.0), x=0.0, y=0.0), pd.Displacement(far, x=0.18, y=0.0)
+            ],
+            history={"force": pd.Reaction("x", far), "lost": pd.Largest(pd.local_damage)}, results=None, **more,
+        )  # fmt: skip
+
+    crack = {"cracks": [pd.Segment((7.0, 1.0), (7.0, 3.0)), pd.Segment((7.0, -3.0), (7.0, -1.0))]}
+    whole = pd.run(pulled_strip(-2.0, **crack), output=tmp_path / "whole")
+    capfd.readouterr()
+    half = pd.run(
+        pulled_strip(0.0, **crack, symmetry=[pd.Symmetry("y")]), output=tmp_path / "half",
+        options={"snes_test_jacobian": None},
+    )  # fmt: skip
+    assert half.history["lost"][-1] > 0.1
+    assert np.allclose(half.history["lost"], whole.history["lost"], rtol=1e-7)
+    force = np.array(half.history["force"])
+    assert np.allclose(force, whole.history["force"], rtol=1e-7) or np.allclose(2.0 * force, whole.history["force"])
+    assert max(jacobian_ratios(capfd.readouterr().out)[:4]) < 1e-6
+
+
+def test_a_bond_and_its_other_direction_know_each_other(rng):
+    """In a periodic cell with mirror planes beside it as well, and of vectors with the sign of the plane."""
+    x = np.array([(i, j) for i in range(5) for j in range(4)], dtype=float) + 0.5
+    for cell, planes in (
+        (None, ()),
+        (pd.Cell((0.0, 0.0), (5.0, 4.0)), ()),
+        (None, (pd.Symmetry("x"), pd.Symmetry("y"))),
+    ):
+        cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015, cell, planes)
+        families = find_families(cloud)
+        bonds = DrivenBonds.of(cloud, families, np.ones(families.n_bonds), np.ones(families.n_bonds), False)
+        xi = families.bonds(cloud.x)
+        # The other direction of a bond is its opposite, and an opposite's opposite is the bond itself.
+        assert np.allclose(bonds.opposite.of_vectors(xi), -xi, atol=1e-14)
+        numbers = rng.standard_normal(families.n_bonds)
+        assert np.array_equal(bonds.opposite.of(bonds.opposite.of(numbers)), numbers)

@@ -19,7 +19,7 @@ from pdpetsc.problem.state import State
 from pdpetsc.terms.bond_forces import BondForces
 from tests.commands import ROOT, field, jacobian_ratios, results
 from tests.scenes import DIMS, LAWS, MATERIALS, SCHEMES, bond_body, damaged_body, small_points
-from tests.test_criterion import check_tangent, pulled
+from tests.test_criterion import K, bar, check_tangent, pulled
 from tests.test_events import history
 from tests.test_fracture import broken, strip
 
@@ -387,3 +387,36 @@ def test_a_bond_and_its_other_direction_know_each_other(rng):
         assert np.allclose(bonds.opposite.of_vectors(xi), -xi, atol=1e-14)
         numbers = rng.standard_normal(families.n_bonds)
         assert np.array_equal(bonds.opposite.of(bonds.opposite.of(numbers)), numbers)
+
+
+@pytest.mark.parametrize("solver", [pd.Newton(), pd.EventDriven()], ids=["newton", "events"])
+def test_a_bond_fails_with_the_energy_of_both_its_ends(solver, tmp_path):
+    """A bond of stiffness K between volumes of 1 stores ``K e^2 / 2``; graded, its ends have different shares."""
+    limit = 0.01
+    case = bar(pd.Brittle(pd.BondEnergy(w=0.5 * K * limit**2)), solver=solver)
+    pd.run(case, output=tmp_path)
+    h = history(tmp_path)
+    assert h["force"].max() == pytest.approx(K * limit, rel=1e-12 if isinstance(solver, pd.EventDriven) else 0.06)
+    assert h["dissipated"][-1] == pytest.approx(0.5 * K * limit**2, rel=1e-12)
+
+
+def test_compression_fails_bonds_where_it_is_asked_to(tmp_path):
+    limit = 0.01
+    for compression, lost in ((False, False), (True, True)):
+        case = bar(pd.Brittle(pd.BondEnergy(w=0.5 * K * limit**2, compression=compression)))
+        pressed = dataclasses.replace(case.conditions[1], x=-0.022)
+        pd.run(dataclasses.replace(case, conditions=[case.conditions[0], pressed]), output=tmp_path)
+        h = history(tmp_path)
+        assert (abs(h["force"][-1]) < 1e-9) == lost
+        assert np.abs(h["force"]).max() == pytest.approx(K * limit if lost else 0.022 * K / 1.1, rel=0.06)
+
+
+@pytest.mark.parametrize("name", ["mazars", "principal"])
+def test_tangents_of_the_present_stretch_are_exact_too(name, rng):
+    """The control fades with its bonds at once: its forces differ from end to end as well."""
+    law = pd.LinearSoftening(POINTS[name], 3.0, effect=pd.PresentStretch())
+    model = damaged_body(2, law, control=pd.Silling(0.5), rng=rng)
+    u = uneven(model, rng)
+    check_tangent(model, u, rng, least=2)
+    model.break_bonds(2.5 * u, 8)
+    check_tangent(model, u, rng, least=2)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from pdpetsc.arrays import Float
 from pdpetsc.bond_based import BondMaterial
 from pdpetsc.control import ZeroEnergyControl
-from pdpetsc.damage import BondDamage
+from pdpetsc.damage import BondDamage, DamageOf
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.cracks import Crack
@@ -92,8 +92,9 @@ class Case(Declared):
         Zero-energy control; none where absent.
     cracks : sequence of Crack
         What cuts bonds from the start; let it run between particles.
-    damage : BondDamage, optional
-        How bonds fail, of bond-based materials or of deformation gradients; they do not where absent.
+    damage : BondDamage or DamageOf, optional
+        How bonds fail, of materials of bonds or of deformation gradients, and by region and pair of regions where they
+        fail differently; they do not where absent.
     cell : Cell, optional
         Periodic cell that the particles fill; hold one particle against translation.
     symmetry : sequence of Symmetry
@@ -130,7 +131,7 @@ class Case(Declared):
     weights: Weights | None = None
     control: ZeroEnergyControl | None = None
     cracks: Sequence[Crack] = ()
-    damage: BondDamage | None = None
+    damage: BondDamage | DamageOf | None = None
     cell: Cell | None = None
     symmetry: Sequence[Symmetry] = ()
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
@@ -251,6 +252,11 @@ class Case(Declared):
             named[name] = function
 
     def _check_formulation(self) -> None:
+        if self.damage is not None and self.damage.closes and not self.of_bonds:
+            raise CaseError(
+                "Cracks that close (closes=True) take bond-based materials: a broken bond has left its gradient, which "
+                "does not tell whether its ends touch; take BondBased, or leave closes out."
+            )
         if self.of_bonds:
             if not all(isinstance(ungraded(material), BondMaterial) for _, material in self.materials):
                 raise CaseError("Materials of bonds and of deformation gradients cannot share a body; take one kind.")
@@ -286,8 +292,8 @@ def check_declared(case: Case, dim: int) -> None:
     for number, condition in enumerate(case.conditions, 1):
         if hasattr(condition, "region"):
             _in(f"{type(condition).__name__} condition {number}", condition.region.check, dim)
-    if case.damage is not None and case.damage.protected is not None:
-        _in("What damage is protected from", case.damage.protected.check, dim)
+    for what, region in [] if case.damage is None else case.damage.places:
+        _in(what, region.check, dim)
     case.solver.check(dim)
     if case.cell is not None and case.cell.dim != dim:
         raise CaseError(f"The Cell has {case.cell.dim} coordinates, the particles {dim}.")

@@ -12,6 +12,7 @@ from pdpetsc.bond_based import Neighbourhood, combine
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
+from pdpetsc.discrete.selection import select
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import make_damage
 from pdpetsc.problem.problem import Problem
@@ -99,6 +100,11 @@ def lattice(dim, rng=None, shake=0.15):
     return x if rng is None else x + shake * rng.uniform(-1.0, 1.0, x.shape)
 
 
+def marking(cloud):
+    """Return what marks the particles of a region."""
+    return lambda region, what: select(cloud, region, what)
+
+
 class Small:
     """A small problem on this process, free of conditions, with methods that take displacements."""
 
@@ -181,7 +187,7 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
         bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
         k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
-        damage = make_damage(law, whole, omega, k, True)
+        damage = make_damage(law, whole, omega, k, True, mark=marking(cloud))
     if damage is None:
         matter = material_points(scheme, whole, scheme.build(cloud, families, omega), materials, material_of)
     else:
@@ -239,7 +245,7 @@ def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
     matter = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
-        failing = make_damage(damage, around, bonds.omega, matter.k, matter.finite)
+        failing = make_damage(damage, around, bonds.omega, matter.k, matter.finite, mark=marking(cloud))
         matter.take_damage(failing)
     return Small(Problem(around, matter, [], Supports(around), failing))
 

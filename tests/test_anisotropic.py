@@ -161,4 +161,4 @@ def test_a_stiffness_must_be_one():
         with pytest.raises(pd.CaseError, match=message):
             pd.AnisotropicElastic(wrong.tolist())
     with pytest.raises(pd.CaseError, match="another Young's modulus"):
-        pd.prepare(strip(PLY, damage=pd.Brittle(pd.ConstantCritical(0.5))))
+        pd.prepare(strip(PLY, damage=pd.Brittle(pd.FractureEnergy(0.5))))

@@ -410,18 +410,21 @@ def test_the_strain_of_a_gradient_tears_by_what_it_would_drive(rng):
         assert damaged_body(dim, LAWS[law](FamilyStretch(0.02))).problem.damage.drive.at_strain(length) is None
 
 
-@pytest.mark.parametrize("graded", [True, False])
-def test_a_fracture_energy_of_several_materials_is_refused(graded):
-    soft = pd.BondBased(E=10.0)
-    right = pd.region.Slab("x", low=8.0)
-    several = pd.Graded(soft, lambda x: 1.0 + x[:, 0]) if graded else [(~right, soft), (right, pd.BondBased(E=40.0))]
-    case = pd.Case(
-        particles=pd.Lattice((0.0, 0.0), (16.0, 8.0), 1.0), horizon=3.015, material=several,
-        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)],
-        damage=pd.Brittle(pd.FractureEnergy(0.05)),
-    )  # fmt: skip
-    with pytest.raises(pd.CaseError, match="FractureEnergy gives one critical stretch, for one material"):
-        pd.prepare(case)
+def test_a_criterion_for_one_material_is_refused_for_several():
+    @dataclass(frozen=True)
+    class Alone(Elongation):
+        """A bond fails at an elongation, in bodies of one material."""
+
+        of_one_material = True
+
+    soft, right = pd.BondBased(E=10.0), pd.region.Slab("x", low=8.0)
+    for several in (pd.Graded(soft, lambda x: 1.0 + x[:, 0]), [(~right, soft), (right, pd.BondBased(E=40.0))]):
+        case = pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (16.0, 8.0), 1.0), horizon=3.015, material=several,
+            conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)], damage=pd.Brittle(Alone(0.05)),
+        )  # fmt: skip
+        with pytest.raises(pd.CaseError, match="for one material"):
+            pd.prepare(case)
 
 
 @pytest.mark.parametrize("kinematics", ["small", "finite"])

@@ -9,6 +9,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood
 from pdpetsc.command_line.cli import load_case
+from pdpetsc.damage import DrivenBonds
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -18,7 +19,7 @@ from pdpetsc.problem.state import State
 from pdpetsc.terms.bond_forces import BondForces
 from tests.commands import ROOT, field, jacobian_ratios, results
 from tests.scenes import DIMS, LAWS, MATERIALS, SCHEMES, bond_body, damaged_body, small_points
-from tests.test_criterion import check_tangent, pulled
+from tests.test_criterion import K, bar, check_tangent, pulled
 from tests.test_events import history
 from tests.test_fracture import broken, strip
 
@@ -314,3 +315,108 @@ def test_scaled_units_break_the_same_bonds(name, rng):
     one, other = build(1.0, 1.0), build(length, stress)
     u = 0.02 * one.cloud.x * [1.0, 0.2] + 0.002 * rng.standard_normal(one.cloud.x.shape)
     assert np.allclose(one.driven(u), other.driven(length * u), rtol=1e-7, atol=1e-9)
+
+
+FIBRES = {
+    "orthotropic": pd.Orthotropic((300.0, 100.0, 100.0), (0.2, 0.2, 0.2), (40.0, 40.0, 40.0), 0.3),
+    "holzapfel": pd.HolzapfelGasserOgden(40.0, 100.0, 1.0, 300.0, (1.0, 0.0), dispersion=0.1),
+}
+
+
+@pytest.mark.parametrize("material", FIBRES)
+def test_materials_with_directions_break_by_criteria_that_need_no_modulus(material, tmp_path):
+    """Critical stretches, strain and stress are known without a modulus of bonds; fracture energies are not."""
+    made = FIBRES[material]
+    for criterion in (pd.ConstantCritical(0.02), pd.MazarsStrain(0.02), pd.PrincipalStress(2.0)):
+        case = strip(
+            particles=pd.Lattice((0.0, 0.0), (12.0, 4.0), 1.0), material=made, damage=pd.Brittle(criterion),
+            steps=pd.Steps(4),
+        )  # fmt: skip
+        found = pd.run(case, output=tmp_path)
+        assert found["broken"] > 4
+        assert abs(found["force"]) < found["peak"]
+    if material != "orthotropic":  # these fibres bear nothing at F = I
+        return
+    with pytest.raises(pd.CaseError, match="modulus"):
+        pd.prepare(strip(material=made, damage=pd.Brittle(pd.FractureEnergy(0.1))))
+
+
+@pytest.mark.parametrize("of_bonds", [True, False])
+def test_half_of_a_body_with_a_mirror_plane_breaks_as_the_whole(of_bonds, tmp_path, capfd):
+    """Bonds across the plane have their other direction behind it; the tangent knows that."""
+
+    def pulled_strip(low, **more):
+        far = pd.region.Slab("x", low=10.0)
+        bonds = {"scheme": None, "control": None, "material": pd.BondBased(E=100.0, calibration="family")}
+        return strip(
+            particles=pd.Lattice((0.0, low), (12.0, 2.0), 1.0), **(bonds if of_bonds else {}),
+            damage=pd.LinearSoftening(pd.MazarsStrain(0.01), 4.0), steps=pd.Steps(2),
+            conditions=[
+                pd.Displacement(pd.region.Slab("x", high=2.0), x=0.0, y=0.0), pd.Displacement(far, x=0.18, y=0.0)
+            ],
+            history={"force": pd.Reaction("x", far), "lost": pd.Largest(pd.local_damage)}, results=None, **more,
+        )  # fmt: skip
+
+    crack = {"cracks": [pd.Segment((7.0, 1.0), (7.0, 3.0)), pd.Segment((7.0, -3.0), (7.0, -1.0))]}
+    whole = pd.run(pulled_strip(-2.0, **crack), output=tmp_path / "whole")
+    capfd.readouterr()
+    half = pd.run(
+        pulled_strip(0.0, **crack, symmetry=[pd.Symmetry("y")]), output=tmp_path / "half",
+        options={"snes_test_jacobian": None},
+    )  # fmt: skip
+    assert half.history["lost"][-1] > 0.1
+    assert np.allclose(half.history["lost"], whole.history["lost"], rtol=1e-7)
+    force = np.array(half.history["force"])
+    assert np.allclose(force, whole.history["force"], rtol=1e-7) or np.allclose(2.0 * force, whole.history["force"])
+    assert max(jacobian_ratios(capfd.readouterr().out)[:4]) < 1e-6
+
+
+def test_a_bond_and_its_other_direction_know_each_other(rng):
+    """In a periodic cell with mirror planes beside it as well, and of vectors with the sign of the plane."""
+    x = np.array([(i, j) for i in range(5) for j in range(4)], dtype=float) + 0.5
+    for cell, planes in (
+        (None, ()),
+        (pd.Cell((0.0, 0.0), (5.0, 4.0)), ()),
+        (None, (pd.Symmetry("x"), pd.Symmetry("y"))),
+    ):
+        cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015, cell, planes)
+        families = find_families(cloud)
+        bonds = DrivenBonds.of(cloud, families, np.ones(families.n_bonds), np.ones(families.n_bonds), False)
+        xi = families.bonds(cloud.x)
+        # The other direction of a bond is its opposite, and an opposite's opposite is the bond itself.
+        assert np.allclose(bonds.opposite.of_vectors(xi), -xi, atol=1e-14)
+        numbers = rng.standard_normal(families.n_bonds)
+        assert np.array_equal(bonds.opposite.of(bonds.opposite.of(numbers)), numbers)
+
+
+@pytest.mark.parametrize("solver", [pd.Newton(), pd.EventDriven()], ids=["newton", "events"])
+def test_a_bond_fails_with_the_energy_of_both_its_ends(solver, tmp_path):
+    """A bond of stiffness K between volumes of 1 stores ``K e^2 / 2``; graded, its ends have different shares."""
+    limit = 0.01
+    case = bar(pd.Brittle(pd.BondEnergy(w=0.5 * K * limit**2)), solver=solver)
+    pd.run(case, output=tmp_path)
+    h = history(tmp_path)
+    assert h["force"].max() == pytest.approx(K * limit, rel=1e-12 if isinstance(solver, pd.EventDriven) else 0.06)
+    assert h["dissipated"][-1] == pytest.approx(0.5 * K * limit**2, rel=1e-12)
+
+
+def test_compression_fails_bonds_where_it_is_asked_to(tmp_path):
+    limit = 0.01
+    for compression, lost in ((False, False), (True, True)):
+        case = bar(pd.Brittle(pd.BondEnergy(w=0.5 * K * limit**2, compression=compression)))
+        pressed = dataclasses.replace(case.conditions[1], x=-0.022)
+        pd.run(dataclasses.replace(case, conditions=[case.conditions[0], pressed]), output=tmp_path)
+        h = history(tmp_path)
+        assert (abs(h["force"][-1]) < 1e-9) == lost
+        assert np.abs(h["force"]).max() == pytest.approx(K * limit if lost else 0.022 * K / 1.1, rel=0.06)
+
+
+@pytest.mark.parametrize("name", ["mazars", "principal"])
+def test_tangents_of_the_present_stretch_are_exact_too(name, rng):
+    """The control fades with its bonds at once: its forces differ from end to end as well."""
+    law = pd.LinearSoftening(POINTS[name], 3.0, effect=pd.PresentStretch())
+    model = damaged_body(2, law, control=pd.Silling(0.5), rng=rng)
+    u = uneven(model, rng)
+    check_tangent(model, u, rng, least=2)
+    model.break_bonds(2.5 * u, 8)
+    check_tangent(model, u, rng, least=2)

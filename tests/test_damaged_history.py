@@ -186,3 +186,21 @@ def test_a_body_that_flows_breaks_alike_on_any_ranks_and_after_a_restart(scheme,
     for name in ("displacement", "plastic_strain", "local_damage"):
         one, other = field(tmp_path / "1", name), field(tmp_path / "rest", name)
         assert np.abs(one - other).max() <= 1e-8 * np.abs(one).max()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", EVERY_SCHEME)
+def test_every_scheme_with_every_control_and_material(scheme, rng):
+    """Nothing is refused, and every tangent is exact with softening and broken bonds at a state that is kept."""
+    horizon = 3.3 if scheme == "smoothed_displacement" else 2.015
+    for control, material in itertools.product(ALL_CONTROLS.values(), [*MATERIALS.values(), Wearing(E=10.0)]):
+        model = damaged_body(2, LAWS["linear"](CRITICAL), EVERY_SCHEME[scheme], control, material, rng, horizon)
+        u = pulled(model, rng, 0.022)
+        model.commit(u)
+        model.break_bonds(2.2 * u, 8)
+        u = pulled(model, rng, 0.028)
+        K = dense_tangent(model, u)
+        columns = rng.choice(u.size, 2, replace=False)
+        assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
+        model.commit(u)
+        assert np.isfinite(model.internal_force(u)).all()

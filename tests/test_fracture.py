@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import itertools
 import json
 import sys
 
@@ -10,6 +11,7 @@ import pytest
 
 import pdpetsc as pd
 from tests.commands import ROOT, Stop, field, results
+from tests.scenes import DIMS, bond_body, dense_tangent, differences
 from tests.test_events import history, one_bond
 
 sys.path.append(str(ROOT / "runs/fracture"))
@@ -356,3 +358,62 @@ def test_a_wide_step_of_many_bonds_and_a_narrow_one_of_each_end_alike(tmp_path):
         assert abs(found[most]["last_load"]) < 1e-3 * found[most]["peak_load"]
         assert found[most]["symmetry_error"] < 1e-6
     assert found[1]["broken_bonds"] < found[5000]["broken_bonds"]
+
+
+def test_a_closed_crack_carries_compression(tmp_path):
+    """A bar of bonds that snap is pulled apart and pressed: as stiff as it was, but for nothing that is pulled."""
+    ends = pd.region.Slab("x", high=2.0), pd.region.Slab("x", low=10.0)
+    path = pd.Table((0.0, 0.4, 0.5, 1.0), (0.0, 0.3, 0.0, -0.1))
+
+    def pressed(closes, kinematics, law):
+        damage = law(pd.ConstantCritical(0.01), closes=closes, protected=pd.region.Slab("x", high=5.0))
+        case = strip(
+            particles=pd.Lattice((0.0, 0.0), (12.0, 4.0), 1.0), scheme=None, control=None, damage=damage,
+            material=pd.BondBased(E=100.0, kinematics=kinematics), steps=pd.Steps(20),
+            conditions=[
+                pd.Displacement(ends[0], x=0.0, y=0.0), pd.Displacement(ends[1], x=1.0, y=0.0, schedule=path)
+            ],
+        )  # fmt: skip
+        history_too = {**case.history, "energy": pd.StrainEnergy()}
+        pd.run(dataclasses.replace(case, history=history_too, results=None), output=tmp_path)
+        return history(tmp_path)
+
+    intact = pressed(False, "small", lambda *args, **more: None)
+    for kinematics, law in (("small", pd.Brittle), ("finite", pd.Brittle), ("small", pd.LinearSoftening)):
+        h = pressed(True, kinematics, law)
+        apart = np.argmin(np.abs(h["t"] - 0.4))
+        assert h["broken"][apart] > 4
+        assert abs(h["force"][apart]) < 1e-6 * h["force"].max()
+        # Bonds across the pressure are pulled by it where the bar is whole; they were broken and are missing.
+        assert h["force"][-1] == pytest.approx(intact["force"][-1], rel=0.1)
+        assert h["energy"][-1] == pytest.approx(-0.5 * h["force"][-1] * 0.1, rel=0.02)
+    open_ = pressed(False, "small", pd.Brittle)
+    assert abs(open_["force"][-1]) < 0.01 * abs(intact["force"][-1])
+
+
+def test_cracks_that_close_have_exact_tangents_and_are_refused_where_they_cannot(rng, tmp_path):
+    law = pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0, closes=True)
+    for dim, kinematics in itertools.product(DIMS, ("small", "finite")):
+        model = bond_body(dim, pd.BondBased(E=10.0, kinematics=kinematics), rng=rng, damage=law)
+        pull = 0.035 * (model.cloud.x - model.cloud.x.mean(axis=0)) + 0.002 * rng.standard_normal(model.cloud.x.shape)
+        model.soften(pull)
+        model.break_bonds(2.0 * pull, {1: 1, 2: 8, 3: 30}[dim])
+        # Along one direction longer, along the others shorter than at the start.
+        u = pull * ([1.1] + [-0.5] * (dim - 1)) if dim > 1 else -pull
+        e = model.elongation(u)
+        assert np.any((e < 0.0) & (model.failure.integrity < 1.0))
+        K = dense_tangent(model, u)
+        assert np.abs(K - K.T).max() < 1e-12 * np.abs(K).max()
+        columns = rng.choice(u.size, min(8, u.size), replace=False)
+        assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
+        assert not model.matter.linear
+    for changes, why in (
+        ({}, "take bond-based materials"),
+        ({"material": pd.LinearSolid(E=1.0, nu=0.2), "scheme": None, "control": None}, "take bond-based materials"),
+        (
+            {"material": pd.BondBased(E=1.0), "scheme": None, "control": None, "solver": pd.EventDriven()},
+            "not linear between failures",
+        ),
+    ):
+        with pytest.raises(pd.CaseError, match=why):
+            pd.run(strip(damage=law, **changes), output=tmp_path)

@@ -308,7 +308,7 @@ def test_wrong_directions_of_a_body_are_refused(fibre, message):
 
 
 def test_damage_is_refused_where_every_direction_has_its_own_modulus():
-    damage = pd.Brittle(pd.ConstantCritical(0.5))
+    damage = pd.Brittle(pd.FractureEnergy(0.5))
     with pytest.raises(pd.CaseError, match="another Young's modulus in every direction"):
         pd.prepare(strip(reinforced((0.6, 0.8)), damage=damage))
     assert pd.prepare(strip(pd.Hyperelastic(NEO, mu=1.0, lam=2.0), damage=damage)).problem.damage is not None

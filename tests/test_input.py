@@ -69,6 +69,7 @@ VALID = [
     CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
     pd.BondEnergy(w=1.0), pd.BondEnergy(Gc=1.0), pd.MazarsStrain(0.1), pd.VonMisesStrain(0.1), pd.PrincipalStress(1.0),
     pd.PlasticStrain(0.1), pd.JohnsonCookFailure(0.1, 1.0, -1.0),
+    pd.DamageOf({"all": region.All()}, {"all": pd.Brittle(CRITICAL)}),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
     pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),
     pd.Correspondence(), pd.SubHorizons(), pd.StressPoints(), pd.Corrected(), pd.HigherOrder(), pd.BondAssociated(),

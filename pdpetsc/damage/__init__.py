@@ -14,6 +14,7 @@ from pdpetsc.damage.laws import (
     PiecewiseLinear,
     SmoothDegradation,
 )
+from pdpetsc.damage.several import DamageOf
 
 __all__ = [
     "Beyond",
@@ -26,6 +27,7 @@ __all__ = [
     "CriticalFunction",
     "CriticalStretch",
     "DamageEffect",
+    "DamageOf",
     "Drive",
     "DrivenBonds",
     "ExponentialSoftening",

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -94,7 +95,7 @@ class PointDrive(Drive):
         count = np.bincount(operator.owner, minlength=n)
         each = np.einsum("emn,en->em", D[point_of], operator.g) / count[operator.owner[point_of]][:, None]
         found = _by_member(operator, point_of, each, families.indptr, families.neighbours, self._bonds.cloud.n_local)
-        return Gradient(bonds, np.zeros(len(bonds)), None, OfEnds(by, found))
+        return Gradient(bonds, np.zeros(len(bonds)), None, (OfEnds(by, found),))
 
     def commit(self, state: Displaced) -> None:
         """Remember how far the measure has grown (collective)."""
@@ -211,6 +212,8 @@ class StrainCriterion(Criterion, ABC):
     """
 
     critical: float
+
+    reads_stiffness: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -357,6 +360,8 @@ class PrincipalStress(Criterion):
 
     strength: float
 
+    reads_stiffness: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.strength) and self.strength > 0.0):
@@ -411,6 +416,8 @@ class PlasticStrain(Criterion):
     """
 
     critical: float
+
+    reads_stiffness: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -479,6 +486,8 @@ class JohnsonCookFailure(Criterion):
     D1: float
     D2: float
     D3: float
+
+    reads_stiffness: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -161,14 +161,14 @@ class Gradient:
         Derivative by the elongation of the bond itself [1 / length].
     beyond : Beyond or None
         What is left; None where the elongation of the bond says all.
-    ends : OfEnds or None
-        What is left besides, of means of both ends.
+    ends : tuple of OfEnds
+        What is left besides, of means of both ends, each of all bonds.
     """
 
     bonds: GlobalIndex
     along: Float
     beyond: Beyond | None = None
-    ends: OfEnds | None = None
+    ends: tuple[OfEnds, ...] = ()
 
 
 class Solid(Protocol):
@@ -362,9 +362,12 @@ class Criterion(Declared, ABC):
     ----------
     of_one_material : bool
         Whether what it resolves from the bonds fits a body of one material only.
+    reads_stiffness : bool
+        Whether it reads the stiffness of bonds, which materials without one Young's modulus do not have.
     """
 
     of_one_material: ClassVar[bool] = False
+    reads_stiffness: ClassVar[bool] = True
 
     @abstractmethod
     def build(self, bonds: DrivenBonds) -> Drive:

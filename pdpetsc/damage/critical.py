@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,6 +61,8 @@ class ConstantCritical(CriticalStretch):
 
     value: float
 
+    reads_stiffness: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.value) and self.value > 0.0):
@@ -94,6 +96,8 @@ class LinearCritical(CriticalStretch):
     end: float
     length: float
 
+    reads_stiffness: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (min(self.start, self.end) >= 0.0 and max(self.start, self.end) > 0.0 and self.length > 0.0) or not (
@@ -120,6 +124,8 @@ class CriticalFunction(CriticalStretch):
     """
 
     function: Callable[[Float, Float], Float]
+
+    reads_stiffness: ClassVar[bool] = False
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return what the function returns."""

@@ -39,11 +39,16 @@ class BondDamage(Declared, ABC):
     effect : DamageEffect
         How the integrity enters the force states of deformation gradients; ``PresentStretch()`` as published by Hashim
         et al. Bodies of bonds take the default alone.
+    closes : bool
+        Whether cracks that close carry compression: a bond that is shorter than at the start has its whole stiffness,
+        however damaged or broken it is. Of bond-based materials alone; the ends of the bond are those that it had, so
+        that faces which slide past each other by more than a spacing need contact.
     """
 
     criterion: Criterion
     protected: Region | None = field(default=None, kw_only=True)
     effect: DamageEffect = field(default_factory=LargestStretch, kw_only=True)
+    closes: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.criterion, Criterion):
@@ -104,6 +109,21 @@ class BondDamage(Declared, ABC):
         """
         one = np.ones(1)
         return float(self.dissipated(0.0 * one, self.final * one, one, degree)[0])
+
+    @property
+    def of_one_material(self) -> bool:
+        """Return whether its criterion fits a body of one material only."""
+        return self.criterion.of_one_material
+
+    @property
+    def reads_stiffness(self) -> bool:
+        """Return whether its criterion reads the stiffness of bonds."""
+        return self.criterion.reads_stiffness
+
+    @property
+    def places(self) -> list[tuple[str, Region]]:
+        """Return its regions with what they are."""
+        return [] if self.protected is None else [("What damage is protected from", self.protected)]
 
     def resolved(self, bonds: DrivenBonds) -> BondDamage:
         """Return the law whose criterion knows the bonds of the body (collective)."""

@@ -7,6 +7,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import DrivenBonds
 from pdpetsc.damage.laws import BondDamage
+from pdpetsc.damage.several import AssignedLaws, DamageOf
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import reached_back
 
@@ -25,10 +26,12 @@ class FailingBonds:
     ----------
     bonds : DrivenBonds
         The bonds.
-    law : BondDamage
+    laws : AssignedLaws
         How they fail.
-    protected : (n_local,) bool, optional
+    protected : (n_local,) bool or None
         Particles whose bonds do not fail.
+    law : BondDamage or DamageOf
+        What is declared, its criterion resolved where there is one.
 
     Attributes
     ----------
@@ -44,14 +47,19 @@ class FailingBonds:
         As of ``DrivenBonds``.
     """
 
-    def __init__(self, bonds: DrivenBonds, law: BondDamage, protected: Mask | None = None) -> None:
+    def __init__(
+        self, bonds: DrivenBonds, laws: AssignedLaws, protected: Mask | None, law: BondDamage | DamageOf
+    ) -> None:
         self.law = law
+        self.laws = laws
+        self._onset, self._final = laws.onset(), laws.final()
         self._comm = bonds.cloud.comm
         self.length, self.middle, self.keys = bonds.length, bonds.middle, bonds.keys
         centres, neighbours = bonds.families.centres, bonds.families.neighbours
         self.protected: GlobalIndex = np.empty(0, dtype=np.int64)
         if protected is not None:
             self.protected = np.flatnonzero(protected[centres] | protected[neighbours])
+        self.protected = np.union1d(self.protected, laws.immune)
         # Bonds to the own mirror image, which has the other end, and those of ends that do not reach back: what is
         # counted from both ends counts them twice.
         own = self.keys[:, 0] == self.keys[:, 1]
@@ -71,7 +79,7 @@ class FailingBonds:
     @property
     def softens(self) -> bool:
         """Return whether the integrity follows the displacement now."""
-        return self.law.final > self.law.onset and not self.frozen
+        return self.laws.softens and not self.frozen
 
     def commit(self) -> None:
         """Keep the present state (not collective)."""
@@ -93,14 +101,14 @@ class FailingBonds:
         slope : (n,) float64
             Its derivative by the drive [-].
         """
-        law = self.law
+        laws, final = self.laws, self._final
         present = np.ones_like(x)
         # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
-        fading = np.flatnonzero((x > law.onset) & self.intact)
-        present[fading] = np.maximum(law.integrity(np.minimum(x[fading], law.final)), 0.0)
-        follows = law.effect.follows(present, self.integrity) & self.intact
-        falling = fading[follows[fading] & (x[fading] < law.final)]
-        return np.where(follows, present, self.integrity), falling, law.slope(x[falling])
+        fading = np.flatnonzero((x > self._onset) & self.intact)
+        present[fading] = np.maximum(laws.integrity(np.minimum(x, final)[fading], fading), 0.0)
+        follows = self.law.effect.follows(present, self.integrity) & self.intact
+        falling = fading[follows[fading] & (x < final)[fading]]
+        return np.where(follows, present, self.integrity), falling, laws.slope(x[falling], falling)
 
     def most_driven(self, x: Float, band: float) -> tuple[GlobalIndex, float, float]:
         """Return the bonds within ``band`` of the largest drive, their number, and that drive [-].
@@ -141,10 +149,10 @@ class FailingBonds:
             So many pairs at once, and those that tie with the last of them. Where absent the worst one of bonds that
             snap, because its force goes to its neighbours, and all of bonds that soften.
         """
-        if most is None and self.law.final == self.law.onset:
+        if most is None and self.laws.snaps:
             most = 1
         over = x
-        if self.law.final > self.law.onset:
+        if self.laws.softens:
             # A bond that has been past its final drive may have lost its force, even if it is driven less now.
             over = self.law.effect.reached(x, self.worst)
         over = np.where(self.intact, over, 0.0)
@@ -161,9 +169,9 @@ class FailingBonds:
         most : int, optional
             As in ``break_bonds``.
         """
-        most = 1 if most is None and self.law.final == self.law.onset else most
+        most = 1 if most is None and self.laws.snaps else most
         over = np.where(self.intact, x, 0.0)
-        own = np.flatnonzero(over >= self.law.final)
+        own = np.flatnonzero((over >= self._final) & (over > 0.0))
         keys = np.concatenate(self._comm.allgather(self.keys[own]))
         values = np.concatenate(self._comm.allgather(over[own]))
         if len(keys) == 0:
@@ -175,11 +183,16 @@ class FailingBonds:
         return self._break_worst(np.where(self.intact, over, 0.0), most)
 
     def _break_worst(self, over: Float, most: int | None) -> int:
-        """Break bonds of which ``over`` is past the final drive, the worst first; return how many pairs."""
+        """Break bonds of which ``over`` is past the final drive, the worst first; return how many pairs.
+
+        Of bonds with different laws it is the drive over the final one that is compared.
+        """
+        drive, least = over, self._final
+        if not isinstance(least, float):
+            over, least = over / least, 1.0
         worst = largest(self._comm, float(over.max(initial=0.0)))
-        if worst < self.law.final or worst == 0.0:
+        if worst < least or worst == 0.0:
             return 0
-        least = self.law.final
         if most is not None:
             past = over >= least
             ends = np.concatenate([over[past], over[past & self._twice]])
@@ -188,7 +201,7 @@ class FailingBonds:
             least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
         broken = over >= least
         self.integrity[broken] = 0.0
-        self.worst[broken] = np.maximum(self.worst, over)[broken]
+        self.worst[broken] = np.maximum(self.worst, drive)[broken]
         return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
@@ -236,7 +249,11 @@ class FailingBonds:
         return np.flatnonzero(self.integrity < 1.0)
 
     def dissipated(self, lost: GlobalIndex, energy: Float, degree: float) -> float:
-        """Return what linear bonds have dissipated [energy] (collective).
+        """Return what linear bonds have dissipated in all [energy], of ``spent`` (collective)."""
+        return float(total(self._comm, self.spent(lost, energy, degree).sum()))
+
+    def spent(self, lost: GlobalIndex, energy: Float, degree: float) -> Float:
+        """Return what each of some linear bonds has dissipated (n,) [energy] (not collective).
 
         Parameters
         ----------
@@ -247,5 +264,6 @@ class FailingBonds:
         degree : float
             With which power of the drive it grows [-].
         """
-        x = np.where(self.integrity[lost] > 0.0, self.worst[lost], np.maximum(self.worst[lost], self.law.final))
-        return float(total(self._comm, self.law.dissipated(self.integrity[lost], x, energy, degree).sum()))
+        final = self._final if isinstance(self._final, float) else self._final[lost]
+        x = np.where(self.integrity[lost] > 0.0, self.worst[lost], np.maximum(self.worst[lost], final))
+        return self.laws.dissipated(self.integrity[lost], x, energy, degree, lost)

@@ -75,10 +75,7 @@ def damage_dissipation(solution: Solution) -> Float:
             "The field damage_dissipation is that of bodies of bonds whose laws give their energy; of this body only "
             "the whole is known, as the quantity DissipatedEnergy."
         )
-    bonds = damage.bonds
-    x = np.where(bonds.integrity[lost] > 0.0, bonds.worst[lost], np.maximum(bonds.worst[lost], bonds.law.final))
-    energy, degree = known
-    spent = bonds.law.dissipated(bonds.integrity[lost], x, energy, degree)
+    spent = damage.bonds.spent(lost, *known)
     return np.asarray(np.bincount(solution.problem.body.families.centres[lost], spent, n) / solution.volume)
 
 

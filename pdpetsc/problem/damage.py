@@ -9,7 +9,9 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.criterion import Drive, DrivenBonds, Gradient
 from pdpetsc.damage.laws import BondDamage
+from pdpetsc.damage.several import DamageOf, Marking, assigned
 from pdpetsc.damage.state import FailingBonds
+from pdpetsc.declare.region import Region
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import bond_force_kernel
@@ -61,7 +63,7 @@ class Damage:
     @property
     def softens(self) -> bool:
         """Return whether bonds lose their force gradually (not collective)."""
-        return self.bonds.law.final > self.bonds.law.onset
+        return self.bonds.laws.softens
 
     @property
     def heals(self) -> bool:
@@ -201,10 +203,10 @@ class Damage:
         kernel(family.indptr, family.neighbours, body.cloud.x, u_local, along, f)
         if gradient.beyond is not None:
             np.add.at(f, gradient.beyond.particles, gradient.beyond.by)
-        if gradient.ends is not None:
-            of_centre = np.bincount(family.centres[near], gradient.ends.factor, body.cloud.n_owned)
+        for ends in gradient.ends:
+            of_centre = np.bincount(family.centres[near], ends.factor, body.cloud.n_owned)
             members, ptr = body.with_centres.members, body.with_centres.point_ptr
-            np.add.at(f, members, np.repeat(of_centre, np.diff(ptr))[:, None] * gradient.ends.by)
+            np.add.at(f, members, np.repeat(of_centre, np.diff(ptr))[:, None] * ends.by)
         return body.gather(f), found
 
     def dissipated(self, k: Float) -> float | None:
@@ -229,15 +231,19 @@ class Damage:
         return np.asarray(1.0 - kept / np.where(whole > 0.0, whole, 1.0))
 
 
+def _nowhere(region: Region, what: str) -> Mask:
+    raise CaseError(f"The {what} is known in a case only.")
+
+
 def make_damage(
-    law: BondDamage, body: Body, omega: Float, k: Float, finite: bool, protected: Mask | None = None,
-    material_of: LocalIndex | None = None, factor: Float | None = None,
+    law: BondDamage | DamageOf, body: Body, omega: Float, k: Float, finite: bool, protected: Mask | None = None,
+    material_of: LocalIndex | None = None, factor: Float | None = None, mark: Marking | None = None,
 ) -> Damage:  # fmt: skip
     """Return the damage of the bonds of a body: the criterion resolved with them, and what drives them built.
 
     Parameters
     ----------
-    law : BondDamage
+    law : BondDamage or DamageOf
         As declared.
     body : Body
         Whose bonds they are.
@@ -251,6 +257,8 @@ def make_damage(
         Number of the material of each own particle; one material where absent.
     factor : (n_owned,) float64, optional
         What grading multiplies its moduli with [-].
+    mark : callable, optional
+        Marks the local particles in a region (n_local,), where there are laws for regions.
 
     Raises
     ------
@@ -262,13 +270,14 @@ def make_damage(
     Collective.
     """
     bonds = DrivenBonds.of(body.cloud, body.families, omega, k, finite, material_of, factor)
-    resolved = law.resolved(bonds)
+    laws = assigned(law, bonds, mark or _nowhere).resolved(bonds)
     with agreed(body.cloud.comm):
-        drive = resolved.criterion.build(bonds)
+        drive = laws.build(bonds)
         if drive.reaches and body.cloud.varies and not body.cloud.mutual:
+            names = ", ".join(type(one.criterion).__name__ for one in laws.laws)
             raise CaseError(
-                f"{type(resolved.criterion).__name__} reads the families of both ends of a bond, and where the horizon "
+                f"{names} reads the families of both ends of a bond, and where the horizon "
                 f"differs from place to place not all have one; take a drive of the own elongation, or one horizon."
             )
-    failing = FailingBonds(bonds, resolved, protected)
+    failing = FailingBonds(bonds, laws, protected, laws.shown_as(law))
     return Damage(body, failing, drive, finite, bonds)

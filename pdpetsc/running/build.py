@@ -15,11 +15,11 @@ from pdpetsc.case import Case, isothermal, ungraded
 from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
-from pdpetsc.damage import BondDamage, ConstantCritical, LinearSoftening
+from pdpetsc.damage import BondDamage, ConstantCritical, DamageOf, LinearSoftening
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
-from pdpetsc.declare.region import All
+from pdpetsc.declare.region import All, Region
 from pdpetsc.declare.thermal import Eigenstrain
 from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
@@ -378,7 +378,10 @@ def _points(
     if case.damage is not None:
         if case.gradients.patches is not None:
             raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
-        alike = [BondBased(one.young_modulus(), plane=one.plane, calibration="lattice") for one in continuum]
+        # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
+        reads, dim = case.damage.reads_stiffness, body.dim
+        moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in continuum]
+        alike = [BondBased(E, plane=one.plane, calibration="lattice") for E, one in zip(moduli, continuum, strict=True)]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         _refuse_several(case.damage, materials, factor)
         damage = _failing(case.damage, body, bonds, k, True, material_of, factor)
@@ -395,31 +398,30 @@ def _points(
 
 
 def _failing(
-    declared: BondDamage, body: Body, bonds: Neighbourhood, k: Float, finite: bool, material_of: LocalIndex,
+    declared: BondDamage | DamageOf, body: Body, bonds: Neighbourhood, k: Float, finite: bool, material_of: LocalIndex,
     factor: Float | None,
 ) -> Damage:  # fmt: skip
     """Return the damage of bonds of stiffness ``k`` (n_bonds,) (collective)."""
-    protected = _protected(declared, body.cloud)
-    return make_damage(declared, body, bonds.omega, k, finite, protected, material_of, factor)
+
+    def mark(region: Region, what: str) -> Mask:
+        marked = np.zeros(body.cloud.n_local)
+        marked[: body.cloud.n_owned] = select(body.cloud, region, what)
+        body.cloud.halo.forward(marked)
+        return marked > 0.0
+
+    protected = None if declared.protected is None else mark(declared.protected, "what damage is protected from")
+    return make_damage(declared, body, bonds.omega, k, finite, protected, material_of, factor, mark)
 
 
-def _refuse_several(declared: BondDamage, materials: Sequence[Material | BondMaterial], factor: Float | None) -> None:
+def _refuse_several(
+    declared: BondDamage | DamageOf, materials: Sequence[Material | BondMaterial], factor: Float | None
+) -> None:
     """Raise CaseError where what drives damage is resolved for a body of one material, and there are several."""
-    if declared.criterion.of_one_material and (factor is not None or any(one != materials[0] for one in materials)):
+    if declared.of_one_material and (factor is not None or any(one != materials[0] for one in materials)):
         raise CaseError(
-            f"{type(declared.criterion).__name__} gives one critical stretch, for one material; in a graded body, "
-            f"or one of several materials, give critical stretches by place with CriticalFunction."
+            f"What drives {type(declared).__name__} is for one material; in a graded body, or one of several, give "
+            f"critical stretches by place with CriticalFunction, or a fracture energy."
         )
-
-
-def _protected(declared: BondDamage, cloud: Cloud) -> Mask | None:
-    """Return the local particles whose bonds do not fail (collective)."""
-    if declared.protected is None:
-        return None
-    marked = np.zeros(cloud.n_local)
-    marked[: cloud.n_owned] = select(cloud, declared.protected, "what damage is protected from")
-    cloud.halo.forward(marked)
-    return marked > 0.0
 
 
 def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:

@@ -72,6 +72,8 @@ class BondForces(Matter):
         self.materials, self._material_of, self._factor = materials, material_of, factor
         self.finite = materials[0].kinematics == "finite"
         self.damage: Damage | None = None
+        # Whether bonds that shorten have their whole stiffness, however damaged.
+        self._closes = False
         # Whether damage makes bonds depend on more than their own elongation.
         self._reaches = False
         self._elastic = [material.elastic(self.body.dim) for material in materials]
@@ -123,6 +125,9 @@ class BondForces(Matter):
             raise CaseError(
                 "Plastic strain drives damage, and bonds do not flow; take a body of deformation gradients."
             )
+        self._closes = damage.bonds.law.closes
+        if self._closes and self.a is not None:
+            raise CaseError("Cracks that close take bond-based materials: a dilatation is of a whole family.")
         self.damage = damage
         if damage.drive.reads_points:
             # The gradient of the bonds that are left, with the elastic material that the bonds stand for.
@@ -162,7 +167,7 @@ class BondForces(Matter):
     @property
     def linear(self) -> bool:  # type: ignore[override]
         """Return whether bonds keep their directions and their integrity while the displacement changes."""
-        return not self.finite and (self.damage is None or not self.damage.bonds.softens)
+        return not self.finite and not self._closes and (self.damage is None or not self.damage.bonds.softens)
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
@@ -215,17 +220,20 @@ class BondForces(Matter):
         return state.elongated(self.finite)[0]
 
     def secant(self, state: State) -> Float:
-        """Return ``T k`` of every bond (n_bonds,) [force / length]."""
-        return self.k if self.damage is None else self.damage.integrity(state) * self.k
+        """Return ``T k`` of every bond (n_bonds,) [force / length]; k of one that is short where cracks close."""
+        if self.damage is None:
+            return self.k
+        T = self.damage.integrity(state)
+        return np.asarray(self.k * (np.where(self.elongation(state) < 0.0, 1.0, T) if self._closes else T))
 
     def tangent(self, state: State) -> Float:
         """Return ``dt/de`` of every bond at the dilatation of its particle (n_bonds,) [force / length]."""
         if self.damage is None:
             return self.k
         gradient = self.damage.gradient(state)
-        rate = self.k * self.damage.integrity(state)
+        rate = np.array(self.secant(state))
         rate[gradient.bonds] += gradient.along * self._whole_tension(state)[gradient.bonds]
-        return np.asarray(rate)
+        return rate
 
     def falling(self, state: State) -> list[Falling]:
         """Return what the tangent has besides where the integrity of a bond is in more than its own force.
@@ -239,10 +247,7 @@ class BondForces(Matter):
         y = families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local)
         n = y / np.linalg.norm(y, axis=1)[:, None]
         v = self._whole_tension(state)[:, None] * n
-        found = falling_beyond(self.body, gradient, v[bonds])
-        if gradient.ends is not None:
-            v = 0.5 * (v - self.damage.driven_bonds.opposite.of_vectors(v))[bonds]
-            found.append(FallingFamilies.of_ends(self.body, bonds, v, gradient.ends))
+        found = falling_beyond(self.body, gradient, v, self.damage.driven_bonds.opposite.of_vectors)
         a = self.shares(state)
         if a is not None and self.a is not None and self.B is not None:
             force = (a * self.B[families.centres])[:, None] * n
@@ -257,9 +262,9 @@ class BondForces(Matter):
         return np.asarray(self.damage.integrity(state) * self.a)
 
     def _whole_tension(self, state: State) -> Float:
-        """Return the tension that every bond had without damage of its own (n_bonds,) [force]."""
+        """Return what the tension of every bond is proportional to as its own integrity falls (n_bonds,) [force]."""
         e = self.elongation(state)
-        t = self.k * e
+        t = self.k * (np.maximum(e, 0.0) if self._closes else e)
         if self.a is None or self.B is None:
             return t
         return np.asarray(t + self.a * (self.B * self.dilatation(state))[self.body.families.centres])

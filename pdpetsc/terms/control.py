@@ -112,7 +112,8 @@ class ControlForces(Term):
         falling: list[Falling] = []
         if self.damage is not None and self._fades and self.damage.bonds.softens:
             gradient = self.damage.gradient(state)
-            falling = falling_parts(state, gradient, self.control.bond_forces(state.u_local)[gradient.bonds])
+            v, opposite = self.control.bond_forces(state.u_local), self.damage.driven_bonds.opposite
+            falling = falling_parts(state, gradient, v, opposite.of_vectors)
         return ControlTangent(self, control, falling)
 
     def matrix(self, control: Control, sparsity: Sparsity) -> ControlMatrix:

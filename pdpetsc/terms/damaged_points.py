@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.damage.criterion import Gradient
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
@@ -18,7 +19,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
-from pdpetsc.terms.falling import Falling, FallingFamilies, falling_parts
+from pdpetsc.terms.falling import Falling, falling_parts
 from pdpetsc.terms.kept_history import KeptHistory
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
@@ -166,27 +167,22 @@ class DamagedPoints(MaterialPoints):
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
-        gradient, operator = self.damage.gradient(state), self.operator
-        falling = np.zeros(len(self.body.families.neighbours), dtype=bool)
-        falling[gradient.bonds] = True
-        entries = np.flatnonzero((self.bond_of_entry >= 0) & np.append(falling, False)[self.bond_of_entry])
-        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
-        P = self.stress(self.deformation(state))
-        if gradient.ends is not None:
-            v = self._forces(P)
-            v = 0.5 * (v - self.damage.driven_bonds.opposite.of_vectors(v))[gradient.bonds]
-            return [FallingFamilies.of_ends(self.body, gradient.bonds, v, gradient.ends)]
-        force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
-        v = sum_by(self.bond_of_entry[entries], force, len(falling))[gradient.bonds]
-        return falling_parts(state, gradient, v)
+        gradient = self.damage.gradient(state)
+        v = self._forces(self.stress(self.deformation(state)), gradient)
+        return falling_parts(state, gradient, v, self.damage.driven_bonds.opposite.of_vectors)
 
-    def _forces(self, P: Float) -> Float:
-        """Return the force of every bond, intact, on its second end (n_bonds, dim) [force], of stresses at points."""
-        operator = self.operator
-        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
-        force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g)
-        n = len(self.body.families.neighbours)
-        return np.asarray(sum_by(np.where(self.bond_of_entry < 0, n, self.bond_of_entry), force, n + 1)[:n])
+    def _forces(self, P: Float, gradient: Gradient) -> Float:
+        """Return the force of the intact bond on its second end (n_bonds, dim) [force], of stresses at points.
+
+        Zero for bonds that the gradient of the integrity is not of.
+        """
+        operator, n = self.operator, len(self.body.families.neighbours)
+        falling = np.zeros(n + 1, dtype=bool)
+        falling[gradient.bonds] = True
+        entries = np.flatnonzero(falling[self.bond_of_entry])
+        point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
+        force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
+        return np.asarray(sum_by(self.bond_of_entry[entries], force, n))
 
     def tensile_strain(self, state: State) -> Float:
         """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
@@ -176,10 +177,10 @@ class FallingFamilies:
             asked = np.repeat(centres[bonds].astype(np.int64), count) * body.cloud.n_local + gradient.beyond.particles
             at = order[np.searchsorted(key[order], asked)]
             np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.beyond.by)
-        if gradient.ends is not None:
+        for ends in gradient.ends:
             # What the other ends of the bonds see is beyond the family; their own stands for it.
-            sums = np.bincount(centres[bonds], s * gradient.ends.factor, len(counts))
-            g += np.repeat(sums, np.diff(whole.point_ptr))[:, None] * gradient.ends.by
+            sums = np.bincount(centres[bonds], s * ends.factor, len(counts))
+            g += np.repeat(sums, np.diff(whole.point_ptr))[:, None] * ends.by
         return cls(body, q, g, counts)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
@@ -211,8 +212,8 @@ class FallingFamilies:
 Falling: TypeAlias = FallingBonds | FallingBeyond | FallingFamilies
 
 
-def falling_parts(state: State, gradient: Gradient, v: Float) -> list[Falling]:
-    """Return what the derivative of the integrity adds where elongations are those of the current length.
+def falling_parts(state: State, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Falling]:
+    """Return what the derivative of the integrity adds where elongations are those of the current length (collective).
 
     Parameters
     ----------
@@ -220,16 +221,29 @@ def falling_parts(state: State, gradient: Gradient, v: Float) -> list[Falling]:
         Where.
     gradient : Gradient
         Of the integrity.
-    v : (n, dim) float64
-        Force of each of its bonds, intact, on its second end [force].
+    v : (n_bonds, dim) float64
+        Force of every bond, intact, on its second end [force].
+    opposite : callable
+        Gives what the other direction of every bond has of such forces (``OppositeBonds.of_vectors``).
     """
     body, bonds, u_local = state.body, gradient.bonds, state.u_local
     centres, neighbours = body.families.centres[bonds], body.families.neighbours[bonds]
     y = body.cloud.x[neighbours] + u_local[neighbours] - body.cloud.x[centres] - u_local[centres]
     m = np.asarray(gradient.along[:, None] * y / np.linalg.norm(y, axis=1)[:, None])
-    return [FallingBonds(body, bonds, v, m), *falling_beyond(body, gradient, v)]
+    found: list[Falling] = [FallingBonds(body, bonds, v[bonds], m)]
+    return [*found, *falling_beyond(body, gradient, v, opposite)]
 
 
-def falling_beyond(body: Body, gradient: Gradient, v: Float) -> list[Falling]:
-    """Return what is left where the part of the own elongation is counted elsewhere; nothing for most drives."""
-    return [] if gradient.beyond is None else [FallingBeyond(body, gradient.bonds, v, gradient.beyond)]
+def falling_beyond(body: Body, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Falling]:
+    """Return what is left where the part of the own elongation is counted elsewhere; nothing for most drives.
+
+    Arguments as for ``falling_parts`` (collective).
+    """
+    bonds = gradient.bonds
+    found: list[Falling] = []
+    if gradient.beyond is not None:
+        found.append(FallingBeyond(body, bonds, v[bonds], gradient.beyond))
+    if gradient.ends:
+        both = 0.5 * (v - opposite(v))[bonds]
+        found += [FallingFamilies.of_ends(body, bonds, both, ends) for ends in gradient.ends]
+    return found

@@ -127,7 +127,8 @@ class FollowingForces(ControlForces):
         falling: list[Falling] = []
         if fading is not None and self.damage is not None and self.damage.bonds.softens:
             gradient = self.damage.gradient(state)
-            falling = falling_parts(state, gradient, families.secant.bond_forces(state.u_local)[gradient.bonds])
+            v, opposite = families.secant.bond_forces(state.u_local), self.damage.driven_bonds.opposite
+            falling = falling_parts(state, gradient, v, opposite.of_vectors)
         faded = None if fading is None else self.control.faded(fading).family_forces(state.u_local)
         return FollowingTangent(self, self.at(state), falling, self._yielding.bend(families.e), families.forces, faded)
 

@@ -1,19 +1,19 @@
-"""What the concrete cases share: bonds that soften as concrete does, and their results."""
+"""What the concrete cases share: bonds that soften as concrete does, beams in three-point bending, and results."""
 
 import numpy as np
 
 import pdpetsc as pd
 
 
-def bilinear(E, strength, Gf, horizon, protected=None):
+def bilinear(E, strength, Gf, horizon, protected=None, share=1.0 / 3.0, kink=0.8 / 3.6):
     """Return bonds that begin to soften at the strength under uniaxial stress and take ``Gf`` over a unit area.
 
     The force falls to a third at 0.8 / 3.6 of the last stretch, as the stress does with the opening of a crack
-    (Petersson). With constant influence in plane stress bonds that snap at the stretch s take 9 E s^2 horizon / (4 pi).
+    (Petersson), or to another share at another kink. With constant influence in plane stress bonds that snap at the
+    stretch s take 9 E s^2 horizon / (4 pi).
     """
     critical = strength / E
     energy = Gf / (9.0 * E * critical**2 * horizon / (4.0 * np.pi))
-    share, kink = 1.0 / 3.0, 0.8 / 3.6
     ratio = 1.0 + (energy - 1.0) / (kink + share)
     return pd.BilinearSoftening(
         pd.ConstantCritical(critical), 1.0 + kink * (ratio - 1.0), share, ratio, protected=protected
@@ -24,3 +24,88 @@ def at_peak(factors, load):
     """Return results of a run whose conditions hold ``load`` at factor 1, and the step of its peak."""
     peak = int(np.argmax(factors))
     return {"peak_load": factors[peak] * load, "last_load": factors[-1] / factors[peak]}, peak
+
+
+# Largest traction across a plane that opens over E times the critical stretch, in plane stress with constant influence:
+# where bonds soften slowly all of them reach their largest force, also the oblique ones.
+OPENING = 1.5
+
+
+def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=0.0, at=(), load=1000.0, smallest=1e-3):
+    """Return a notched beam in three-point bending, bond-based in plane stress, followed by the opening of its notch.
+
+    Bonds soften bilinearly, to a quarter of their largest force at 0.15 of the last stretch (Wittmann), and a plane
+    that opens has the strength as its largest traction.
+
+    Parameters
+    ----------
+    size : (length, depth, width)
+    span : float
+        Between the supports, around the middle, over which the load is.
+    notch : float
+        Its depth.
+    offset : float
+        Of the notch from the middle.
+    n : int
+        Particles over the depth.
+    at : sequence of float
+        Openings at which the results name the load, as ``load_at_0.1``.
+
+    Results: ``peak_load``, ``opening_at_peak``, the loads that were asked for, ``dissipated``, what the laws have taken
+    over the fracture energy of the ligament, ``last_load`` over the peak.
+    """
+    length, depth, width = size
+    dx = depth / n
+    delta = horizon * dx
+    middle, mouth = 0.5 * length, 0.5 * length - offset
+    low = pd.region.Slab("y", high=dx)
+    feet = [middle - 0.5 * span, middle + 0.5 * span]
+    left, right = (pd.region.Nearest((foot, 0.0)) for foot in feet)
+    loaded = pd.region.Box((middle - 1.5 * dx, depth - dx), (middle + 1.5 * dx, depth))
+    lips = [low & pd.region.Slab("x", mouth - 2.0 * dx, mouth), low & pd.region.Slab("x", mouth, mouth + 2.0 * dx)]
+    under = pd.region.Box((middle - 2.0 * dx, depth - dx), (middle + 2.0 * dx, depth))
+    rests = [pd.region.Box((foot - 2.0 * delta, 0.0), (foot + 2.0 * delta, delta)) for foot in feet]
+
+    def results(h):
+        found, peak = at_peak(h["t"], load)
+        opening = np.array(h["right_lip"]) - np.array(h["left_lip"])
+        reached = {
+            f"load_at_{one:g}": float(np.interp(one, opening, load * np.array(h["t"])))
+            for one in at
+            if opening[-1] >= one * (1.0 - 1e-9)
+        }
+        return {
+            **found,
+            "opening_at_peak": opening[peak],
+            **reached,
+            "dissipated": h["dissipated"][-1] / (Gf * width * (depth - notch)),
+            "broken_bonds": h["broken"][-1],
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (length, depth), dx, thickness=width),
+        horizon=delta,
+        material=pd.BondBased(E=E, plane="stress", calibration="family"),
+        cracks=[pd.Segment((mouth, -1.0), (mouth, notch))],
+        damage=bilinear(E, strength / OPENING, Gf, delta, under | rests[0] | rests[1], share=0.25, kink=0.75 / 5.0),
+        conditions=[
+            pd.Displacement(left, x=0.0, y=0.0),
+            pd.Displacement(right, y=0.0),
+            pd.Force(loaded, y=-load),
+        ],
+        solver=pd.PathFollowing(
+            pd.Opening("x", lips[1], against=lips[0], step=step, end=end), until=0.02, smallest=smallest
+        ),
+        history={
+            "deflection": pd.Mean(pd.displacement, "y", loaded),
+            "left_lip": pd.Mean(pd.displacement, "x", lips[0]),
+            "right_lip": pd.Mean(pd.displacement, "x", lips[1]),
+            "broken": pd.BrokenBonds(),
+            "dissipated": pd.DissipatedEnergy(),
+            "stored": pd.StrainEnergy(),
+            "work": pd.ExternalWork(),
+        },
+        results=results,
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 50.0),
+    )

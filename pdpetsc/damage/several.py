@@ -1,0 +1,361 @@
+"""Laws of damage for several materials, and for the bonds between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.damage.criterion import Beyond, Displaced, Drive, DrivenBonds, Gradient, OfEnds, Solid
+from pdpetsc.damage.effect import DamageEffect
+from pdpetsc.damage.laws import BondDamage
+from pdpetsc.declare.region import Region
+from pdpetsc.declared import Declared
+from pdpetsc.discrete.communicator import agreed
+from pdpetsc.errors import CaseError
+
+# Marks the local particles in a region (n_local,); the text says what of (collective).
+Marking = Callable[[Region, str], Mask]
+
+
+@dataclass(frozen=True)
+class DamageOf(Declared):
+    """Damage by region and by pair of regions: each material its law, and each interface another.
+
+    Parameters
+    ----------
+    regions : mapping of str to Region
+        Names of parts of the body, such as those of its materials; every particle is in one of them.
+    laws : mapping of str or (str, str) to BondDamage or None
+        How bonds fail that have both ends in a region, or one in each of two, in either order; None for those that do
+        not. There is one for every name and every pair of names whose particles share a bond.
+    protected : Region, optional
+        Bonds with an end in it do not fail.
+
+    Raises
+    ------
+    CaseError
+        A name is not one of the regions, laws are missing, have regions of their own that are protected, or different
+        effects, or one lets cracks close and another does not; in a case, particles are in no region or several, or
+        two share a bond for which there is no law.
+
+    Notes
+    -----
+    A fracture energy means that of a plane through the material, or between the two: ``FractureEnergy`` and
+    ``BondEnergy(Gc=...)`` see the stiffness of the bonds from both ends.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> fibre = pd.region.Sphere((0.0, 0.0), 5.0)
+    >>> def brittle(Gc):
+    ...     return pd.Brittle(pd.FractureEnergy(Gc))
+    >>> damage = pd.DamageOf(
+    ...     {"fibre": fibre, "matrix": ~fibre},
+    ...     {"fibre": None, "matrix": brittle(0.1), ("fibre", "matrix"): brittle(0.01)},
+    ... )
+    """
+
+    regions: Mapping[str, Region]
+    laws: Mapping[str | tuple[str, str], BondDamage | None]
+    protected: Region | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        seen: set[frozenset[str]] = set()
+        for key in self.laws:
+            pair = _pair(key)
+            unknown = sorted(pair - set(self.regions))
+            if unknown:
+                raise CaseError(f"DamageOf has a law of {unknown[0]!r}, which is none of its regions.")
+            if pair in seen:
+                raise CaseError(f"DamageOf has two laws of {_named(pair)}.")
+            seen.add(pair)
+        missing = [name for name in self.regions if frozenset([name]) not in seen]
+        if missing:
+            raise CaseError(f"DamageOf needs a law of {missing[0]!r}, or None where its bonds do not fail.")
+        if not self._declared:
+            raise CaseError("DamageOf needs a law; leave it out where no bond fails.")
+        if any(law.protected is not None for law in self._declared):
+            raise CaseError("A law in DamageOf protects no region of its own; give DamageOf the protected one.")
+        if any(law.effect != self.effect or law.closes != self.closes for law in self._declared):
+            raise CaseError("All laws in DamageOf need the same effect, and cracks that close or do not.")
+
+    @property
+    def _declared(self) -> list[BondDamage]:
+        return [law for law in self.laws.values() if law is not None]
+
+    @property
+    def effect(self) -> DamageEffect:
+        """Return the effect of the laws."""
+        return self._declared[0].effect
+
+    @property
+    def closes(self) -> bool:
+        """Return whether cracks that close carry compression."""
+        return self._declared[0].closes
+
+    @property
+    def of_one_material(self) -> bool:
+        """Return whether a criterion fits a body of one material only."""
+        return any(law.of_one_material for law in self._declared)
+
+    @property
+    def reads_stiffness(self) -> bool:
+        """Return whether a criterion reads the stiffness of bonds."""
+        return any(law.reads_stiffness for law in self._declared)
+
+    @property
+    def places(self) -> list[tuple[str, Region]]:
+        """Return its regions with what they are."""
+        found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]
+        return found + ([] if self.protected is None else [("What damage is protected from", self.protected)])
+
+    def assigned(self, bonds: DrivenBonds, mark: Marking) -> AssignedLaws:
+        """Return the laws with the bonds that obey them (collective)."""
+        cloud, families = bonds.cloud, bonds.families
+        part, count = np.full(cloud.n_local, -1, dtype=np.int64), np.zeros(cloud.n_local, dtype=np.int64)
+        for number, (name, region) in enumerate(self.regions.items()):
+            marked = mark(region, f"region {name!r} of DamageOf")
+            part[marked] = number
+            count += marked
+        names = list(self.regions)
+        table = np.full((len(names), len(names)), -2, dtype=np.int64)
+        laws: list[BondDamage] = []
+        for key, law in self.laws.items():
+            pair = sorted(_pair(key))
+            one, other = names.index(pair[0]), names.index(pair[-1])
+            table[one, other] = table[other, one] = -1 if law is None else len(laws)
+            if law is not None:
+                laws.append(law)
+        with agreed(cloud.comm):
+            wrong = np.flatnonzero(count[: cloud.n_owned] != 1)
+            if len(wrong):
+                gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
+                raise CaseError(f"Particle {gid} is in {times} regions of DamageOf; let these cover it once.")
+            first, second = part[families.centres], part[families.neighbours]
+            of_bond = table[first, second]
+            lacking = np.flatnonzero(of_bond == -2)
+            if len(lacking):
+                pair = sorted({names[first[lacking[0]]], names[second[lacking[0]]]})
+                raise CaseError(
+                    f"{_named(frozenset(pair)).capitalize()} share bonds, and DamageOf has no law for these; give one, "
+                    f"or None where they do not fail."
+                )
+        return AssignedLaws(laws, of_bond)
+
+
+def _pair(key: str | tuple[str, str]) -> frozenset[str]:
+    return frozenset([key] if isinstance(key, str) else key)
+
+
+def _named(pair: frozenset[str]) -> str:
+    return " and ".join(repr(name) for name in sorted(pair))
+
+
+@dataclass(frozen=True)
+class AssignedLaws:
+    """Laws and the bonds that obey them.
+
+    Attributes
+    ----------
+    laws : sequence of BondDamage
+        All of them.
+    of_bond : (n_bonds,) int64 or None
+        The law of each bond, -1 for one that does not fail; None where all have the only one.
+    """
+
+    laws: Sequence[BondDamage]
+    of_bond: GlobalIndex | None = None
+
+    def resolved(self, bonds: DrivenBonds) -> AssignedLaws:
+        """Return the laws whose criteria know the bonds of the body (collective)."""
+        return AssignedLaws([law.resolved(bonds) for law in self.laws], self.of_bond)
+
+    def shown_as(self, declared: BondDamage | DamageOf) -> BondDamage | DamageOf:
+        """Return what is declared; the law with what has been resolved where it is the only one."""
+        return self.laws[0] if self.of_bond is None else declared
+
+    def build(self, bonds: DrivenBonds) -> Drive:
+        """Return what drives the bonds (not collective)."""
+        drives = [law.criterion.build(bonds) for law in self.laws]
+        return drives[0] if self.of_bond is None else SeveralDrives(drives, self.of_bond)
+
+    @property
+    def softens(self) -> bool:
+        """Return whether any bond loses its force gradually."""
+        return any(law.final > law.onset for law in self.laws)
+
+    @property
+    def snaps(self) -> bool:
+        """Return whether any bond loses all of it at once."""
+        return any(law.final == law.onset for law in self.laws)
+
+    @property
+    def immune(self) -> GlobalIndex:
+        """Return the bonds without a law."""
+        return np.empty(0, dtype=np.int64) if self.of_bond is None else np.flatnonzero(self.of_bond < 0)
+
+    def onset(self) -> Float | float:
+        """Return where the integrity of each bond begins to fall, one number where all have one law."""
+        return self._each([law.onset for law in self.laws])
+
+    def final(self) -> Float | float:
+        """Return where each bond breaks, one number where all have one law."""
+        return self._each([law.final for law in self.laws])
+
+    def integrity(self, x: Float, bonds: GlobalIndex) -> Float:
+        """Return the integrity of some bonds at their drives (n,)."""
+        return self._by_law(lambda law, at: law.integrity(x[at]), bonds)
+
+    def slope(self, x: Float, bonds: GlobalIndex) -> Float:
+        """Return its derivative by the drive (n,)."""
+        return self._by_law(lambda law, at: law.slope(x[at]), bonds)
+
+    def dissipated(self, integrity: Float, x: Float, energy: Float, degree: float, bonds: GlobalIndex) -> Float:
+        """Return what some linear bonds have dissipated (n,) [energy]."""
+        return self._by_law(lambda law, at: law.dissipated(integrity[at], x[at], energy[at], degree), bonds)
+
+    def _each(self, values: Sequence[float]) -> Float | float:
+        return values[0] if self.of_bond is None else np.array([*values, np.inf])[self.of_bond]
+
+    def _by_law(self, function: Callable[[BondDamage, GlobalIndex | slice], Float], bonds: GlobalIndex) -> Float:
+        if self.of_bond is None:
+            return function(self.laws[0], slice(None))
+        found, of = np.zeros(len(bonds)), self.of_bond[bonds]
+        for number, law in enumerate(self.laws):
+            at = np.flatnonzero(of == number)
+            if len(at):
+                found[at] = function(law, at)
+        return found
+
+
+def assigned(declared: BondDamage | DamageOf, bonds: DrivenBonds, mark: Marking) -> AssignedLaws:
+    """Return the laws of what a case declares with the bonds that obey them (collective)."""
+    return AssignedLaws([declared]) if isinstance(declared, BondDamage) else declared.assigned(bonds, mark)
+
+
+class SeveralDrives(Drive):
+    """The drive of each bond by its law.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        One for each law, of all bonds.
+    of_bond : (n_bonds,) int64
+        The law of each bond, -1 for none.
+    """
+
+    def __init__(self, drives: Sequence[Drive], of_bond: GlobalIndex) -> None:
+        self._drives, self._of_bond = drives, of_bond
+
+    @property
+    def reaches(self) -> bool:
+        """Return whether any gradient has a part beyond the own elongation."""
+        return any(drive.reaches for drive in self._drives)
+
+    @property
+    def limit(self) -> Float | None:
+        """Return the elongations of failure where all drives have one, infinite for bonds without a law."""
+        limits = [drive.limit for drive in self._drives]
+        if any(limit is None for limit in limits):
+            return None
+        return self._chosen([limit for limit in limits if limit is not None], np.inf)
+
+    @property
+    def reads_points(self) -> bool:
+        """Return whether any reads gradient points."""
+        return any(drive.reads_points for drive in self._drives)
+
+    @property
+    def reads_flow(self) -> bool:
+        """Return whether any reads how materials flow."""
+        return any(drive.reads_flow for drive in self._drives)
+
+    def take(self, solid: Solid) -> None:
+        """Let all read these gradient points."""
+        for drive in self._drives:
+            drive.take(solid)
+
+    def commit(self, state: Displaced) -> None:
+        """Let all remember a converged state."""
+        for drive in self._drives:
+            drive.commit(state)
+
+    def arrays(self) -> Mapping[str, Float]:
+        """Return what all remember, with the number of the law in the name."""
+        return {
+            f"{name}_{number}": values
+            for number, drive in enumerate(self._drives)
+            for name, values in drive.arrays().items()
+        }
+
+    def at(self, state: Displaced) -> Float:
+        """Return the drive of every bond by its law, 0 where it has none."""
+        return self._chosen([drive.at(state) for drive in self._drives], 0.0)
+
+    def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
+        """Return the gradients of all laws in one."""
+        return self._merged(bonds, lambda drive, at: drive.gradient(state, bonds[at], by[at]))
+
+    def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
+        """Return the gradients of all laws in one."""
+        return self._merged(bonds, lambda drive, at: drive.mean_gradient(state, bonds[at], count))
+
+    def at_strain(self, strain: Float) -> Float | None:
+        """Return the drive of bonds that had these strains, 0 where their law does not tell; None where none does."""
+        found = [drive.at_strain(strain) for drive in self._drives]
+        if all(one is None for one in found):
+            return None
+        return self._chosen([np.zeros_like(strain) if one is None else one for one in found], 0.0)
+
+    def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float] | None:
+        """Return the energies where the drive is 1, if all drives tell them with the same degree."""
+        energy, degrees = np.zeros(len(bonds)), set()
+        for number, drive in enumerate(self._drives):
+            at = np.flatnonzero(self._of_bond[bonds] == number)
+            known = drive.elastic_energy(bonds[at], k[at])
+            if known is None:
+                return None
+            energy[at] = known[0]
+            degrees.add(known[1])
+        return (energy, degrees.pop()) if len(degrees) == 1 else None
+
+    def _chosen(self, values: Sequence[Float], otherwise: float) -> Float:
+        found = np.full(len(self._of_bond), otherwise)
+        for number, one in enumerate(values):
+            mine = self._of_bond == number
+            found[mine] = one[mine]
+        return found
+
+    def _merged(self, bonds: GlobalIndex, gradient: Callable[[Drive, GlobalIndex], Gradient]) -> Gradient:
+        along = np.zeros(len(bonds))
+        ends: tuple[OfEnds, ...] = ()
+        lengths, rows = np.zeros(len(bonds), dtype=np.int64), []
+        for number, drive in enumerate(self._drives):
+            at = np.flatnonzero(self._of_bond[bonds] == number)
+            part = gradient(drive, at)
+            along[at] = part.along
+            if part.beyond is not None:
+                lengths[at] = np.diff(part.beyond.ptr)
+                rows.append((at, part.beyond))
+            for one in part.ends:
+                factor = np.zeros(len(bonds))
+                factor[at] = one.factor
+                ends = (*ends, OfEnds(factor, one.by))
+        return Gradient(bonds, along, _joined(lengths, rows) if rows else None, ends)
+
+
+def _joined(lengths: GlobalIndex, rows: Sequence[tuple[GlobalIndex, Beyond]]) -> Beyond:
+    """Return derivatives of disjoint sets of bonds as those of all."""
+    ptr = np.concatenate([[0], np.cumsum(lengths)])
+    dim = rows[0][1].by.shape[1]
+    particles: LocalIndex = np.empty(ptr[-1], dtype=np.int32)
+    by = np.empty((ptr[-1], dim))
+    for at, beyond in rows:
+        size = np.diff(beyond.ptr)
+        to = np.repeat(ptr[at] - beyond.ptr[:-1], size) + np.arange(size.sum())
+        particles[to], by[to] = beyond.particles, beyond.by
+    return Beyond(ptr, particles, by)

@@ -1,0 +1,92 @@
+"""Stiff fibre in a matrix pulled across it: the weak interface debonds from the poles. Units mm, N.
+
+Square of side 20 with a fibre of radius 5 in its middle, plane strain, E = 4 and 40 GPa; fracture energies of matrix
+and fibre 0.5 N / mm, of the interface ``Gc``. With ``model="bonds"`` bond-based, with ``"gradients"`` deformation
+gradients with Silling's control.
+Results: ``debonding_stress`` over the section, after which the force falls for the first time, ``first_angle``, the
+largest one with the pull of the bonds that break first, ``debonded``, that of all of the interface [degrees],
+``at_interface``, their share in all that break.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import pdpetsc as pd
+
+SIDE, RADIUS = 20.0, 5.0
+E_MATRIX, E_FIBRE, TOUGH = 4000.0, 40000.0, 0.5
+FIBRE = pd.region.Sphere((0.0, 0.0), RADIUS)
+
+
+@dataclass(frozen=True)
+class Debonded(pd.Quantity):
+    """Of pairs that have lost their bond their number, that of fibre and matrix, or the largest angle of the latter."""
+
+    what: str
+
+    def evaluate(self, solution):
+        damage = solution.problem.damage
+        i, j = damage.body.families.centres, damage.body.families.neighbours
+        x = damage.body.cloud.x
+        inside = np.hypot(*x.T) <= RADIUS
+        lost = ~damage.bonds.intact
+        across = lost & (inside[i] != inside[j])
+        if self.what == "angle":
+            middle = damage.bonds.middle[across]
+            angle = np.degrees(np.arctan2(np.abs(middle[:, 1]), np.abs(middle[:, 0])))
+            return solution.largest(float(angle.max(initial=0.0)))
+        return float(solution.sum(np.count_nonzero(across if self.what == "interface" else lost))) / 2.0
+
+
+def case(n=20, horizon=2.015, Gc=0.02, model="bonds", pull=0.06, steps=12):
+    dx = SIDE / n
+    half = 0.5 * SIDE
+    left, right = pd.region.Slab("x", high=-half + 2.0 * dx), pd.region.Slab("x", low=half - 2.0 * dx)
+
+    def law(energy):
+        return pd.LinearSoftening(pd.FractureEnergy(energy), 3.0)
+
+    made = {
+        "bonds": lambda E: pd.BondBased(E=E, calibration="lattice"),
+        "gradients": lambda E: pd.Hencky(E=E, nu=0.25),
+    }[pd.choose("model", model, {"bonds": "bonds", "gradients": "gradients"})]
+    gradients = {"scheme": pd.Correspondence(), "control": pd.Silling(0.5)} if model == "gradients" else {}
+
+    def results(h):
+        begun = next((angle for angle, count in zip(h["angle"], h["broken"], strict=True) if count > 0.0), float("nan"))
+        falls = np.flatnonzero(np.diff(h["force"]) < 0.0)
+        return {
+            "debonding_stress": h["force"][falls[0] if len(falls) else -1] / SIDE,
+            "first_angle": begun,
+            "debonded": h["angle"][-1],
+            "at_interface": h["interface"][-1] / max(h["broken"][-1], 1.0),
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((-half, -half), (half, half), dx),
+        horizon=horizon * dx,
+        material=[(FIBRE, made(E_FIBRE)), (~FIBRE, made(E_MATRIX))],
+        **gradients,
+        damage=pd.DamageOf(
+            {"fibre": FIBRE, "matrix": ~FIBRE},
+            {"fibre": law(TOUGH), "matrix": law(TOUGH), ("fibre", "matrix"): law(Gc)},
+            protected=left | right,
+        ),
+        conditions=[
+            pd.Displacement(left, x=-0.5 * pull, y=0.0),
+            pd.Displacement(right, x=0.5 * pull, y=0.0),
+        ],
+        steps=pd.Steps(steps),
+        history={
+            "force": pd.Reaction("x", right),
+            "broken": Debonded("all"),
+            "interface": Debonded("interface"),
+            "angle": Debonded("angle"),
+            "dissipated": pd.DissipatedEnergy(),
+            "work": pd.ExternalWork(),
+        },
+        results=results,
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 20.0),
+    )

@@ -8,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.post.fracture import plane_modulus, westergaard
-from tests.commands import ROOT
+from tests.commands import ROOT, results
 
 sys.path.append(str(ROOT / "runs" / "fracture"))
 import centre_crack
@@ -338,3 +338,110 @@ def test_the_surface_of_a_crack_in_space(rng):
     solution, faces = faces_of(tilted, n=14, ends=(1.0, 1.0, 1.0), cloud=cloud)
     assert pd.CrackLength(precracks=True).evaluate(solution) == pytest.approx(np.pi * 0.09, rel=0.1)
     assert all(corners.shape[1] == 3 for corners in faces.corners)
+
+
+def solved(case):
+    """Return the state at the end of a case."""
+    prepared = pd.prepare(case)
+    solver = prepared.make_solver()
+    try:
+        *_, last = prepared.march(solver)
+        return prepared.solution(last.u.copy(), last.t, 1)
+    finally:
+        solver.destroy()
+
+
+@pytest.mark.parametrize("law", [pd.NeoHookean(10.0, 0.3), pd.Hencky(10.0, 0.3, "stress")])
+def test_a_long_strip_in_pure_shear_at_finite_strain(law):
+    """Rivlin and Thomas: J is the height times the energy density far ahead of the tip, at any strain.
+
+    Far behind the tip the strip is unloaded; a stretch of 1.5 is held between its long sides. All contours agree.
+    """
+    n, height, length, stretch = 24, 1.0, 5.0, 1.5
+    dx = height / n
+    low, high = pd.region.Slab("y", high=dx), pd.region.Slab("y", low=height - dx)
+    tip = (2.0, 0.5)
+    declared = {
+        "particles": pd.Lattice((0.0, 0.0), (length, height), dx, thickness=2.0),
+        "horizon": 2.015 * dx,
+        "material": law,
+        "conditions": [pd.Displacement(low, x=0.0, y=0.0), pd.Displacement(high, x=0.0, y=(stretch - 1.0) * height)],
+        "steps": pd.Steps(4),
+    }
+    solution = solved(pd.Case(**declared, cracks=[pd.Segment((-1.0, 0.5), tip)]))
+    x = solution.x
+    ahead = (np.abs(x[:, 0] - 3.7) < 0.1) & (np.abs(x[:, 1] - 0.5) < 0.4)
+    # The layers that are held have no strain.
+    expected = pd.energy_density(solution)[ahead].mean() * (height - dx)
+    for inner, outer in ((0.1, 0.3), (0.2, 0.45)):
+        where = (tip, (1.0, 0.0), inner, outer)
+        assert pd.JIntegral(*where).evaluate(solution) == pytest.approx(expected, rel=0.03)
+        assert pd.EnergyReleaseRate(*where).evaluate(solution) == pytest.approx(expected, rel=0.03)
+    with pytest.raises(pd.CaseError, match="is not of small linear strain"):
+        pd.StressIntensity(tip, (1.0, 0.0), 0.2, 0.45).evaluate(solution)
+
+
+def test_moduli_that_change_along_the_crack_count_by_their_derivative():
+    """With it contours agree; without it, were it not refused, they would not."""
+    n, growth = 60, 1.5
+    dx = 2.0 / n
+    low, high = pd.region.Slab("y", high=dx - 1.0), pd.region.Slab("y", low=1.0 - dx)
+    graded = pd.Graded(LAW, lambda x: np.exp(growth * x[:, 0]))
+    solution = solved(
+        pd.Case(
+            particles=pd.Lattice((-1.0, -1.0), (1.0, 1.0), dx),
+            horizon=3.015 * dx,
+            material=graded,
+            cracks=[pd.Segment((-2.0, 0.0), (0.0, 0.0))],
+            conditions=[pd.Displacement(low, x=0.0, y=-0.001), pd.Displacement(high, x=0.0, y=0.001)],
+        )
+    )
+
+    def explicit(solution):
+        return growth * pd.energy_density(solution)[:, None] * np.array([1.0, 0.0])
+
+    def nothing(solution):
+        return np.zeros_like(solution.x)
+
+    for kind in (pd.JIntegral, pd.EnergyReleaseRate):
+        found = {
+            source: [kind((0.0, 0.0), (1.0, 0.0), inner, outer, explicit=source).evaluate(solution)
+                     for inner, outer in ((0.15, 0.4), (0.6, 0.9))]
+            for source in (explicit, nothing)
+        }  # fmt: skip
+        assert found[explicit][0] == pytest.approx(found[explicit][1], rel=0.015)
+        assert abs(found[nothing][0] / found[nothing][1] - 1.0) > 0.1
+    with pytest.raises(pd.CaseError, match="the shape"):
+        pd.JIntegral((0.0, 0.0), (1.0, 0.0), 0.3, 0.8, explicit=pd.energy_density).evaluate(solution)
+
+
+def test_any_number_of_ranks_gives_the_same(tmp_path):
+    found = []
+    for ranks in (1, 2):
+        words = ("n=50", "horizon=2.015", "angle=30")
+        summary = results("runs/fracture/centre_crack.py", *words, output=tmp_path / str(ranks), ranks=ranks)
+        found.append(list(summary["results"].values()))
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("file", "words", "within"),
+    [
+        ("centre_crack.py", ("n=60", "plane=strain", "a=6"), 0.03),
+        ("centre_crack.py", ("n=60", "angle=45"), 0.02),
+        ("edge_crack.py", ("n=40",), 0.045),
+        pytest.param("centre_crack.py", (), 0.02, marks=pytest.mark.long),
+        pytest.param("centre_crack.py", ("plane=strain", "a=4"), 0.02, marks=pytest.mark.long),
+        pytest.param("centre_crack.py", ("angle=20", "plane=strain"), 0.02, marks=pytest.mark.long),
+        pytest.param("edge_crack.py", (), 0.02, marks=pytest.mark.long),
+    ],
+)
+def test_cracks_have_the_factors_of_the_handbooks(file, words, within, tmp_path):
+    """Within 2 % on both contours, by all three integrals, as the files stand; coarser bodies make cracks longer."""
+    found = results(f"runs/fracture/{file}", *words, output=tmp_path)["results"]
+    for name in ("J_over_exact", "J_far_over_exact", "G_over_exact"):
+        assert found[name] == pytest.approx(1.0, abs=within)
+    assert found["J_over_exact"] == pytest.approx(found["J_far_over_exact"], rel=0.01)
+    whole = np.hypot(found["K1_exact"], found.get("K2_exact", 0.0))
+    assert abs(found["K1"] - found["K1_exact"]) < 0.6 * within * whole
+    assert abs(found["K2"] - found.get("K2_exact", 0.0)) < 0.6 * within * whole

@@ -445,3 +445,112 @@ def test_cracks_have_the_factors_of_the_handbooks(file, words, within, tmp_path)
     whole = np.hypot(found["K1_exact"], found.get("K2_exact", 0.0))
     assert abs(found["K1"] - found["K1_exact"]) < 0.6 * within * whole
     assert abs(found["K2"] - found.get("K2_exact", 0.0)) < 0.6 * within * whole
+
+
+def stretched(dim, law, F, **changes):
+    """Return a block of ``dim`` dimensions whose deformation gradient is F."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0,) * dim, (6.0,) * dim, 1.0),
+        horizon=2.015,
+        material=law,
+        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), **dict.fromkeys("xyz"[:dim], 0.0))],
+        **changes,
+    )
+    return at(pd.prepare(case), lambda x: x @ (np.asarray(F) - np.eye(dim)).T)
+
+
+@pytest.mark.parametrize("law", [pd.LinearElastic(10.0, 0.3), pd.Hencky(10.0, 0.3), pd.NeoHookean(10.0, 0.3)])
+def test_invariants_of_plane_bodies_are_those_of_the_solid_one(law):
+    """In plane strain, and in plane stress with the thickness that it has."""
+    F = np.array([[1.05, 0.02], [-0.01, 0.97]])
+    fields = (pd.von_mises, pd.principal_stresses, pd.principal_strains, pd.triaxiality)
+    for plane in ("strain", "stress"):
+        flat = stretched(2, dataclasses.replace(law, plane=plane), F)
+        across = flat.out_of_plane[0][0]
+        assert (across == 1.0) == (plane == "strain")
+        whole = np.eye(3)
+        whole[:2, :2], whole[2, 2] = F, across
+        solid = stretched(3, law, whole)
+        for field in fields:
+            assert np.allclose(field(flat), field(solid)[:1], rtol=1e-6, atol=1e-8), (plane, field.__name__)
+    stress = pd.stress(solid)[0]
+    values = np.linalg.eigvalsh(stress)
+    pairs = (values - np.roll(values, 1)) ** 2
+    assert pd.von_mises(solid)[0] == pytest.approx(np.sqrt(0.5 * pairs.sum()))
+    assert pd.principal_stresses(solid)[0] == pytest.approx(values[::-1])
+    assert pd.triaxiality(solid)[0] == pytest.approx(values.mean() / pd.von_mises(solid)[0])
+    assert np.all(np.diff(pd.principal_strains(solid), axis=1) <= 0.0)
+
+
+def test_invariants_of_simple_states(tmp_path):
+    law = pd.Hencky(10.0, 0.3)
+    assert np.all(pd.triaxiality(stretched(3, law, np.eye(3))) == 0.0)
+    swollen = stretched(3, law, 1.1 * np.eye(3))
+    assert np.all(pd.triaxiality(swollen) > 1e9)
+    assert np.abs(pd.von_mises(swollen)).max() < 1e-12
+    assert pd.principal_strains(swollen) == pytest.approx(np.log(1.1))
+    nu = law.nu
+    bar = stretched(3, pd.LinearElastic(10.0, nu), np.diag([1.01, 1.0 - 0.01 * nu, 1.0 - 0.01 * nu]))
+    assert pd.von_mises(bar) == pytest.approx(0.1)
+    assert pd.triaxiality(bar) == pytest.approx(1.0 / 3.0)
+    line = stretched(1, pd.LinearElastic(10.0, nu), [[1.01]])
+    assert pd.von_mises(line) == pytest.approx(0.1)
+    assert pd.principal_strains(line) == pytest.approx(np.tile([0.01, -0.003, -0.003], (6, 1)), rel=2e-3)
+
+
+def test_invariants_are_fields_components_and_quantities(tmp_path):
+    right = pd.region.Slab("x", low=5.0)
+    fields = [pd.displacement, pd.von_mises, pd.principal_stresses, pd.triaxiality, pd.damage_dissipation]
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 6.0), 1.0),
+        horizon=2.015,
+        material=pd.LinearElastic(10.0, 0.3),
+        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0), pd.Displacement(right, x=0.1)],
+        fields=fields,
+        history={
+            "highest": pd.Largest(pd.von_mises),
+            "lowest": pd.Mean(pd.principal_stresses, "z", right),
+            "side": pd.OnSurface(pd.principal_stresses, "x", pd.region.Named("+x")),
+        },
+        picture=pd.Picture(pd.von_mises, ""),
+    )
+    result = pd.run(case, tmp_path)
+    assert {"von_mises", "principal_stresses", "triaxiality", "damage_dissipation"} <= set(result.fields.names())
+    assert result.history["highest"][-1] == pytest.approx(result.field("von_mises").max())
+    assert result.field("principal_stresses").shape == (36, 3)
+    assert not result.field("damage_dissipation").any()
+    with pytest.raises(pd.CaseError, match="takes none as component, not 'x'"):
+        pd.Mean(pd.von_mises, "x")
+
+
+def test_damage_dissipation_adds_up_and_cracks_are_left_as_a_file(tmp_path):
+    """A strip of bonds that breaks: the field integrates to the quantity; lines of the crack lie where it ran."""
+    case = centre_crack.case(n=10, law="linear", pull=0.6)
+    more = {"grown": pd.CrackLength(), "whole": pd.CrackLength(precracks=True)}
+    case = dataclasses.replace(
+        case, solver=pd.Newton(), steps=pd.Steps(6), results=None, picture=None,
+        history={**case.history, **more}, fields=[pd.damage_dissipation],
+    )  # fmt: skip
+    result = pd.run(case, tmp_path)
+    h = result.history
+    assert h["grown"][-1] > 1.0
+    assert h["whole"][-1] == pytest.approx(h["grown"][-1] + 12.0)
+    assert np.all(np.diff(h["grown"]) >= 0.0)
+    assert result.field("damage_dissipation").sum() * 4.0 == pytest.approx(h["dissipated"][-1], rel=1e-10)
+    lines = (tmp_path / "crack.vtk").read_text().split("\n")
+    assert lines[3] == "DATASET POLYDATA"
+    count = int(lines[4].split()[1])
+    points = np.array([line.split() for line in lines[5 : 5 + count]], dtype=float)
+    assert lines[5 + count].startswith("LINES")
+    assert np.abs(points[:, 1] - 20.0).max() <= 4.0
+    # A second run takes the folder, and what the first has left is set aside.
+    pd.run(dataclasses.replace(case, history={}, fields=[], steps=pd.Steps(1)), tmp_path)
+    assert not (tmp_path / "crack.vtk").exists()
+    assert (tmp_path / "earlier" / "crack.vtk").exists()
+    gradients = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 6.0), 1.0), horizon=2.015, material=pd.LinearElastic(10.0, 0.3),
+        damage=pd.Brittle(pd.ConstantCritical(0.1)),
+        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)],
+    )  # fmt: skip
+    with pytest.raises(pd.CaseError, match="as the quantity DissipatedEnergy"):
+        pd.damage_dissipation(pd.prepare(gradients).solution())

@@ -188,10 +188,11 @@ class Domain:
         return found
 
 
-def trouble(solution: Solution, domain: Domain) -> str:
+def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
     """Return why a sum over a domain would be no integral about one crack tip, in words after "it"; empty where none.
 
-    The same on all ranks (collective).
+    The crack may be a spacing off its line; one that ``runs`` breaks bonds within a horizon of it. The same on all
+    ranks (collective).
     """
     inner, outer = domain.inner, domain.outer
     cloud = solution.cloud
@@ -216,10 +217,10 @@ def trouble(solution: Solution, domain: Domain) -> str:
             f"is filled by the cells of the particles to {domain.filled:.4g}, and its rim to {domain.falls:.4g}: it "
             f"leaves the body, crosses a hole, or has too few particles; take smaller radii or more particles"
         )
-    return _trouble_with_cracks(solution, domain)
+    return _trouble_with_cracks(solution, domain, runs)
 
 
-def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
+def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
     """Return what is wrong with the bonds that are gone in a domain (collective)."""
     stray, crossing, cut, gone, where = 0, 0, 0, 0, np.full(2, np.inf)
     for frame in domain.frames:
@@ -231,8 +232,7 @@ def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
         share = np.where(over, a[:, 1] / np.where(over, a[:, 1] - b[:, 1], 1.0), 0.5)
         through = a + share[:, None] * (b - a)
         between = domain.between(through)
-        # A crack between particles is known to a spacing.
-        off = np.sqrt(domain.area[pairs[:, 0]])
+        off = reach[pairs[:, 0]] if runs else np.sqrt(domain.area[pairs[:, 0]])
         beside = (np.minimum(a[:, 1], b[:, 1]) <= off) & (np.maximum(a[:, 1], b[:, 1]) >= -off)
         wrong = np.flatnonzero(between & (left < 1.0) & ~(beside & (through[:, 0] <= off)))
         stray += len(wrong)

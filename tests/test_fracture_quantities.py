@@ -8,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.post.fracture import plane_modulus, westergaard
-from tests.commands import ROOT, results
+from tests.commands import ROOT, python_on, results
 
 sys.path.append(str(ROOT / "runs" / "fracture"))
 import centre_crack
@@ -415,13 +415,42 @@ def test_moduli_that_change_along_the_crack_count_by_their_derivative():
         pd.JIntegral((0.0, 0.0), (1.0, 0.0), 0.3, 0.8, explicit=pd.energy_density).evaluate(solution)
 
 
-def test_any_number_of_ranks_gives_the_same(tmp_path):
+ON_RANKS = """
+import sys
+import petsc4py
+petsc4py.init(sys.argv[:1])
+import numpy as np
+import pdpetsc as pd
+from tests.test_fracture_quantities import LAW, at, body, k_field
+
+turn, tip = 0.4, (0.02, 0.01)
+Q = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+solution = at(body(tip=tip, turn=turn), lambda x: k_field((x - tip) @ Q.T, 2.0, -0.7, LAW) @ Q)
+where = (tip, tuple(Q[0]), 0.3, 0.8)
+found = [kind(*where).evaluate(solution) for kind in (pd.JIntegral, pd.EnergyReleaseRate, pd.StressIntensity)]
+found.append(pd.CrackOpening(tuple(np.array(tip) - 0.8 * Q[0]), tip).evaluate(solution))
+found.append(pd.CrackLength(precracks=True).evaluate(solution))
+lines = pd.crack_lines(pd.crack_faces(solution, precracks=True))
+found += [len(lines), float(np.abs(np.concatenate(lines)).sum())]
+try:
+    pd.JIntegral(tip, (-1.0, 0.0), 0.3, 0.8).evaluate(solution)
+except pd.CaseError as error:
+    assert len(set(solution.cloud.comm.allgather(str(error)))) == 1
+    found.append(len(str(error)))
+if solution.cloud.comm.rank == 0:
+    print("found", *map(repr, map(float, found)))
+"""
+
+
+def test_any_number_of_ranks_gives_the_same():
+    """Integrals, opening, length and lines of a crack, and the sentence of what is refused."""
     found = []
     for ranks in (1, 2):
-        words = ("n=50", "horizon=2.015", "angle=30")
-        summary = results("runs/fracture/centre_crack.py", *words, output=tmp_path / str(ranks), ranks=ranks)
-        found.append(list(summary["results"].values()))
-    assert found[0] == pytest.approx(found[1], rel=1e-8)
+        done = python_on(ranks, "-c", ON_RANKS)
+        assert done.returncode == 0, done.stderr
+        found.append([float(word) for word in done.stdout.split("found", 1)[1].split()])
+    assert len(found[0]) == 8
+    assert found[0] == pytest.approx(found[1], rel=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -554,3 +583,45 @@ def test_damage_dissipation_adds_up_and_cracks_are_left_as_a_file(tmp_path):
     )  # fmt: skip
     with pytest.raises(pd.CaseError, match="as the quantity DissipatedEnergy"):
         pd.damage_dissipation(pd.prepare(gradients).solution())
+
+
+@pytest.mark.long
+def test_a_crack_that_runs_takes_its_fracture_energy(tmp_path):
+    """J about the tip that moves is Gc, steadily, on both contours."""
+    found = results("runs/fracture/surfing.py", output=tmp_path)["results"]
+    assert found["J_over_Gc"] == pytest.approx(1.0, abs=0.02)
+    assert found["J_far_over_Gc"] == pytest.approx(1.0, abs=0.02)
+    assert found["spread"] < 0.02
+    assert found["dissipated_over_Gc"] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.long
+def test_a_double_cantilever_sets_free_what_beams_do(tmp_path):
+    found = results("runs/fracture/double_cantilever.py", "law=none", output=tmp_path)["results"]
+    for name in ("J", "J_far", "G", "stiffness"):
+        assert found[name] == pytest.approx(1.0, abs=0.04)
+    assert found["J"] == pytest.approx(found["J_far"], rel=0.005)
+    assert found["K1_over_J"] == pytest.approx(1.0, abs=0.035)
+
+
+def test_a_domain_follows_the_tip_and_says_nan_where_it_has_left_the_body():
+    """The damaged particles that are furthest along the direction are the tip, once they are ahead of the first."""
+    tip = pd.CrackTip((1.0, 0.0))
+    law = pd.BondBased(1000.0, plane="stress", calibration="family")
+    damage = pd.Brittle(pd.ConstantCritical(0.01))
+    prepared = body(material=law, horizon=3.015, damage=damage, cracks=[pd.Segment((-3.0, 0.0), (-0.2, 0.0))])
+    bonds, cloud = prepared.problem.damage.bonds, prepared.cloud
+    found = []
+    for reached in (-0.2, 0.2, 0.9):
+        # Bonds that cross the line up to there are broken.
+        families = prepared.problem.body.families
+        a, b = cloud.x[families.centres], cloud.x[families.neighbours]
+        across = a[:, 1] * b[:, 1] < 0.0
+        where = a[:, 0] + np.where(across, a[:, 1] / np.where(across, a[:, 1] - b[:, 1], 1.0), 0.0) * (b - a)[:, 0]
+        bonds.integrity[across & (where < reached)] = 0.0
+        prepared.problem.damage.changed(rebuild=True)
+        solution = at(prepared, lambda x, to=reached: k_field(x - [to, 0.0], 1.0, 0.0, law.elastic(2)))
+        moving = pd.JIntegral((-0.2, 0.0), (1.0, 0.0), 0.25, 0.6, follows=tip)
+        found.append(moving.evaluate(solution) * law.E)
+    assert found[:2] == pytest.approx([1.0, 1.0], rel=0.03)
+    assert np.isnan(found[2])

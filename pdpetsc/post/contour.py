@@ -222,7 +222,7 @@ def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
 
 def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
     """Return what is wrong with the bonds that are gone in a domain (collective)."""
-    stray, crossing, cut, gone, where = 0, 0, 0, 0, np.full(2, np.inf)
+    stray, crossing, cut, gone, places = 0, 0, 0, 0, list[tuple[float, ...]]()
     for frame in domain.frames:
         reach = solution.cloud.reach[: solution.cloud.n_owned]
         zone = np.flatnonzero(np.linalg.norm(frame.at(solution.x), axis=1) < domain.outer + reach)
@@ -236,15 +236,17 @@ def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
         beside = (np.minimum(a[:, 1], b[:, 1]) <= off) & (np.maximum(a[:, 1], b[:, 1]) >= -off)
         wrong = np.flatnonzero(between & (left < 1.0) & ~(beside & (through[:, 0] <= off)))
         stray += len(wrong)
-        if len(wrong):
-            where = np.minimum(where, (frame.tip + through[wrong[:1]] @ frame.turn)[0])
+        # The one nearest to the tip is named; its digits are cut, so that it is the same from both ends of a bond.
+        size = np.round(np.linalg.norm(through[wrong], axis=1), 9 - int(np.log10(domain.outer)))
+        at = np.round(frame.tip + through[wrong] @ frame.turn, 9 - int(np.log10(domain.outer)))
+        places += sorted(zip(size.tolist(), *at.T.tolist(), strict=True))[:1]
         on_line = between & over & (through[:, 0] < 0.0)
         crossing += np.count_nonzero(on_line)
         cut += np.count_nonzero(on_line & (left == 0.0))
         gone += np.count_nonzero((np.linalg.norm(through, axis=1) < domain.outer) & (left < 1.0))
     stray, crossing, cut, gone = (int(n) for n in solution.sum([stray, crossing, cut, gone]))
     if stray:
-        place = [-solution.largest(-float(one)) for one in where]
+        place = min(one for part in solution.cloud.comm.allgather(places) for one in part)[1:]
         return (
             f"has {stray // 2 or 1} bonds that are cut or damaged away from the line of the crack, near ({place[0]:g}, "
             f"{place[1]:g}): another crack, one that is not straight, or another direction; take smaller radii, or the "

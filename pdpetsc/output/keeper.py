@@ -132,8 +132,8 @@ class Keeper:
         """
         if self._fields is not None:
             self._fields.flush()
-        write_crack(self._last.cloud.comm, self._checkpoint.parent, self._quantities.values(), self._last)
         self._checkpoint_now()
+        write_crack(self._last.cloud.comm, self._checkpoint.parent, self._quantities.values(), self._last)
 
     def _checkpoint_now(self) -> None:
         self._rows.flush()

@@ -190,10 +190,11 @@ class Domain:
         return found
 
 
-def trouble(solution: Solution, domain: Domain) -> str:
+def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
     """Return why a sum over a domain would be no integral about one crack tip, in words after "it"; empty where none.
 
-    The same on all ranks (collective).
+    The crack may be a spacing off its line; one that ``runs`` breaks bonds within a horizon of it. The same on all
+    ranks (collective).
     """
     inner, outer = domain.inner, domain.outer
     cloud = solution.cloud
@@ -218,12 +219,12 @@ def trouble(solution: Solution, domain: Domain) -> str:
             f"is filled by the cells of the particles to {domain.filled:.4g}, and its rim to {domain.falls:.4g}: it "
             f"leaves the body, crosses a hole, or has too few particles; take smaller radii or more particles"
         )
-    return _trouble_with_cracks(solution, domain)
+    return _trouble_with_cracks(solution, domain, runs)
 
 
-def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
+def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
     """Return what is wrong with the bonds that are gone in a domain (collective)."""
-    stray, crossing, cut, gone, where = 0, 0, 0, 0, np.full(2, np.inf)
+    stray, crossing, cut, gone, places = 0, 0, 0, 0, list[tuple[float, ...]]()
     for frame in domain.frames:
         reach = solution.cloud.reach[: solution.cloud.n_owned]
         zone = np.flatnonzero(np.linalg.norm(frame.at(solution.x), axis=1) < domain.outer + reach)
@@ -233,20 +234,21 @@ def _trouble_with_cracks(solution: Solution, domain: Domain) -> str:
         share = np.where(over, a[:, 1] / np.where(over, a[:, 1] - b[:, 1], 1.0), 0.5)
         through = a + share[:, None] * (b - a)
         between = domain.between(through)
-        # A crack between particles is known to a spacing.
-        off = np.sqrt(domain.area[pairs[:, 0]])
+        off = reach[pairs[:, 0]] if runs else np.sqrt(domain.area[pairs[:, 0]])
         beside = (np.minimum(a[:, 1], b[:, 1]) <= off) & (np.maximum(a[:, 1], b[:, 1]) >= -off)
         wrong = np.flatnonzero(between & (left < 1.0) & ~(beside & (through[:, 0] <= off)))
         stray += len(wrong)
-        if len(wrong):
-            where = np.minimum(where, (frame.tip + through[wrong[:1]] @ frame.turn)[0])
+        # The one nearest to the tip is named; its digits are cut, so that it is the same from both ends of a bond.
+        size = np.round(np.linalg.norm(through[wrong], axis=1), 9 - int(np.log10(domain.outer)))
+        at = np.round(frame.tip + through[wrong] @ frame.turn, 9 - int(np.log10(domain.outer)))
+        places += sorted(zip(size.tolist(), *at.T.tolist(), strict=True))[:1]
         on_line = between & over & (through[:, 0] < 0.0)
         crossing += np.count_nonzero(on_line)
         cut += np.count_nonzero(on_line & (left == 0.0))
         gone += np.count_nonzero((np.linalg.norm(through, axis=1) < domain.outer) & (left < 1.0))
     stray, crossing, cut, gone = (int(n) for n in solution.sum([stray, crossing, cut, gone]))
     if stray:
-        place = [-solution.largest(-float(one)) for one in where]
+        place = min(one for part in solution.cloud.comm.allgather(places) for one in part)[1:]
         return (
             f"has {stray // 2 or 1} bonds that are cut or damaged away from the line of the crack, near ({place[0]:g}, "
             f"{place[1]:g}): another crack, one that is not straight, or another direction; take smaller radii, or the "

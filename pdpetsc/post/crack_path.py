@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import QhullError, Voronoi, cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
@@ -52,17 +55,38 @@ class CrackFaces:
     def __len__(self) -> int:
         return len(self.area)
 
+    @cached_property
+    def nodes(self) -> GlobalIndex:
+        """Return a number for every corner, of one face after the other: the same for corners that coincide."""
+        if not len(self):
+            return np.empty(0, dtype=np.int64)
+        points = np.concatenate(self.corners)
+        size = float(np.median(self.area)) ** (1.0 / (self.middle.shape[1] - 1))
+        same = cKDTree(points).query_pairs(SAME_POINT * size, output_type="ndarray")
+        one = coo_matrix((np.ones(len(same)), tuple(same.T)), shape=(len(points), len(points)))
+        return np.asarray(connected_components(one, directed=False)[1], dtype=np.int64)
+
+    @cached_property
+    def piece(self) -> GlobalIndex:
+        """Return a number for every face: the same for faces that corners connect."""
+        of = np.repeat(np.arange(len(self)), [len(corners) for corners in self.corners])
+        size = len(self) + 1 + int(self.nodes.max(initial=-1))
+        links = coo_matrix((np.ones(len(of)), (of, len(self) + self.nodes)), shape=(size, size))
+        return np.asarray(connected_components(links, directed=False)[1][: len(self)], dtype=np.int64)
+
     def smooth_area(self, radius: float) -> Float:
         """Return the areas as seen along the normal of the crack (n,).
 
         A slanted crack runs over the steps of a lattice, and the sum of the faces does not tend to its area. The normal
-        of the crack is that of the plane, or line, that fits the middles of the faces within a radius best.
+        of the crack is that of the plane, or line, that fits the middles of the faces best that are within a radius and
+        connected with this one.
         """
         if not len(self):
             return np.empty(0)
         near = cKDTree(self.middle).query_ball_point(self.middle, radius)
         seen = self.area.copy()
-        for face, members in enumerate(near):
+        for face, around in enumerate(near):
+            members = np.sort(np.array(around)[self.piece[around] == self.piece[face]])
             apart = self.middle[members] - self.middle[members].mean(axis=0)
             moments = (self.area[members, None] * apart).T @ apart
             size, axes = np.linalg.eigh(moments)
@@ -245,12 +269,7 @@ def crack_lines(faces: CrackFaces) -> list[Float]:
     n = len(faces)
     if not n:
         return []
-    ends = np.concatenate(faces.corners)
-    near = cKDTree(ends).query_pairs(SAME_POINT * float(np.median(faces.area)), output_type="ndarray")
-    node = np.arange(2 * n)
-    for a, b in near.tolist():
-        node[node == node[max(a, b)]] = node[min(a, b)]
-    of = node.reshape(n, 2)
+    of = faces.nodes.reshape(n, 2)
     at: dict[int, list[int]] = {}
     for face in range(n):
         for one in of[face].tolist():
@@ -264,19 +283,17 @@ def crack_lines(faces: CrackFaces) -> list[Float]:
     return lines
 
 
-def _line(
-    faces: CrackFaces, of: GlobalIndex, at: dict[int, list[int]], used: Mask, start: int, face: int
-) -> Float:  # fmt: skip
+def _line(faces: CrackFaces, of: GlobalIndex, at: dict[int, list[int]], used: Mask, start: int, face: int) -> Float:
     """Return the line from a node along a face to where it ends or forks."""
-    ends = np.concatenate(faces.corners)
-    points, here = [ends[start]], start
+    points, here = [faces.corners[face][int(of[face, 0] != start)]], start
     while True:
         used[face] = True
         points.append(faces.middle[face])
-        here = int(of[face].sum()) - here
+        there = int(of[face, 0] == here)
+        here, end = int(of[face, there]), faces.corners[face][there]
         beyond = [other for other in at[here] if not used[other]]
         if len(at[here]) != 2 or not beyond:
-            return np.array([*points, ends[here]])
+            return np.array([*points, end])
         face = beyond[0]
 
 
@@ -285,9 +302,10 @@ class CrackLength(Quantity):
     """Length of the cracks of a plane body, area of those of a solid one [length^(dim - 1)], from broken bonds.
 
     A crack is the faces between neighbouring particles, in the sense of Voronoi, whose bond is broken; its length is
-    that of the faces seen along the normal of the line, or plane, that fits them best within a horizon, so that one
-    that runs over the steps of a lattice has its own length. Where particles lose the bonds to both sides both faces
-    count. Of a part before mirror planes it is that of the part, half of a crack on a plane.
+    that of the faces seen along the normal of the line, or plane, that fits those best that are connected with them
+    within a horizon, so that one that runs over the steps of a lattice has its own length. Where particles lose the
+    bonds to both sides both faces count. Of a part before mirror planes it is that of the part, half of a crack on a
+    plane.
 
     A run that has it in its history leaves the crack of its last step in ``crack.vtk``, as lines or surfaces.
 

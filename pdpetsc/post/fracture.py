@@ -82,7 +82,7 @@ class AtTip(Quantity):
         """
         self.check(solution.problem.dim)
         domain = self._domain(solution)
-        why = trouble(solution, domain) or self._why_not(solution, domain)
+        why = trouble(solution, domain, self.follows is not None) or self._why_not(solution, domain)
         if why and self.follows is not None:
             return math.nan
         refuse(f"a {type(self).__name__} at {tuple(self.tip)}", why)

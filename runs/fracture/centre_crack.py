@@ -73,7 +73,8 @@ def measured(n, horizon, a, scheme, plane, angle):
     off = 0.25 * dx * (angle != 0.0) * np.array([1.0, -1.0])
     middle, along = 0.5 * np.array([width, length]) + off, np.array([np.cos(turn), np.sin(turn)])
     tip = tuple(middle + a * along)
-    room = min(a, 0.5 * width - a)
+    layer = 2.0 * horizon * dx * (angle != 0.0)
+    room = min(a, 0.5 * width - a * along[0] - layer - dx)
     near, far = (max(0.35 * room, horizon * dx), 0.7 * room), (max(0.6 * room, horizon * dx), 0.95 * room)
     q, modulus = 2.0 * a / WIDTH, plane_modulus(plane)
     K = np.sqrt(np.pi * a) * np.array([np.cos(turn) ** 2, np.sin(turn) * np.cos(turn)])
@@ -89,7 +90,6 @@ def measured(n, horizon, a, scheme, plane, angle):
             pd.Force(high, y=width),
         ]
     else:
-        layer = 2.0 * horizon * dx
         rim = ~pd.region.Box((layer, layer), (width - layer, length - layer))
 
         def exact(component):

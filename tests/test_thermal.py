@@ -459,3 +459,12 @@ def test_heat_alone_tears_no_bond_beside_a_broken_one():
     assert heated.matter.tensile_strain(heated.at(2.0 * free)).max() > 0.05
     assert heated.break_bonds(free) == 0
     assert np.abs(heated.internal_force(free)).max() < 1e-11
+
+
+def test_relaxation_finds_the_same_as_newton(tmp_path):
+    uneven = pd.Temperature(pd.region.All(), lambda x, t: t * (10.0 + x[:, 0] * x[:, 1]))
+    material = pd.Thermal(pd.Hencky(10.0, 0.3), 1e-3)
+    newton = block(material, uneven, fields=[])
+    rest = dataclasses.replace(newton, solver=pd.DynamicRelaxation())
+    a, b = (pd.run(case, output=tmp_path / "run").solution.u for case in (newton, rest))
+    assert np.abs(a - b).max() < 1e-4 * np.abs(a).max()

@@ -301,3 +301,22 @@ def test_what_cannot_be_is_refused(tmp_path):
         pd.run(lonely, output=tmp_path / "lonely")
     with pytest.raises(pd.CaseError, match="has no heat conduction"):
         pd.run(bar(pd.Temperature(EVERYWHERE, 1.0), fields=[pd.heat_flux]), output=tmp_path / "field")
+
+
+@pytest.mark.long
+def test_cracks_of_a_quenched_plate_are_further_apart_where_they_are_deep(tmp_path):
+    found = results("runs/thermal/quench.py", output=tmp_path)["results"]
+    spacing = [found[f"spacing_{n}"] for n in range(4)]
+    assert spacing == sorted(spacing) and spacing[3] >= 1.4 * spacing[0]
+    assert 1.0 < spacing[0] < 3.0
+
+
+def test_a_quenched_plate_breaks_alike_on_two_ranks(tmp_path):
+    words = "runs/thermal/quench.py", "dx=0.2", "half=2", "width=5", "steps=5", "time=0.1"
+    one, two = (results(*words, ranks=ranks, output=tmp_path / str(ranks)) for ranks in (1, 2))
+    histories = [
+        np.genfromtxt(tmp_path / str(ranks) / "history.csv", delimiter=",", names=True) for ranks in (1, 2)
+    ]  # fmt: skip
+    assert histories[0]["broken"][-1] > 20
+    assert np.array_equal(histories[0]["broken"], histories[1]["broken"])
+    assert abs(one["results"]["cooled_to"] - two["results"]["cooled_to"]) < 1e-7

@@ -444,3 +444,27 @@ def test_a_hot_plate_in_other_units_and_after_a_restart(tmp_path):
     rest = hot_plate(tmp_path / "rest", 4, restart=tmp_path / "part")
     assert np.array_equal(rest.solution.u, whole.solution.u)
     assert np.array_equal(pd.plastic_strain(rest.solution), plastic)
+
+
+def test_heat_alone_tears_no_bond_beside_a_broken_one():
+    law = pd.Brittle(pd.ConstantCritical(0.05))
+    model = scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3))
+    first = np.flatnonzero(model.cloud.x[:, 0] < 0.5)
+    u = np.zeros((model.cloud.n_owned, 2))
+    u[first, 0] = -0.3
+    assert model.break_bonds(u) > 0
+    heated = expanded(model, np.diag([0.2, 0.1, 0.0]))
+    free = model.cloud.x[: model.cloud.n_owned] * [0.2, 0.1]
+    assert np.abs(heated.matter.tensile_strain(heated.at(free))).max() < 1e-12
+    assert heated.matter.tensile_strain(heated.at(2.0 * free)).max() > 0.05
+    assert heated.break_bonds(free) == 0
+    assert np.abs(heated.internal_force(free)).max() < 1e-11
+
+
+def test_relaxation_finds_the_same_as_newton(tmp_path):
+    uneven = pd.Temperature(pd.region.All(), lambda x, t: t * (10.0 + x[:, 0] * x[:, 1]))
+    material = pd.Thermal(pd.Hencky(10.0, 0.3), 1e-3)
+    newton = block(material, uneven, fields=[])
+    rest = dataclasses.replace(newton, solver=pd.DynamicRelaxation())
+    a, b = (pd.run(case, output=tmp_path / "run").solution.u for case in (newton, rest))
+    assert np.abs(a - b).max() < 1e-4 * np.abs(a).max()

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.kernels.expanded import pull_back_kernel, pull_back_stress_kernel
 from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.material.thermal import Thermal
@@ -90,25 +91,22 @@ class ExpandedAtPoints(MaterialAtPoints):
         P = np.empty_like(elastic)
         for rows, _, constants, history in self._by_law():
             self._kernels.stress(elastic, rows, constants, history, P)
-        if not self.material.linear:
-            P = self._J[:, None, None] * (P @ self._inverse.transpose(0, 2, 1))
-        return self._times(P)
+        if self.material.linear:
+            return self._times(P)
+        made = np.empty_like(P)
+        pull_back_stress_kernel(P.shape[-1])(P, self._inverse, self._times(self._J), made)
+        return made
 
     def tangent(self, F: Float, A: Float) -> None:
         """Write A (all points, dim, dim, dim, dim) at its points."""
-        d = self.dim
-        A[self.points] = self._tangent(F[self.points])[:, :d, :d, :d, :d]
-
-    def _tangent(self, F: Float) -> Float:
-        """Return A of its points (n, inside, ...) for F (n, dim, dim) there."""
-        elastic, d = self._elastic(F), 3 if self._solid else self.dim
-        A = np.empty((len(F), d, d, d, d))
+        elastic, shown, inside = self._elastic(F[self.points]), self.dim, 3 if self._solid else self.dim
+        made = np.empty((len(elastic), *(inside,) * 4))
         for rows, _, constants, history in self._by_law():
-            self._kernels.tangent(elastic, rows, constants, history, A)
-        if not self.material.linear:
-            A = A.reshape(len(F), -1, d) @ self._inverse.transpose(0, 2, 1)
-            A = np.einsum("pma,piakn->pimkn", self._J[:, None, None] * self._inverse, A.reshape(-1, d, d, d, d))
-        return self._times(A)
+            self._kernels.tangent(elastic, rows, constants, history, made)
+        if self.material.linear:
+            A[self.points] = self._times(made[:, :shown, :shown, :shown, :shown])
+        else:
+            pull_back_kernel(inside, shown)(made, self._inverse, self._times(self._J), self.points, A)
 
     def same_tangent(self, F: Float) -> Float | None:
         """Return A (dim, dim, dim, dim) of a linear material that has the same everywhere, else None."""

@@ -147,7 +147,10 @@ class RelaxationSolver(LoadStepSolver):
             return None, 0.0
         external = self.problem.external_force(state)
         reaction = np.where(self._free, 0.0, force - external)
-        size = max(total(self._comm, [(external**2).sum(), (reaction**2).sum()]))
+        unstrained = self.problem.force_without_strain(self.t)
+        held = 0.0 if unstrained is None else float((unstrained**2).sum())
+        sums = total(self._comm, [(external**2).sum(), (reaction**2).sum(), held])
+        size = max(sums[:2]) if not np.isfinite(sums[2]) else max(sums)
         return np.where(self._free, external - force, 0.0), float(np.sqrt(size))
 
     def _norm(self, values: Float) -> float:

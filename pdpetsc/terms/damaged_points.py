@@ -197,7 +197,7 @@ class DamagedPoints(MaterialPoints):
         hurt = np.zeros(cloud.n_owned, dtype=bool)
         hurt[families.centres[~bonds_here.intact]] = True
         strain = np.zeros(len(bonds_here.intact))
-        deformation = self.deformation(state)
+        deformation = self.strained(state)
         points = np.flatnonzero(hurt[operator.owner] & (operator.volume > 0.0))
         if len(points) == 0:
             return strain

@@ -147,6 +147,14 @@ class MaterialPoints(Matter):
         # The operator is kept too: while it lives no other object can have its id.
         return state.kept(("F", id(operator)), lambda: (operator, make()))[1]
 
+    def strained(self, state: State) -> Float:
+        """Return what is left of F without the stress-free deformation, ``F F_theta^-1`` (n_points, dim, dim) [-]."""
+        F, expansion, dim = self.deformation(state), self.body.expansion, self.body.dim
+        if expansion is None:
+            return F
+        stretch = np.eye(dim) + expansion.strain(state.t)[:, :dim, :dim]
+        return np.asarray(F @ np.linalg.inv(stretch)[self.operator.owner])
+
     def admissible(self, state: State) -> bool:
         """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
         F = self.deformation(state)

@@ -49,8 +49,8 @@ def exact(model, u, rng):
 def test_the_tangent_with_history_is_exact_before_and_after_bonds_break(dim, scheme, material, rng):
     horizon = 3.3 if scheme == "smoothed_displacement" else 2.015
     made = WITH_HISTORY[material]
-    if material == "j2":
-        made = dataclasses.replace(made, yield_stress=0.1)
+    if hasattr(made, "yield_stress"):
+        made = dataclasses.replace(made, yield_stress=0.05)
     model = damaged_body(dim, LAWS["linear"](CRITICAL), EVERY_SCHEME[scheme], pd.Silling(0.5), made, rng, horizon)
     u = pulled(model, rng, 0.018)
     virgin = model.materials[0].history.copy()

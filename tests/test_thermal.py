@@ -468,3 +468,14 @@ def test_relaxation_finds_the_same_as_newton(tmp_path):
     rest = dataclasses.replace(newton, solver=pd.DynamicRelaxation())
     a, b = (pd.run(case, output=tmp_path / "run").solution.u for case in (newton, rest))
     assert np.abs(a - b).max() < 1e-4 * np.abs(a).max()
+
+
+def test_strain_that_a_body_has_without_stress_drives_no_damage():
+    """Criteria of the whole strain are refused, and so are patches that share the whole dilatation."""
+    heated = pd.Temperature(pd.region.All(), 20.0)
+    material = pd.Thermal(pd.LinearElastic(10.0), 1e-3)
+    strain = pd.LinearSoftening(pd.MazarsStrain(1e-3), ratio=5.0)
+    with pytest.raises(pd.CaseError, match="drives damage is the whole strain"):
+        pd.prepare(block(material, heated, damage=strain))
+    with pytest.raises(pd.CaseError, match="shares the whole dilatation"):
+        pd.prepare(block(material, heated, scheme=pd.MeanDilatation(pd.SubHorizons(), patch=2.0), control=None))

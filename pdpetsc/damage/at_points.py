@@ -213,6 +213,7 @@ class StrainCriterion(Criterion, ABC):
 
     critical: float
 
+    reads_strain: ClassVar[bool] = True
     reads_stiffness: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

@@ -362,12 +362,15 @@ class Criterion(Declared, ABC):
     ----------
     of_one_material : bool
         Whether what it resolves from the bonds fits a body of one material only.
+    reads_strain : bool
+        Whether it reads the whole strain of the gradients, with what a body expands by.
     reads_stiffness : bool
         Whether it reads the stiffness of bonds, which materials without one Young's modulus do not have.
     """
 
     of_one_material: ClassVar[bool] = False
     reads_stiffness: ClassVar[bool] = True
+    reads_strain: ClassVar[bool] = False
 
     @abstractmethod
     def build(self, bonds: DrivenBonds) -> Drive:

@@ -121,6 +121,11 @@ class BondDamage(Declared, ABC):
         return self.criterion.reads_stiffness
 
     @property
+    def reads_strain(self) -> bool:
+        """Return whether the criterion reads the whole strain of the gradients."""
+        return self.criterion.reads_strain
+
+    @property
     def places(self) -> list[tuple[str, Region]]:
         """Return its regions with what they are."""
         return [] if self.protected is None else [("What damage is protected from", self.protected)]

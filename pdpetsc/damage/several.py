@@ -108,6 +108,11 @@ class DamageOf(Declared):
         return any(law.reads_stiffness for law in self._declared)
 
     @property
+    def reads_strain(self) -> bool:
+        """Return whether a criterion reads the whole strain of the gradients."""
+        return any(law.reads_strain for law in self._declared)
+
+    @property
     def places(self) -> list[tuple[str, Region]]:
         """Return its regions with what they are."""
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]

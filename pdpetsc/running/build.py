@@ -227,6 +227,11 @@ def _problem(
         bonds = _neighbourhood(case, body.cloud, body.families)
         listed = _bonds if case.of_bonds else partial(_points, options=options)
         matter, others, damage = listed(case, body, bonds, materials, material_of, factor)
+    if case.expands and case.damage is not None and case.damage.reads_strain:
+        raise CaseError(
+            "What drives damage is the whole strain here, and part of it has no stress where a body expands or has "
+            "strain without stress; take a criterion of stretch, bond energy or stress."
+        )
     applied = apply(body, matter, case.conditions, case.particles)
     supports, heat = applied.supports, None
     if case.expands:

@@ -230,3 +230,19 @@ def test_plane_stress_and_damage_are_refused():
         pd.prepare(block(material=stress))
     with pytest.raises(pd.CaseError, match="bonds stay"):
         pd.prepare(block(damage=pd.Brittle(pd.ConstantCritical(0.1))))
+
+
+@pytest.mark.long
+def test_a_column_is_twisted_by_the_torque_of_the_incompressible_one(tmp_path):
+    """Against Rivlin's torque, which hardly knows nu; with Silling's control as it is the column is locked."""
+    case, words = "runs/solids/twisting_column.py", ("n=4", "angle=20", "steps=3")
+    found = {}
+    for method, nu in (("patches_control", 0.3), ("patches_control", 0.4999), ("control", 0.4999)):
+        folder = tmp_path / f"{method}{nu}"
+        found[method, nu] = results(case, *words, f"method={method}", f"nu={nu}", output=folder)["results"]
+    assert found["control", 0.4999]["torque_error"] > 3.0
+    assert abs(found["patches_control", 0.4999]["torque_error"]) < 0.2
+    assert found["patches_control", 0.4999]["torque"] == pytest.approx(
+        found["patches_control", 0.3]["torque"], rel=0.15
+    )
+    assert found["patches_control", 0.4999]["press"] > 0.0

@@ -170,6 +170,26 @@ def test_without_a_matrix_it_is_the_same(tmp_path):
         assert found[1][name] == pytest.approx(value, rel=1e-8)
 
 
+def test_half_a_body_beside_a_mirror_plane_is_the_whole(tmp_path):
+    """Patches end at the plane in both, where the half has an even number of layers."""
+    half = block(particles=pd.Lattice((0.0, 0.0), (8.0, 4.0), 1.0), symmetry=[pd.Symmetry("y")])
+    whole = block(particles=pd.Lattice((0.0, -4.0), (8.0, 4.0), 1.0))
+    one, two = (pd.run(case, tmp_path / str(n)).summary["results"] for n, case in enumerate((half, whole)))
+    for name, value in one.items():
+        assert two[name] == pytest.approx(2.0 * value, rel=1e-8)
+
+
+def test_in_a_periodic_cell_it_is_the_same_without_a_matrix(tmp_path):
+    held = pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0)
+    changes = {"cell": pd.Cell((0.0, 0.0), (8.0, 6.0)), "conditions": [held, pd.MeanStrain(xx=0.02)]}
+    found = [
+        pd.run(block(**changes), tmp_path / kind, options={"pd_jacobian": kind}).summary["results"]["energy"]
+        for kind in ("assembled", "matfree")
+    ]
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+    assert found[0] > 0.01
+
+
 def test_iterations_without_a_matrix_do_not_know_the_bulk_modulus(monkeypatch, tmp_path):
     """The solve with conditions as unknowns takes about as many at nu = 0.4999 as at 0.49."""
     solve, taken = Constrained.solve, []

@@ -11,7 +11,17 @@ from pdpetsc.running.build import control_of, repeated_share
 from pdpetsc.terms.control import ControlForces
 from pdpetsc.terms.following import FollowingForces
 from tests.commands import Stop, results
-from tests.scenes import ALL_CONTROLS, DIMS, SCHEMES, body, dense_tangent, differences, displacement, rotation
+from tests.scenes import (
+    ALL_CONTROLS,
+    DIMS,
+    SCHEMES,
+    body,
+    damaged_body,
+    dense_tangent,
+    differences,
+    displacement,
+    rotation,
+)
 
 STEEL = pd.J2(E=100.0, nu=0.3, yield_stress=1.0, hardening=5.0)
 FOLLOWED = {name: control for name, control in ALL_CONTROLS.items() if control is not None}
@@ -167,6 +177,40 @@ def test_a_body_that_does_not_yield_has_the_elastic_control(rng):
     kept = term_of(other)._yielding.kept
     assert np.all(kept[:, [0, 2]] == 1.0)
     assert np.abs(kept[:, 3]).max() < 1e-14
+
+
+@pytest.mark.parametrize("effect", [None, pd.PresentStretch()], ids=["last", "present"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_integrity_of_bonds_counts_besides(dim, effect, rng):
+    """With bonds that soften: forces are those of the damaged control times the secant, and the tangent is exact."""
+    law = pd.LinearSoftening(pd.ConstantCritical(0.02), **({} if effect is None else {"effect": effect}))
+    followed, elastic = (
+        damaged_body(dim, law, control=control, rng=np.random.default_rng(11))
+        for control in (pd.Following(pd.Silling()), pd.Silling())
+    )
+    u = displacement(followed, rng, 0.001) + 0.025 * (followed.cloud.x - followed.cloud.x.mean(axis=0))
+    for model in (followed, elastic):
+        model.soften(0.9 * u)
+    term = term_of(followed)
+    e = term.families(followed.at(u)).e
+    half = rng.uniform(size=len(e)) < 0.5
+    # Some families beyond what they have had, some not.
+    term._yielding.kept[:, 0], term._yielding.kept[:, 1] = 0.4, np.where(half, 0.6, 1.5) * e
+    term._yielding.kept[:, 2] = 0.1
+    term.restored()
+    secant = np.where(half, 0.1 + 0.3 * 0.6, 0.4)
+    assert np.allclose(term._yielding.secant(e), secant, rtol=1e-12)
+    control = next(one for one in elastic.problem.terms if isinstance(one, ControlForces)).at(elastic.at(u))
+    f, expected = np.zeros_like(u), np.zeros_like(u)
+    term.add_force(followed.at(u), f)
+    control.scaled(secant).force(u, expected, followed.families.everyone)
+    assert np.allclose(f, expected, atol=1e-11 * np.abs(f).max())
+    assert np.count_nonzero(followed.problem.damage.integrity(followed.at(u)) < 1.0) > 4
+    K = dense_tangent(followed, u)
+    columns = list(range(0, u.size, 7))
+    assert np.abs(K[:, columns] - differences(followed, u, columns)).max() < 2e-6 * np.abs(K).max()
+    du = rng.standard_normal(u.shape)
+    assert np.allclose(K @ du.ravel(), followed.tangent_times(u, du).ravel(), atol=1e-10 * np.abs(K).max())
 
 
 def strip(control=None, n=12, unit=1.0, force=1.0, steps=6):

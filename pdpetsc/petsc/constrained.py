@@ -70,10 +70,12 @@ class Constrained(Preconditioning):
 
     def equip(self, tangent: PETSc.Mat, ksp: PETSc.KSP) -> None:
         """Let the preconditioner of a solver be a solve with conditions as unknowns, where options do not ask else."""
-        pc = ksp.getPC()
         self._outer = ksp
+        pc = ksp.getPC()
         if pc.getType() == "python":
             pc.setPythonContext(_Solve(self))
+        else:
+            self._levels.equip(tangent, ksp)
 
     def solve(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Write to y what the system makes of forces x."""

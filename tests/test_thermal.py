@@ -406,6 +406,8 @@ def test_strip_of_two_metals_bends_as_timoshenko_says(tmp_path):
 def test_cylinder_that_is_hot_inside(tmp_path):
     found = results("runs/thermal/cylinder.py", "n=8", output=tmp_path / "run")["results"]
     assert found["error_u"] < 0.02 and found["error_stress"] < 0.13 and found["error_axial"] < 0.035
+    found = results("runs/thermal/cylinder.py", "n=8", "field=conducted", output=tmp_path / "conducted")["results"]
+    assert found["error_T"] < 0.03 and found["error_u"] < 0.045 and found["error_stress"] < 0.13
 
 
 def hot_plate(folder, steps, force=1.0, length=1.0, restart=None, **changes):

@@ -1,7 +1,9 @@
 """Thick cylinder whose inner surface is hotter, plane strain, against the closed form. Units m, N, K.
 
 Radii 1 and 2, ``n`` particles across, the steady temperature ``T = T_i ln(b / r) / ln(b / a)``, Hooke's law. ``mesh``
-is one of the clouds of ``convergence/ring.py``. ``error_axial`` is that of the stress along the axis.
+is one of the clouds of ``convergence/ring.py``. ``error_axial`` is that of the stress along the axis. With
+``field=conducted`` the temperature is that of heat conduction between surfaces that convect ten thousand times as well
+as the cylinder conducts, and ``error_T`` that against the closed form.
 """
 
 import sys
@@ -16,6 +18,7 @@ import common
 import rings
 
 E, NU, ALPHA, RISE = 1.0, 0.3, 1e-3, 100.0
+WELL = 1e4
 INNER, OUTER = rings.INNER, rings.OUTER
 
 
@@ -63,15 +66,21 @@ class Axial(pd.Quantity):
 
 def case(
     n=12, mesh="quads", shake=0.2, seed=0, scheme="correspondence", weights="conforming", horizon=2.015, G=0.5,
+    field="prescribed",
 ):  # fmt: skip
     particles = rings.cloud(mesh, n, shake, seed)
     spacing = common.spacing_of(particles)
     errors = common.errors(displacement, stress, surface=rings.HOLE)
-    history = {**errors["history"], "error_axial": Axial()}
+    history = {**errors["history"], "error_axial": Axial(), "error_T": common.ErrorL2(pd.temperature, temperature)}
+    heated = {
+        "prescribed": [pd.Temperature(pd.region.All(), temperature)],
+        "conducted": [pd.Convection(rings.HOLE, WELL, RISE), pd.Convection(~rings.HOLE, WELL, 0.0)],
+    }
     return pd.Case(
         particles=particles,
-        material=pd.Thermal(pd.LinearElastic(E=E, nu=NU), expansion=ALPHA),
-        conditions=[*rings.supports(displacement), pd.Temperature(pd.region.All(), temperature)],
+        material=pd.Thermal(pd.LinearElastic(E=E, nu=NU), expansion=ALPHA, conductivity=1.0),
+        conditions=[*rings.supports(displacement), *pd.choose("field", field, heated)],
+        heat=pd.HeatConduction() if field == "conducted" else None,
         **{
             **common.common(scheme, weights, horizon, G, spacing),
             "fields": [pd.displacement, pd.stress, pd.temperature],

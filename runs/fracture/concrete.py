@@ -5,15 +5,15 @@ import numpy as np
 import pdpetsc as pd
 
 
-def bilinear(E, strength, Gf, horizon, protected=None, share=1.0 / 3.0, kink=0.8 / 3.6):
+def bilinear(E, strength, Gf, horizon, protected=None, share=1.0 / 3.0, kink=0.8 / 3.6, snap=9.0 / (4.0 * np.pi)):
     """Return bonds that begin to soften at the strength under uniaxial stress and take ``Gf`` over a unit area.
 
     The force falls to a third at 0.8 / 3.6 of the last stretch, as the stress does with the opening of a crack
     (Petersson), or to another share at another kink. With constant influence in plane stress bonds that snap at the
-    stretch s take 9 E s^2 horizon / (4 pi).
+    stretch s take 9 E s^2 horizon / (4 pi), or ``snap`` for 9 / (4 pi).
     """
     critical = strength / E
-    energy = Gf / (9.0 * E * critical**2 * horizon / (4.0 * np.pi))
+    energy = Gf / (snap * E * critical**2 * horizon)
     ratio = 1.0 + (energy - 1.0) / (kink + share)
     return pd.BilinearSoftening(
         pd.ConstantCritical(critical), 1.0 + kink * (ratio - 1.0), share, ratio, protected=protected
@@ -26,16 +26,31 @@ def at_peak(factors, load):
     return {"peak_load": factors[peak] * load, "last_load": factors[-1] / factors[peak]}, peak
 
 
-# Largest traction across a plane that opens over E times the critical stretch, in plane stress with constant influence:
-# where bonds soften slowly all of them reach their largest force, also the oblique ones.
-OPENING = 1.5
+def of_plane(m):
+    """Return what a plane of a square lattice takes that opens across a lattice axis, for a horizon of m spacings.
+
+    The largest traction over E times the critical stretch, where bonds soften so slowly that all of them reach their
+    largest force, and the energy over ``E s^2 horizon`` of bonds that snap at the stretch s; 1.5 and 9 / (4 pi) where
+    there are many bonds. Plane stress, constant influence.
+    """
+    C, traction, energy = np.zeros((2, 2, 2, 2)), 0.0, 0.0
+    reach = range(-int(m), int(m) + 1)
+    for xi in ((a, b) for a in reach for b in reach if 0.0 < np.hypot(a, b) <= m):
+        length = np.hypot(*xi)
+        n = np.array(xi) / length
+        C += 0.5 * length * np.einsum("i,j,k,l->ijkl", n, n, n, n)
+        across = max(xi[0], 0)
+        traction += across**2 / length
+        energy += 0.5 * across * length
+    modulus = C[0, 0, 0, 0] - C[0, 0, 1, 1] ** 2 / C[1, 1, 1, 1]
+    return traction / modulus, energy / modulus / m
 
 
 def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=0.0, at=(), load=1000.0, smallest=1e-3):
     """Return a notched beam in three-point bending, bond-based in plane stress, followed by the opening of its notch.
 
     Bonds soften bilinearly, to a quarter of their largest force at 0.15 of the last stretch (Wittmann), and a plane
-    that opens has the strength as its largest traction.
+    that opens has the strength as its largest traction and takes ``Gf``, on the lattice that there is.
 
     Parameters
     ----------
@@ -57,6 +72,7 @@ def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=
     length, depth, width = size
     dx = depth / n
     delta = horizon * dx
+    traction, snap = of_plane(horizon)
     middle, mouth = 0.5 * length, 0.5 * length - offset
     low = pd.region.Slab("y", high=dx)
     feet = [middle - 0.5 * span, middle + 0.5 * span]
@@ -87,7 +103,7 @@ def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=
         horizon=delta,
         material=pd.BondBased(E=E, plane="stress", calibration="family"),
         cracks=[pd.Segment((mouth, -1.0), (mouth, notch))],
-        damage=bilinear(E, strength / OPENING, Gf, delta, under | rests[0] | rests[1], share=0.25, kink=0.75 / 5.0),
+        damage=bilinear(E, strength / traction, Gf, delta, under | rests[0] | rests[1], 0.25, 0.75 / 5.0, snap),
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0),
             pd.Displacement(right, y=0.0),

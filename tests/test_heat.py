@@ -311,6 +311,7 @@ def test_cracks_of_a_quenched_plate_are_further_apart_where_they_are_deep(tmp_pa
     assert 1.0 < spacing[0] < 3.0
 
 
+@pytest.mark.long
 def test_a_quenched_plate_breaks_alike_on_two_ranks(tmp_path):
     words = "runs/thermal/quench.py", "dx=0.2", "half=2", "width=5", "steps=5", "time=0.1"
     one, two = (results(*words, ranks=ranks, output=tmp_path / str(ranks)) for ranks in (1, 2))

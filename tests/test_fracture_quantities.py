@@ -607,6 +607,17 @@ def test_damage_dissipation_adds_up_and_cracks_are_left_as_a_file(tmp_path):
         pd.damage_dissipation(pd.prepare(gradients).solution())
 
 
+def test_particles_on_one_line_have_no_faces():
+    x = np.stack([np.arange(10.0), np.zeros(10)], axis=1)
+    case = pd.Case(
+        particles=pd.Arrays(x, np.ones(10)), horizon=2.015, material=pd.BondBased(1.0, plane="stress"),
+        cracks=[pd.Segment((4.5, -1.0), (4.5, 1.0))],
+        conditions=[pd.Displacement(pd.region.All(), x=0.0, y=0.0)],
+    )  # fmt: skip
+    with pytest.raises(pd.CaseError, match="lie on one line or plane"):
+        pd.crack_faces(pd.prepare(case).solution(), precracks=True)
+
+
 @pytest.mark.long
 def test_a_crack_that_runs_takes_its_fracture_energy(tmp_path):
     """J about the tip that moves is Gc, steadily, on both contours."""

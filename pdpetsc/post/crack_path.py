@@ -111,7 +111,7 @@ def crack_faces(solution: Solution, region: Region = EVERYWHERE, precracks: bool
     Raises
     ------
     CaseError
-        The body is a line.
+        The body is a line, or its particles lie on one.
 
     Notes
     -----
@@ -187,8 +187,11 @@ def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float
     scale = reach
     try:
         diagram = Voronoi((cloud.x[near] - cloud.x[near].mean(axis=0)) / scale)
-    except QhullError:
-        return none
+    except QhullError as error:
+        raise CaseError(
+            f"The particles about the broken bond at {cloud.x[pairs[0, 0]]} lie on one line or plane and have no faces "
+            f"between them; leave the CrackLength out."
+        ) from error
     ridges = {(min(p), max(p)): n for n, p in enumerate(diagram.ridge_points.tolist())}
     thickness = solution.problem.body.thickness if dim == 2 else 1.0
     rows, corners = [], []

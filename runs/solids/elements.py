@@ -156,7 +156,10 @@ class Body:
                 return True
             if not np.isfinite(size):
                 break
-            change = splu(self._stiff(F)[free][:, free].tocsc()).solve((force - load)[free])
+            try:
+                change = splu(self._stiff(F)[free][:, free].tocsc()).solve((force - load)[free])
+            except RuntimeError:  # exactly singular
+                break
             for length in (1.0, 0.5, 0.25, 0.125):
                 moved = u.copy()
                 moved[free] -= length * change

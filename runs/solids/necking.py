@@ -59,18 +59,21 @@ def in_disc(square):
 def particles(n, waist):
     """Return the cells of an eighth of the bar, n across the radius and as long as wide, and their length.
 
-    The particles of the last layer lie on the end itself, where the bar is pulled.
+    The particles of the last layer, of half cells, lie on the end itself, where the bar is pulled.
     """
-    layers = max(round(0.5 * LENGTH / (RADIUS / n)), 2)
-    axes = [np.linspace(0.0, 1.0, n + 1)] * 2 + [np.linspace(0.0, 0.5 * LENGTH, layers + 1)]
+    layers = max(round(0.5 * LENGTH / (RADIUS / n) - 0.5), 2)
+    cell = 0.5 * LENGTH / (layers + 0.5)
+    axes = [np.linspace(0.0, 1.0, n + 1)] * 2 + [np.append(np.arange(layers + 1) * cell, 0.5 * LENGTH)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     # Straight sides of the cells cut the circle: the polygon has its area.
     angle = 0.25 * math.pi / n
     points[:, :2] = in_disc(points[:, :2]) * radius(points[:, 2], waist)[:, None] * math.sqrt(angle / math.sin(angle))
-    block, cell = common.cubes((n, n, layers)), 0.5 * LENGTH / layers
+    block = common.cubes((n, n, layers + 1))
     volume, moment = volumes_and_moments(points, block)
     x = moment / volume[:, None]
-    x[x[:, 2] > 0.5 * LENGTH - cell, 2] = 0.5 * LENGTH
+    end = points.reshape(n + 1, n + 1, -1, 3)[:, :, -1, :2].reshape(-1, 2)
+    _, middles = common.centres(end, common.cubes((n, n)))
+    x.reshape(n, n, -1, 3)[:, :, -1] = np.insert(middles, 2, 0.5 * LENGTH, axis=1).reshape(n, n, 3)
     return common.of_cells(points, block, x), cell
 
 

@@ -58,6 +58,7 @@ def bar(across, along, waist, steps, end=necking.END, ends="free"):
                 sys.exit(f"Newton's method did not converge after an elongation of {end * t:g} mm.")
             continue
         t, dt = now, min(1.0 / steps, 1.5 * dt)
+        print(f"{across} x {along}: elongation {end * t:.4g} mm", flush=True)
         found["elongation"].append(end * t)
         found["force"].append(float(body.force[vertical & top].sum()))
         found["radius"].append(float(x[0][edge[0]] + body.u[edge[0]]))
@@ -71,8 +72,8 @@ def rounded(found):
 def main():
     stored = {
         "perfect": rounded(bar(2, 4, 1.0, 70)),
-        "waist": rounded(bar(12, 48, necking.WAIST, 140)),
-        "waist_coarse": rounded(bar(6, 24, necking.WAIST, 140)),
+        "waist_coarse": rounded(bar(5, 16, necking.WAIST, 100)),
+        "waist": rounded(bar(10, 32, necking.WAIST, 100)),
     }
     STORE.write_text(json.dumps(stored) + "\n")
     for name, found in stored.items():

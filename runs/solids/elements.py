@@ -6,8 +6,9 @@ radius, the third direction goes round, and every integral has the factor ``2 pi
 """
 
 import numpy as np
+from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
-from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm
+from skfem import Basis, ElementQuad2, ElementVector, LinearForm
 
 DIFFERENCE = 1e-7
 # Largest residual on the free nodes over the reactions.
@@ -40,7 +41,7 @@ class Law:
             y, slope = self.hardening(self.alpha + flow)
             change = (q - 3.0 * self.mu * flow - y) / (3.0 * self.mu + slope)
             flow = np.maximum(flow + change, 0.0)
-            if np.abs(np.where(flow > 0.0, change, 0.0)).max() < 1e-15:
+            if np.abs(np.where(flow > 0.0, change, 0.0)).max() < 1e-13:
                 break
         deviator *= (1.0 - 3.0 * self.mu * flow / np.maximum(q, 1e-300))[:, None]
         principal = (self.lam + 2.0 * self.mu / 3.0) * volume + deviator
@@ -63,27 +64,6 @@ class Law:
             change = (self.respond(F + d)[0] - self.respond(F - d)[0]) / (2.0 * DIFFERENCE)
             A[:, column] = [change[:, i, j] for i, j in PARTS]
         return A
-
-
-def _parts(v, w):
-    """Return the moving parts of the gradient of v; the hoop strain is none in plane strain."""
-    hoop = v[0] / w.x[0] if w.round else 0.0 * v[0]
-    return [v.grad[0, 0], v.grad[0, 1], v.grad[1, 0], v.grad[1, 1], hoop]
-
-
-def _weight(w):
-    return 2.0 * np.pi * w.x[0] if w.round else 1.0
-
-
-@LinearForm
-def internal(v, w):
-    return sum(w.P[a] * part for a, part in enumerate(_parts(v, w))) * _weight(w)
-
-
-@BilinearForm
-def stiffness(u, v, w):
-    left, right = _parts(v, w), _parts(u, w)
-    return sum(w.A[a, b] * left[a] * right[b] for a in range(5) for b in range(5)) * _weight(w)
 
 
 @LinearForm
@@ -112,6 +92,7 @@ class Body:
         for group in (self.basis.nodal_dofs, self.basis.facet_dofs, self.basis.interior_dofs):
             vertical[group[1]] = True
         self.vertical, self.x = vertical, self.basis.doflocs
+        self.parts, self.weight = self._parts()
         self.force = self._forces(self.u)[1]
 
     def gradient(self, u):
@@ -125,33 +106,56 @@ class Body:
             F[:, 2, 2] += (np.asarray(field)[0] / radius).ravel()
         return F
 
+    def _parts(self):
+        """Return the moving parts of the gradients of the basis, (5, basis functions, elements, points)."""
+        radius = np.asarray(self.basis.global_coordinates())[0]
+        found = []
+        for (field,) in self.basis.basis:
+            grad, value = np.asarray(field.grad), np.asarray(field)
+            hoop = value[0] / radius if self.round else np.zeros(self.shape)
+            # What is constant over the elements is kept once.
+            found.append([np.broadcast_to(part, self.shape) for part in (*grad.reshape(4, *grad.shape[2:]), hoop)])
+        weight = self.basis.dx * (2.0 * np.pi * radius if self.round else 1.0)
+        return np.moveaxis(np.array(found), 0, 1), weight
+
     def _forces(self, u):
         F = self.gradient(u)
         P = self.law.respond(F)[0]
         parts = np.stack([P[:, i, j].reshape(self.shape) for i, j in PARTS])
-        return F, internal.assemble(self.basis, P=parts, round=self.round)
+        local = np.einsum("aieq,aeq,eq->ie", self.parts, parts, self.weight, optimize=True)
+        return F, np.bincount(self.basis.element_dofs.ravel(), local.ravel(), self.basis.N)
 
     def _stiff(self, F):
-        A = self.law.tangent(F).reshape(5, 5, *self.shape)
-        return stiffness.assemble(self.basis, A=A, round=self.round).tocsr()
+        A = self.law.tangent(F).reshape(5, 5, *self.shape) * self.weight
+        local = np.einsum("aieq,abeq,bjeq->ije", self.parts, A, self.parts, optimize=True)
+        rows, columns = np.broadcast_arrays(self.basis.element_dofs[:, None], self.basis.element_dofs[None])
+        size = (self.basis.N, self.basis.N)
+        return coo_matrix((local.ravel(), (rows.ravel(), columns.ravel())), size).tocsr()
 
-    def step(self, held, values, load=0.0):
-        """March to prescribed displacements and a load (n,); return whether Newton's method converged."""
+    def step(self, held, values, load=0.0, ratio=0.0):
+        """March to prescribed displacements and a load (n,); return whether Newton's method converged.
+
+        It starts from the last increment times ``ratio``, or from the linear response of the last state where that is
+        zero: at a state that has flowed the tangent is elastic.
+        """
         free = np.setdiff1d(np.arange(self.basis.N), held)
         start, u = self.u, self.u.copy()
-        K = self._stiff(self.gradient(u))
-        # The supports move with the linear response of the last state, so that no layer takes the whole increment.
-        increment = np.zeros(self.basis.N)
-        increment[held] = values - u[held]
-        u += increment
         load = load * np.ones(self.basis.N)
-        right = (K @ increment + self.force - load)[free]
-        u[free] -= splu(K[free][:, free].tocsc()).solve(right)
+        if ratio > 0.0:
+            u += ratio * self.increment
+            u[held] = values
+        else:
+            K = self._stiff(self.gradient(u))
+            increment = np.zeros(self.basis.N)
+            increment[held] = values - u[held]
+            right = (K @ increment + self.force - load)[free]
+            u += increment
+            u[free] -= splu(K[free][:, free].tocsc()).solve(right)
         F, force = self._forces(u)
         for _ in range(STEPS):
             size = np.linalg.norm((force - load)[free])
             if size < TOLERANCE * np.linalg.norm(force[held]):
-                self.u, self.force = u, force
+                self.u, self.force, self.increment = u, force, u - start
                 self.law.keep(F)
                 return True
             if not np.isfinite(size):
@@ -167,5 +171,4 @@ class Body:
                 if np.linalg.norm((force - load)[free]) < size:
                     break
             u = moved
-        self.u = start
         return False

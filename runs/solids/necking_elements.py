@@ -48,17 +48,16 @@ def bar(across, along, waist, steps, end=necking.END, ends="free"):
     held = np.flatnonzero(fixed)
     edge = np.flatnonzero(~vertical & np.isclose(x[1], 0.0) & np.isclose(x[0], x[0][np.isclose(x[1], 0.0)].max()))
     found = {"elongation": [0.0], "force": [0.0], "radius": [float(x[0][edge[0]])]}
-    t, dt = 0.0, 1.0 / steps
+    t, dt, last = 0.0, 1.0 / steps, 0.0
     while t < 1.0 - 1e-9:
         now = min(t + dt, 1.0)
         values = np.where(vertical & top, 0.5 * end * now, 0.0)[held]
-        if not body.step(held, values):
+        if not body.step(held, values, ratio=(now - t) / last if last else 0.0):
             dt *= 0.5
             if dt < LEAST / steps:
                 sys.exit(f"Newton's method did not converge after an elongation of {end * t:g} mm.")
             continue
-        t, dt = now, min(1.0 / steps, 1.5 * dt)
-        print(f"{across} x {along}: elongation {end * t:.4g} mm", flush=True)
+        last, t, dt = now - t, now, min(1.0 / steps, 1.5 * dt)
         found["elongation"].append(end * t)
         found["force"].append(float(body.force[vertical & top].sum()))
         found["radius"].append(float(x[0][edge[0]] + body.u[edge[0]]))

@@ -34,6 +34,8 @@ MATERIALS = {
     "j2_saturating": pd.J2(
         E=10.0, nu=0.3, yield_stress=0.3, hardening=pd.hardening.Linear(0.5) + pd.hardening.Voce(0.4, 8.0)
     ),
+    "kinematic_j2": pd.KinematicJ2(E=10.0, nu=0.3, yield_stress=0.3, kinematic=0.6, hardening=0.4),
+    "drucker_prager": pd.DruckerPrager(E=10.0, nu=0.3, cohesion=0.2, friction=0.4, hardening=1.0),
 }
 
 

@@ -1,0 +1,59 @@
+"""Elastic-plastic solids with numbers: the bar that necks, Cook's membrane, the cylinder that is opened."""
+
+import importlib.util
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import pdpetsc as pd
+from tests.commands import ROOT
+
+NECKING, COOK, CYLINDER = (f"runs/solids/{name}.py" for name in ("necking", "cook_plastic", "cylinder_expansion"))
+
+
+def module_of(path):
+    sys.path.insert(0, str(ROOT / "runs/solids"))
+    spec = importlib.util.spec_from_file_location(f"case_{path.split('/')[-1][:-3]}", ROOT / path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_bar_without_a_waist_is_strained_uniformly(tmp_path):
+    """Force and radius over the elongation are those of the law of one point, up to the peak and beyond."""
+    bar = module_of(NECKING)
+    found = pd.run(bar.case(n=2, waist=1.0, end=9.0, steps=9), output=tmp_path).history
+    for t, quarter, radius in zip(found["t"][1:], found["quarter_force"][1:], found["radius"][1:], strict=True):
+        strain = math.log1p(9.0 * t / bar.LENGTH)
+        stress = brentq(lambda tau, e=strain: tau - yields(bar, e - tau / bar.E), 0.0, 1e4, xtol=1e-9)
+        lateral = -bar.NU * stress / bar.E - 0.5 * (strain - stress / bar.E)
+        area = math.pi * bar.RADIUS**2
+        assert 4.0 * abs(quarter) == pytest.approx(stress * math.exp(-strain) * area, rel=1e-8)
+        assert radius == pytest.approx(bar.RADIUS * math.exp(lateral), rel=1e-8)
+    # Considere's point, with elastic strains; without them it is the literature's 79.6 kN at 7.1 mm.
+    force = 4.0 * np.abs(found["quarter_force"])
+    assert force.max() == pytest.approx(79.46e3, rel=1e-4)
+    assert 9.0 * found["t"][int(force.argmax())] == pytest.approx(7.0)
+
+
+def yields(bar, alpha):
+    return bar.YIELD + bar.LINEAR * alpha - bar.SATURATION * math.expm1(-bar.RATE * alpha)
+
+
+def test_finite_elements_of_the_bar_without_a_waist_are_that_too():
+    bar, stored = module_of(NECKING), json.loads((ROOT / "runs/solids/necking_elements.json").read_text())["perfect"]
+    for elongation, force in zip(stored["elongation"][1:], stored["force"][1:], strict=True):
+        strain = math.log1p(elongation / bar.LENGTH)
+        stress = brentq(lambda tau, e=strain: tau - max(yields(bar, max(e - tau / bar.E, 0.0)), 0.0), 0.0, 1e4)
+        assert force == pytest.approx(stress * math.exp(-strain) * math.pi * bar.RADIUS**2, rel=1e-6)
+
+
+def test_the_stress_of_the_rigid_plastic_cylinder_is_that_of_the_literature():
+    cylinder = module_of(CYLINDER)
+    found = [cylinder.rigid_plastic(a) for a in (20.0, 40.0, 85.0)]
+    assert found == pytest.approx([-0.1615, -0.0496, -0.01174], rel=1e-3)

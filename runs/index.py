@@ -21,7 +21,7 @@ FOLDERS = {
     "patch": "Patch tests, eigenvalues, clouds without a lattice",
     "convergence": "Orders of convergence against exact solutions and finite elements",
     "hard": "Large strains and shaken clouds: what every method makes of hard cases",
-    "solids": "Hyperelastic solids against closed forms",
+    "solids": "Solids: rubber, necking, bending and expansion in plastic flow",
     "bonds": "Bond-based and state-based materials against closed forms",
     "fracture": "Cracks, softening, complete separation",
     "localisation": "Where damage localises: periodic cells, event by event",

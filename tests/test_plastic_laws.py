@@ -460,6 +460,22 @@ def test_steps_are_cut_where_plastic_strain_grows_by_too_much(tmp_path):
         pd.run(case(growth=1e-6), output=tmp_path)
 
 
+def test_a_run_into_states_without_stress_ends_in_one_sentence(tmp_path):
+    """A cell of soil that does not dilate is pulled in both directions, beyond the apex of its cone."""
+    soil = dataclasses.replace(LAWS["drucker_prager"], dilatancy=0.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0),
+        horizon=1.515,
+        material=soil,
+        scheme=pd.Correspondence(),
+        cell=pd.Cell((0.0, 0.0), (4.0, 4.0)),
+        conditions=[pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.MeanStrain(xx=0.1, yy=0.1)],
+        steps=pd.Steps(2),
+    )
+    with pytest.raises(pd.SolveError, match=r"No convergence from step time 0.*a material has no stress"):
+        pd.run(case, output=tmp_path)
+
+
 def test_a_law_with_a_rate_needs_load_steps(tmp_path):
     case = load_case(ROOT / CASE)
     with pytest.raises(pd.CaseError, match="which is no time"):

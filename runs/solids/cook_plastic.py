@@ -48,7 +48,7 @@ class TipError(pd.Quantity):
 
 
 def case(
-    n=16, cloud="nodes", scheme="correspondence", weights="conforming", horizon=2.015, G=0.1, steps=40, growth=0.0,
+    n=16, cloud="nodes", scheme="correspondence", weights="conforming", horizon=2.015, G=0.001, steps=20, growth=0.0,
 ):  # fmt: skip
     known = {"nodes": common.cubes, "simplices": common.simplices}
     points, block = common.grid(n, 0.0, 0, (1.0, 1.0), pd.choose("cloud", cloud, known))

@@ -7,7 +7,9 @@ its volume,
 ``sigma_rr(a) = -(sigma_0 / sqrt(3)) ln((b^2 + a^2 - A^2) / a^2)``
 
 with the undeformed radii A and b, and the inner radius a: -0.1615, -0.0496 and -0.01174 at 20, 40 and 85 mm (the
-literature's numbers). Results ``stress_20``, ``stress_40``, ``stress_85`` are the mean radial stress at the inner
+literature's numbers). Elastic strains of half a percent are small beside plastic ones of more than 200 %; with the
+literature's E = 11050 and nu = 0.454 (``E=11050 nu=0.454``) the volume has to be kept to 1e-6 for stresses as small as
+these. Results ``stress_20``, ``stress_40``, ``stress_85`` are the mean radial stress at the inner
 surface from the reaction, ``_error`` each against that formula.
 """
 
@@ -24,7 +26,7 @@ sys.path.append(str(Path(__file__).parent.parent / "convergence"))
 import common
 
 INNER, OUTER, END = 10.0, 20.0, 85.0
-E, NU, YIELD = 11050.0, 0.454, 0.5
+E, NU, YIELD = 100.0, 0.3, 0.5
 ASKED = (20.0, 40.0, 85.0)
 
 
@@ -59,7 +61,7 @@ class InnerStress(pd.Quantity):
 
 
 def case(
-    n=8, scheme="correspondence", weights="conforming", horizon=2.015, G=0.1, steps=150, E=E, nu=NU, growth=0.0,
+    n=8, scheme="correspondence", weights="conforming", horizon=2.015, G=1e-4, steps=75, E=E, nu=NU, growth=0.0,
 ):  # fmt: skip
     inner = pd.region.Sphere((0.0, 0.0), INNER * (1.0 + 1e-6))
     x, y = (lambda places, t, axis=axis: (radius(t) / INNER - 1.0) * places[:, axis] for axis in (0, 1))

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 import pdpetsc as pd
-from tests.commands import ROOT
+from tests.commands import ROOT, results
 
 NECKING, COOK, CYLINDER = (f"runs/solids/{name}.py" for name in ("necking", "cook_plastic", "cylinder_expansion"))
 
@@ -57,3 +57,32 @@ def test_the_stress_of_the_rigid_plastic_cylinder_is_that_of_the_literature():
     cylinder = module_of(CYLINDER)
     found = [cylinder.rigid_plastic(a) for a in (20.0, 40.0, 85.0)]
     assert found == pytest.approx([-0.1615, -0.0496, -0.01174], rel=1e-3)
+
+
+@pytest.mark.long
+def test_the_tip_of_the_membrane_converges_to_finite_elements(tmp_path):
+    """From above with a soft control, which bends too easily on few particles, and from below with a stiff one."""
+    found = {
+        (n, G): results(COOK, f"n={n}", f"G={G}", output=tmp_path)["results"]["tip_error"]
+        for n, G in ((8, 0.001), (16, 0.001), (8, 0.01), (16, 0.01))
+    }
+    assert found[8, 0.001] == pytest.approx(0.165, rel=2e-2)
+    assert found[16, 0.001] == pytest.approx(0.038, rel=5e-2)
+    assert found[8, 0.01] == pytest.approx(-0.0856, rel=2e-2)
+    assert found[16, 0.01] == pytest.approx(-0.0297, rel=5e-2)
+
+
+@pytest.mark.long
+def test_the_stress_of_the_cylinder_converges_to_the_rigid_plastic_one(tmp_path):
+    coarse, fine = (results(CYLINDER, f"n={n}", output=tmp_path)["results"] for n in (4, 8))
+    for a, most in ((20, 1e-3), (40, 0.01), (85, 0.15)):
+        assert abs(fine[f"stress_{a}_error"]) < min(most, 0.15 * abs(coarse[f"stress_{a}_error"]))
+
+
+@pytest.mark.long
+def test_the_bar_necks_at_the_force_of_finite_elements(tmp_path):
+    found = results(NECKING, "n=3", "end=10", "steps=40", output=tmp_path)["results"]
+    assert abs(found["peak_force_error"]) < 2e-3
+    assert abs(found["elongation_at_peak_error"]) < 0.05
+    # The neck is as wide as a horizon allows, and less deep than that of elements.
+    assert 0.0 < found["neck_radius_error"] < 0.1

@@ -240,14 +240,14 @@ def strip(control=None, n=12, unit=1.0, force=1.0, steps=6):
 
 def test_the_work_is_what_is_stored_and_lost(tmp_path):
     errors = []
-    for steps in (20, 40):
+    for steps in (12, 24):
         h = pd.run(strip(steps=steps), tmp_path / f"{steps}").history
         held = h["strain"] + h["control"]
         errors.append(np.abs(h["work"] - held).max() / np.abs(h["work"]).max())
         assert h["control"].min() >= 0.0
         assert h["plastic"][-1] > 0.01
     assert errors[1] < 0.6 * errors[0]
-    assert errors[1] < 5e-3
+    assert errors[1] < 0.02
 
 
 def test_it_is_the_same_in_all_units_and_gives_way(tmp_path):
@@ -322,15 +322,16 @@ def test_a_control_without_families_is_refused_in_one_sentence(rng):
         model.internal_force(displacement(model, rng))
 
 
-NECK = "runs/solids/yielding_neck.py"
+NECK, COOK = "runs/solids/yielding_neck.py", "runs/solids/yielding_cook.py"
 
 
 def test_two_ranks_find_what_one_does(tmp_path):
-    words = "n=3", "steps=20"
-    one = results(NECK, *words, output=tmp_path / "one")["results"]
-    two = results(NECK, *words, ranks=2, output=tmp_path / "two")["results"]
-    for name, value in one.items():
-        assert two[name] == pytest.approx(value, rel=1e-8)
+    words = "n=6", "steps=4"
+    one = results(COOK, *words, output=tmp_path / "one")["results"]
+    elastic = results(COOK, *words, "method=elastic", output=tmp_path / "elastic")["results"]
+    two = results(COOK, *words, ranks=2, output=tmp_path / "two")["results"]
+    assert one["tip"] > 1.1 * elastic["tip"]
+    assert two["tip"] == pytest.approx(one["tip"], rel=1e-8)
 
 
 @pytest.mark.long

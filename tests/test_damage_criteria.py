@@ -22,6 +22,7 @@ from tests.scenes import DIMS, LAWS, MATERIALS, SCHEMES, bond_body, damaged_body
 from tests.test_criterion import K, bar, check_tangent, pulled
 from tests.test_events import history
 from tests.test_fracture import broken, strip
+from tests.toys import Wearing
 
 J2 = dataclasses.replace(MATERIALS["j2"], yield_stress=0.1)
 # By name: a criterion whose damage begins at a strain of about 0.02 of the materials of the tests.
@@ -160,6 +161,8 @@ def test_flow_drives_as_a_bar_flows():
 def test_what_does_not_flow_is_refused():
     with pytest.raises(pd.CaseError, match="no material of this body flows"):
         damaged_body(2, pd.Brittle(pd.PlasticStrain(0.1)))
+    with pytest.raises(pd.CaseError, match="no material of this body flows"):  # it has a history, and does not flow
+        damaged_body(2, pd.Brittle(pd.PlasticStrain(0.1)), material=Wearing(E=10.0))
     with pytest.raises(pd.CaseError, match="bonds do not flow"):
         bond_body(2, pd.BondBased(E=1.0), damage=pd.Brittle(pd.PlasticStrain(0.1)))
     for wrong in (

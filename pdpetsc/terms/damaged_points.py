@@ -81,7 +81,8 @@ class DamagedPoints(MaterialPoints):
         self._take_operator(self.operator)
         damage.followers.append(self._follow)
         damage.torn = self.tensile_strain
-        if damage.drive.reads_flow and not remembers:
+        flows = [type(one).plastic_strain is not Material.plastic_strain for one in materials]
+        if damage.drive.reads_flow and not any(flows):
             raise CaseError("Plastic strain drives damage, and no material of this body flows; take one that does.")
         damage.drive.take(self)
 

@@ -959,3 +959,27 @@ def cracked_cell(at):
 def test_a_crack_along_the_side_of_a_cell_is_that_in_its_middle(tmp_path):
     side, middle = (pd.run(cracked_cell(at), tmp_path)["energy"] for at in (0.0, 0.5))
     assert side == pytest.approx(middle, rel=1e-9)
+
+
+@pytest.mark.parametrize("near", [0.0, 1e-9, 3e-6, 4e-6, 1e-3, 0.03, 0.3])
+def test_facets_are_linear_exact_however_near_their_particle_is(near):
+    """Between on the facet and half a cell behind it."""
+    n = 6
+    x = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5, indexing="ij"), axis=-1).reshape(-1, 2)
+    sides, area, behind = [], [], []
+    for axis, at, sign in ((0, 0.0, -1.0), (0, float(n), 1.0), (1, 0.0, -1.0), (1, float(n), 1.0)):
+        for i in np.flatnonzero(np.abs(x[:, axis] - at) < 0.6):
+            place = x[i].copy()
+            place[axis] = at
+            sides.append(place)
+            area.append(sign * np.eye(2)[axis])
+            behind.append(i)
+    moved = x.copy()
+    column = x[:, 0] < 1.0
+    moved[column, 0] = near
+    cloud, _, surface = pieces(pd.Arrays(moved, 1.0, facets=pd.Facets(sides, area, behind)), 3.015)
+    of = np.repeat(np.arange(len(surface.ptr) - 1), np.diff(surface.ptr))
+    at = np.stack([np.bincount(of, surface.N * cloud.x[surface.members, a]) for a in range(2)], axis=1)
+    assert np.abs(np.bincount(of, surface.N) - 1.0).max() < 1e-10
+    # A particle within 1e-6 of its horizon sits on the facet.
+    assert np.abs(at - surface.x).max() < 1e-9 + (near if near < 1e-5 else 0.0)

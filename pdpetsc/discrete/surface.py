@@ -23,6 +23,8 @@ CLOSED = 1e-8
 ON_SIDE = 1e-9
 # A particle nearer to its facet than this share of the horizon sits on it, as nodes of a mesh do.
 NEAR_FACET = 1e-6
+# A particle nearer to its facet than this share of its horizon gives no unit of distance: all others would have no weight.
+SHORT = 0.05
 # A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8
 # A bond goes straight through a facet where the cosine between it and the normal is above this.
@@ -355,7 +357,7 @@ def _interpolated(
     # Distances in units of that of the particle behind the facet, which is half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
     reach = cloud.reach[owner][of, None]
-    unit = np.where(unit > NEAR_FACET * reach, unit, 0.25 * reach)
+    unit = np.where(unit > SHORT * reach, unit, 0.25 * reach)
     apart = apart / unit
     # Directions in which the family has no extent, of a line or a plane of particles, have no slope: facets beside it
     # are interpolated as if they lay in it, which keeps the sum of a load but not its moment.

@@ -64,7 +64,7 @@ class Thermal(Declared):
 
     References
     ----------
-    Holzapfel2000, section 7.6.
+    Holzapfel2000, chapter 7.
 
     Examples
     --------

@@ -23,7 +23,7 @@ CLOSED = 1e-8
 ON_SIDE = 1e-9
 # A particle nearer to its facet than this share of the horizon sits on it, as nodes of a mesh do.
 NEAR_FACET = 1e-6
-# A particle nearer to its facet than this share of its horizon gives no unit of distance: all others would have no weight.
+# A particle nearer to its facet than this share of its horizon gives no unit of distance: others would have no weight.
 SHORT = 0.05
 # A family has no extent along a principal axis where its second moment is this share of the largest.
 FLAT = 1e-8

@@ -150,7 +150,7 @@ def test_a_run_inside_another_does_not_see_its_options(tmp_path):
 
 def test_an_option_that_nothing_used_is_named_in_each_run(tmp_path, caplog):
     for name in ("a", "b"):
-        result = pd.run(bar(), tmp_path / name, options={"no_such_thing": 3})
+        result = pd.run(bar(), tmp_path / name, options={"no_such_thing": 3, "pd_jacobian": "assembled"})
         assert result.summary["unused_options"] == ["no_such_thing"]
     assert sum("nothing used the option -no_such_thing." in record.message for record in caplog.records) == 2
 

@@ -66,7 +66,8 @@ class Prepared:
     def choice(self) -> Choice:
         """Return how the tangent is represented."""
         pivots = self.case.steps.unstable != "warn"
-        return choose(self.problem, self._chosen.chosen, self.case.solver, pivots)
+        with self._chosen.active():  # so that what it looks up counts as used
+            return choose(self.problem, self._chosen.chosen, self.case.solver, pivots)
 
     @cached_property
     def options(self) -> Options:

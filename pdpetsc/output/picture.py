@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared
@@ -19,6 +20,8 @@ from pdpetsc.post.solution import Field, stress
 
 # Particles drawn at most; of a larger cloud every n-th.
 MOST = 200_000
+# Diameter of a disc over the distance of neighbours: a little more than half of what hides all between them.
+DISC = 1.1
 
 
 @dataclass(frozen=True)
@@ -78,36 +81,67 @@ def draw_field(
     """
     from matplotlib.figure import Figure
 
-    label = f"{name} {component}".strip()
+    label = f"{name.replace('_', ' ')} {component}".strip()
     stored = StoredFields(folder)
     stride = max(1, -(-stored.n_particles // MOST))
     x = stored.of_particles("position", stride)
     y = x + scale * stored.field("displacement", step, stride)
-    volume = stored.of_particles("volume", stride)
     values = _component(stored.field(name, step, stride), component)
     dim = max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
-    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
+    figure = Figure(figsize=_size(y, dim), layout="constrained")
     axes = figure.add_subplot(projection="3d" if dim == 3 else None)
     if dim == 1:
         order = np.argsort(x[:, 0])
         axes.plot(x[order, 0], values[order], ".-")
         axes.set(xlabel="x", ylabel=label)
     else:
-        limits = np.percentile(values, [0.5, 99.5])
-        scatter: Any = axes.scatter
-        drawn = scatter(
-            *y[:, :dim].T, c=values, s=_marker_area(y, volume, dim, stride), cmap="viridis", marker="o", linewidths=0,
-            vmin=float(limits[0]), vmax=float(limits[1]),
-        )  # fmt: skip
+        low, high = (float(limit) for limit in np.percentile(values, [0.5, 99.5]))
+        if dim == 2:
+            drawn: Any = _discs(axes, y[:, :2], values, DISC * _spacing(x) * math.sqrt(stride))
+            axes.set_aspect("equal")
+        else:
+            scatter: Any = axes.scatter
+            area = _marker_area(y, stride)
+            drawn = scatter(*y.T, c=values, s=area, cmap="viridis", marker="o", linewidths=0)
+            _true_to_scale(axes, y)
+        drawn.set_clim(low, high)
         figure.colorbar(drawn, label=label, shrink=0.8)
         axes.set(xlabel="x", ylabel="y")
-        if dim == 3:
-            _true_to_scale(axes, y)
-        else:
-            axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title(title)
+    shown = stored.steps[-1] if step is None else step
+    enlarged = "" if scale == 1.0 else f", displacements times {scale:g}"
+    axes.set_title(f"{title}: {label}, step {shown}{enlarged}")
     with replacing(path) as aside:
         figure.savefig(aside, dpi=130, format=path.suffix.removeprefix(".") or "png", metadata={"Software": "pdpetsc"})
+
+
+def _size(y: Float, dim: int) -> tuple[float, float]:
+    """Return the size of a figure that a plane body about fills [inch]."""
+    if dim != 2:
+        return 9.0, 4.5
+    width, height = np.maximum(np.ptp(y[:, :2], axis=0), 1e-3 * np.ptp(y))
+    return (9.0, float(np.clip(7.5 * height / width + 1.4, 2.8, 9.0))) if width > 0.6 * height else (6.0, 9.0)
+
+
+def _spacing(x: Float) -> float:
+    """Return the usual distance of a particle from its nearest neighbour [length]."""
+    distance = cKDTree(x).query(x, k=min(2, len(x)))[0].reshape(len(x), -1)
+    return float(np.median(distance[:, -1]))
+
+
+def _discs(axes: Any, y: Float, values: Float, diameter: float) -> Any:
+    """Draw discs to scale at positions (n, 2), coloured by values (n,)."""
+    from matplotlib.collections import EllipseCollection
+
+    width = np.full(len(y), diameter)
+    discs = EllipseCollection(
+        width, width, np.zeros(len(y)), units="xy", offsets=y, offset_transform=axes.transData, cmap="viridis",
+        linewidths=0,
+    )  # fmt: skip
+    discs.set_array(values)
+    axes.add_collection(discs)
+    low, high = y.min(axis=0) - diameter, y.max(axis=0) + diameter
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    return discs
 
 
 def _true_to_scale(axes: Any, y: Float) -> None:
@@ -128,9 +162,9 @@ def _component(values: Float, name: str) -> Float:
     return values
 
 
-def _marker_area(y: Float, volume: Float, dim: int, stride: int) -> float:
-    """Return a marker area in points^2 that about fills the space between particles."""
-    extent = np.ptp(y, axis=0)[:dim].max()
-    points_per_length = 9.0 * 72.0 * 0.7 / max(float(extent), 1e-300)
-    area = float(np.prod(np.maximum(np.ptp(y, axis=0)[:2], 1e-3 * extent))) / len(y)
-    return float(np.clip(1.2 * area * points_per_length**2, 0.3, 400.0))
+def _marker_area(y: Float, stride: int) -> float:
+    """Return the area of a marker in points^2 that about fills the space between particles of a solid."""
+    extent = np.ptp(y, axis=0)
+    shown = np.sort(np.maximum(extent, 1e-3 * extent.max()))[1:]
+    points_per_length = 9.0 * 72.0 * 0.5 / max(float(extent.max()), 1e-300)
+    return float(np.clip(2.0 * np.prod(shown) * points_per_length**2 / len(y) ** (2.0 / 3.0) / 4.0, 0.3, 400.0))

@@ -65,7 +65,7 @@ def test_help_and_version(tmp_path):
     finished = run(write(tmp_path), "-h", ranks=2)
     assert finished.returncode == 0
     assert finished.stdout.count("usage:") == 1
-    assert "pull  float  0.1" in finished.stdout
+    assert "pull=0.1" in finished.stdout and "float" in finished.stdout
     assert run("--version").stdout.strip() == f"pdpetsc {pd.__version__}"
 
 

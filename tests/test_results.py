@@ -125,4 +125,4 @@ def test_words_that_are_nearly_right_are_named(tmp_path):
     finished = run(tmp_path / "bar.py", "strian=0.1")
     assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
     said = run(tmp_path / "bar.py", "-h").stdout
-    assert "A bar that is pulled" in said and "strain  float  0.01" in said
+    assert "A bar that is pulled" in said and "strain=0.01  float" in said

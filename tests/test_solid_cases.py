@@ -25,12 +25,15 @@ def module_of(path):
 
 
 def test_a_bar_without_a_waist_is_strained_uniformly(tmp_path):
-    """Force and radius over the elongation are those of the law of one point, up to the peak and beyond."""
+    """Force and radius over the elongation are those of the law of one point up to the peak, where it may neck."""
     bar = module_of(NECKING)
-    found = pd.run(bar.case(n=2, waist=1.0, end=9.0, steps=9), output=tmp_path).history
+    found = pd.run(bar.case(n=2, waist=1.0, end=8.0, steps=8), output=tmp_path).history
     for t, quarter, radius in zip(found["t"][1:], found["quarter_force"][1:], found["radius"][1:], strict=True):
-        strain = math.log1p(9.0 * t / bar.LENGTH)
+        strain = math.log1p(8.0 * t / bar.LENGTH)
         stress = brentq(lambda tau, e=strain: tau - yields(bar, e - tau / bar.E), 0.0, 1e4, xtol=1e-9)
+        if 8.0 * t > 7.1:  # beyond the peak a uniform bar is not stable, and a neck carries less
+            assert 4.0 * abs(quarter) < (1.0 + 1e-8) * stress * math.exp(-strain) * math.pi * bar.RADIUS**2
+            continue
         lateral = -bar.NU * stress / bar.E - 0.5 * (strain - stress / bar.E)
         area = math.pi * bar.RADIUS**2
         assert 4.0 * abs(quarter) == pytest.approx(stress * math.exp(-strain) * area, rel=1e-8)
@@ -38,7 +41,7 @@ def test_a_bar_without_a_waist_is_strained_uniformly(tmp_path):
     # Considere's point, with elastic strains; without them it is the literature's 79.6 kN at 7.1 mm.
     force = 4.0 * np.abs(found["quarter_force"])
     assert force.max() == pytest.approx(79.46e3, rel=1e-4)
-    assert 9.0 * found["t"][int(force.argmax())] == pytest.approx(7.0)
+    assert 8.0 * found["t"][int(force.argmax())] == pytest.approx(7.0)
 
 
 def yields(bar, alpha):

@@ -336,11 +336,11 @@ def _described(path: Path, function: Callable[..., Any], parameters: Mapping[str
     """Return what a case is, by the first paragraph of its file and function, and its parameters with their types."""
     written = (getattr(function, "__globals__", {}).get("__doc__"), function.__doc__)
     paragraphs = [inspect.cleandoc(text).split("\n\n")[0] for text in written if text]
-    width = max((len(name) for name in parameters), default=0)
     kinds = {name: "value" if value is None else type(value).__name__ for name, value in parameters.items()}
-    wide = max((len(kind) for kind in kinds.values()), default=0)
-    lines = [f"  {name:{width}}  {kinds[name]:{wide}}  {value!r}" for name, value in parameters.items()]
-    listed = ["parameters, their types and defaults:", *lines] if lines else ["It has no parameters."]
+    given = {name: f"{name}={value!r}" for name, value in parameters.items()}
+    width = max((len(text) for text in given.values()), default=0)
+    lines = [f"  {given[name]:{width}}  {kinds[name]}" for name in parameters]
+    listed = ["parameters:", *lines] if lines else ["It has no parameters."]
     return "\n".join([USAGE, "", str(path), "", *paragraphs, "", *listed])
 
 

@@ -168,7 +168,7 @@ def test_cantilever_converges_for_every_horizon(ny, horizon, tmp_path):
     assert all(not step["cut_backs"] for step in found["steps"])
 
 
-@pytest.mark.parametrize("ranks", [2, 3, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.parametrize("ranks", [2, *(pytest.param(ranks, marks=pytest.mark.long) for ranks in (3, 4))])
 def test_displacements_do_not_depend_on_the_rank_count(ranks, tmp_path):
     for case, arguments in (
         ("clamped", ("ny=3", "horizon=2.015", "G=0.5", "steps=4")),

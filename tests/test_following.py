@@ -113,6 +113,7 @@ def test_a_path_goes_on_from_load_steps(tmp_path):
     assert h["force"][-1] <= 0.8 * h["force"].max()
 
 
+@pytest.mark.long
 def test_the_plate_with_a_hole_turns_back_and_comes_apart(tmp_path):
     """Correspondence with smooth degradation, where load steps jump: the load falls while the plate springs back."""
     solver = pd.PathFollowing(pd.BondStretch(0.1), until=0.02)

@@ -64,7 +64,7 @@ def case(dim=2):
 """
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_any_number_of_ranks_finds_the_same_cell(dim, tmp_path):
     from tests.commands import ROOT
 

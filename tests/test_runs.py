@@ -211,7 +211,7 @@ def half(folder, *arguments, ranks=1):
     assert stopped.returncode == 1, stopped.stderr
 
 
-@pytest.mark.parametrize("ranks", [1, 3])
+@pytest.mark.parametrize("ranks", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_restart_continues_to_the_same_fields(ranks, tmp_path):
     arguments = ("ny=3", "horizon=2.015", "G=0.5", "steps=4")
     results(CLAMPED, *arguments, output=tmp_path / "whole")

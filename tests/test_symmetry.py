@@ -415,7 +415,7 @@ def case_file(tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "ranks"),
     [(name, 1) for name in ("line", "plane", "solid", "littlewood", "bonds", "softening", "families")]
-    + [(name, ranks) for name in ("gradients", "periodic") for ranks in (1, 3)],
+    + [("gradients", 1), ("periodic", 1), ("periodic", 3), pytest.param("gradients", 3, marks=pytest.mark.long)],
 )
 def test_the_jacobian_beside_planes_is_correct(name, ranks, case_file, tmp_path):
     finished = run(case_file, f"name={name}", "-snes_test_jacobian", ranks=ranks, output=tmp_path)

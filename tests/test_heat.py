@@ -323,3 +323,28 @@ def test_a_quenched_plate_breaks_alike_on_two_ranks(tmp_path):
     assert histories[0]["broken"][-1] > 20
     assert np.array_equal(histories[0]["broken"], histories[1]["broken"])
     assert abs(one["results"]["cooled_to"] - two["results"]["cooled_to"]) < 1e-7
+
+
+@pytest.mark.parametrize("of_bonds", [True, False])
+def test_softening_does_not_lose_the_time_of_the_heat(of_bonds, tmp_path):
+    """A heat source in an insulated body: q t / c in every step, also in those with sweeps of damage."""
+    critical = pd.CriticalFunction(lambda length, middle: np.where(np.abs(middle[:, 0] - 3.0) < 0.6, 0.05, 10.0))
+    material = pd.BondBased(1.0) if of_bonds else pd.Hencky(1.0, 0.3)
+    points = {} if of_bonds else {"scheme": pd.Correspondence(), "control": pd.Silling(0.5)}
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 5.0), 1.0),
+        horizon=2.015,
+        material=pd.Thermal(material, 0.0, conductivity=1.0, capacity=2.0),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=5.0), x=1.0, y=0.0),
+            pd.HeatSource(pd.region.All(), 6.0, pd.Hold()),
+        ],
+        heat=pd.HeatConduction(duration=10.0),
+        damage=pd.LinearSoftening(critical, ratio=2.0),
+        steps=pd.Steps(4),
+        history={"T": pd.Mean(pd.temperature)},
+        **points,
+    )
+    history = pd.run(case, tmp_path).history
+    assert np.allclose(history["T"], 30.0 * history["t"], rtol=1e-9, atol=1e-9)

@@ -478,3 +478,71 @@ def test_strain_that_a_body_has_without_stress_drives_no_damage():
         pd.prepare(block(material, heated, damage=strain))
     with pytest.raises(pd.CaseError, match="shares the whole dilatation"):
         pd.prepare(block(material, heated, scheme=pd.MeanDilatation(pd.SubHorizons(), patch=2.0), control=None))
+
+
+VOCE = pd.hardening.Voce(0.3, 20.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda T: pd.J2(E=100.0 - 0.2 * T, nu=0.3, yield_stress=0.5 - 0.004 * T, hardening=VOCE),
+        lambda T: pd.J2(E=100.0 - 0.2 * T, nu=0.3, yield_stress=0.5 - 0.004 * T, hardening=1.0, plane="stress"),
+        lambda T: pd.Maxwell(E=100.0 - T, nu=0.3, shear=[20.0 - 0.2 * T], times=[1.0], duration=1.0),
+        lambda T: pd.KinematicJ2(E=100.0, nu=0.3, yield_stress=0.5 - 0.004 * T, kinematic=5.0),
+        lambda T: pd.DruckerPrager(E=100.0, nu=0.3, cohesion=0.5 - 0.004 * T, friction=0.3, dilatancy=0.3),
+        lambda T: pd.J2(
+            E=100.0, nu=0.3, yield_stress=0.5, rate=pd.rate.Perzyna(duration=1.0, rate_0=1.0, drag=0.1 + 0.01 * T)
+        ),
+    ],
+)
+def test_a_law_by_temperature_is_the_law_of_that_temperature(law, tmp_path):
+    """Its loops too, not its constants alone; also where one of two regions is hotter."""
+    everywhere = pd.region.All()
+
+    def strained(material, *conditions):
+        pull = pd.Displacement(everywhere, x=lambda x, t: 0.02 * t * x[:, 0], y=lambda x, t: -0.005 * t * x[:, 1])
+        given = {"particles": BLOCK, "horizon": 2.015, "scheme": pd.Correspondence(), "steps": pd.Steps(3)}
+        case = pd.Case(material=material, conditions=[pull, *conditions], fields=[pd.stress], **given)
+        return pd.stress(pd.run(case, tmp_path).solution)
+
+    right = pd.region.Slab("x", low=3.0)
+    both = strained(
+        pd.Thermal(law(0.0), 0.0, law=law),
+        pd.Temperature(right, 50.0, pd.Hold()),
+        pd.Temperature(~right, 0.0, pd.Hold()),
+    )
+    cold, hot = strained(law(0.0)), strained(law(50.0))
+    x = BLOCK.chunk(0, 1).x[:, 0]
+    assert np.abs(hot - cold).max() > 1e-3 * np.abs(cold).max()
+    assert np.allclose(both[x > 3.0], hot[x > 3.0], rtol=1e-9, atol=1e-12)
+    assert np.allclose(both[x < 3.0], cold[x < 3.0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_law_that_remembers_something_else_is_refused(tmp_path):
+    def law(T):
+        arms = 1 if T < 1.0 else 2
+        return pd.Maxwell(E=100.0, nu=0.3, shear=[10.0] * arms, times=[1.0] * arms, duration=1.0)
+
+    with pytest.raises(pd.CaseError, match="of another kind at temperature 50"):
+        pd.run(block(pd.Thermal(law(0.0), 0.0, law=law), pd.Temperature(pd.region.All(), 50.0, pd.Hold())), tmp_path)
+
+
+@pytest.mark.parametrize("rise", [0.0, 50.0])
+def test_a_control_that_follows_takes_no_heat_for_flow(rise, tmp_path):
+    """Nothing flows: it is the elastic one, also where the moduli fall with the temperature."""
+    held, far = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=5.0)
+
+    def force(control):
+        case = pd.Case(
+            particles=BLOCK, horizon=2.015, scheme=pd.Correspondence(), control=control, fields=[], steps=pd.Steps(3),
+            material=pd.Thermal(pd.J2(E=100.0, nu=0.3, yield_stress=1e5), 1e-3, factor=lambda T: np.full(len(T), 0.5)),
+            conditions=[
+                pd.Displacement(held, x=0.0, y=0.0), pd.Displacement(far, y=1.0),
+                pd.Temperature(pd.region.All(), rise, pd.Hold()),
+            ],
+            history={"R": pd.Reaction("y", held)},
+        )  # fmt: skip
+        return pd.run(case, tmp_path).history["R"][-1]
+
+    assert force(pd.Following(pd.Silling(0.5))) == pytest.approx(force(pd.Silling(0.5)), rel=1e-6)

@@ -157,7 +157,7 @@ def tangent_share(F: Float, P: Float, A: Float, A_0: Float) -> Float:
         Deformation gradients [-] and first Piola-Kirchhoff stresses [stress].
     A : (n, dim, dim, dim, dim) float64
         Tangents ``dP/dF`` [stress].
-    A_0 : (dim, dim, dim, dim) float64
+    A_0 : (dim, dim, dim, dim) or (n, dim, dim, dim, dim) float64
         Tangent at F = I [stress].
     """
     dim, one = F.shape[-1], np.eye(F.shape[-1])
@@ -176,7 +176,8 @@ def tangent_share(F: Float, P: Float, A: Float, A_0: Float) -> Float:
     for number, (i, j) in enumerate(pairs):
         basis[number, i, j] = basis[number, j, i] = 1.0 if i == j else math.sqrt(0.5)
     found = np.einsum("aij,pijkl,bkl->pab", basis, D, basis, optimize=True)
-    lower = np.linalg.inv(np.linalg.cholesky(np.einsum("aij,ijkl,bkl->ab", basis, A_0, basis)))
-    found = lower @ (0.5 * (found + np.swapaxes(found, 1, 2))) @ lower.T
+    rest = np.einsum("aij,pijkl,bkl->pab", basis, A_0.reshape(-1, *(dim,) * 4), basis)
+    lower = np.linalg.inv(np.linalg.cholesky(rest))
+    found = lower @ (0.5 * (found + np.swapaxes(found, 1, 2))) @ np.swapaxes(lower, 1, 2)
     share: Float = np.linalg.eigvalsh(found)[:, 0]
     return np.where(np.abs(share - 1.0) < ROUND, 1.0, share)

@@ -64,6 +64,18 @@ class MaterialAtPoints:
         self._kernels.tangent(F, self.points, self._constants, self.history, A)
         self._scale(A)
 
+    def elastic_response(self, F: Float, P: Float, A: Float) -> tuple[Float, Float, Float, Float]:
+        """Return F, P, A at its points (n, ...) and A at F = I (n or 1, ...), without what multiplies its moduli.
+
+        Parameters
+        ----------
+        F, P, A
+            Of all points.
+        """
+        by = 1.0 if self.factor is None else self.factor.reshape(-1, 1, 1)
+        at, rest = self.points, self.material.moduli(self.dim)[None]
+        return F[at], P[at] / by, A[at] / np.reshape(by, (-1, 1, 1, 1, 1)), rest
+
     def same_tangent(self, F: Float) -> Float | None:
         """Return A (dim, dim, dim, dim) where it is the same at all its points for F (all points, dim, dim), else None.
 

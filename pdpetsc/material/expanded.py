@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.errors import CaseError
 from pdpetsc.kernels.expanded import pull_back_kernel, pull_back_stress_kernel
 from pdpetsc.material.at_points import MaterialAtPoints
-from pdpetsc.material.base import Material
+from pdpetsc.material.base import HistoryKernels, Material
 from pdpetsc.material.thermal import Thermal
+
+
+class Law(NamedTuple):
+    """A law with the points that obey it.
+
+    Attributes
+    ----------
+    rows : (n,) int64
+        Numbers of the points among those of the material.
+    material : Material
+        The law.
+    kernels, constants
+        Its loops, and what they read.
+    """
+
+    rows: GlobalIndex
+    material: Material
+    kernels: HistoryKernels
+    constants: Float
 
 
 class ExpandedAtPoints(MaterialAtPoints):
@@ -41,7 +62,7 @@ class ExpandedAtPoints(MaterialAtPoints):
         inside = 3 if self._solid else dim
         self._kernels = material.history_kernels(inside)
         self._constants = material.constants(inside)
-        self._groups = [(self._rows, material, self._constants)]
+        self._groups = [Law(self._rows, material, self._kernels, self._constants)]
 
     def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
         """Put the material at other points, undeformed ones without strain."""
@@ -49,7 +70,7 @@ class ExpandedAtPoints(MaterialAtPoints):
         if self._solid:
             self.history = self.material.history_in_space(np.zeros((len(points), 2)) if x is None else x)
         self._rows = np.arange(len(points))
-        self._groups = [(self._rows, self.material, self._constants)]
+        self._groups = [Law(self._rows, self.material, self._kernels, self._constants)]
         self.expand(np.zeros((len(points), 3, 3)), None)
 
     def expand(self, strain: Float, factor: Float | None, temperature: Float | None = None) -> None:
@@ -77,9 +98,9 @@ class ExpandedAtPoints(MaterialAtPoints):
     def at_time(self, t: float) -> None:
         """Let it be step time ``t`` from now on."""
         super().at_time(t)
-        for _, material, constants in self._groups:
-            if material.timed:
-                constants[-1] = t
+        for law in self._groups:
+            if law.material.timed:
+                law.constants[-1] = t
 
     def stress(self, F: Float, P: Float) -> None:
         """Write P (all points, dim, dim) at its points."""
@@ -89,8 +110,8 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Return P of its points (n, inside, inside) for F (n, dim, dim) there."""
         elastic = self._elastic(F)
         P = np.empty_like(elastic)
-        for rows, _, constants, history in self._by_law():
-            self._kernels.stress(elastic, rows, constants, history, P)
+        for (rows, _, kernels, constants), history in self._by_law():
+            kernels.stress(elastic, rows, constants, history, P)
         if self.material.linear:
             return self._times(P)
         made = np.empty_like(P)
@@ -101,8 +122,8 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Write A (all points, dim, dim, dim, dim) at its points."""
         elastic, shown, inside = self._elastic(F[self.points]), self.dim, 3 if self._solid else self.dim
         made = np.empty((len(elastic), *(inside,) * 4))
-        for rows, _, constants, history in self._by_law():
-            self._kernels.tangent(elastic, rows, constants, history, made)
+        for (rows, _, kernels, constants), history in self._by_law():
+            kernels.tangent(elastic, rows, constants, history, made)
         if self.material.linear:
             A[self.points] = self._times(made[:, :shown, :shown, :shown, :shown])
         else:
@@ -122,15 +143,15 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Write the energy density (all points,) at its points."""
         found = np.empty(len(self.points))
         elastic = self._elastic(F[self.points])
-        for rows, _, constants, history in self._by_law():
-            self._kernels.energy(elastic, rows, constants, history, found)
+        for (rows, _, kernels, constants), history in self._by_law():
+            kernels.energy(elastic, rows, constants, history, found)
         psi[self.points] = self._times(found if self.material.linear else self._J * found)
 
     def commit(self, F: Float) -> None:
         """Make the state at F (all points, dim, dim) the one that the next step starts from."""
         elastic = self._elastic(F[self.points])
-        for rows, _, constants, history in self._by_law():
-            self._kernels.commit(elastic, rows, constants, history)
+        for (rows, _, kernels, constants), history in self._by_law():
+            kernels.commit(elastic, rows, constants, history)
             if history is not self.history:
                 self.history[rows] = history
 
@@ -143,8 +164,8 @@ class ExpandedAtPoints(MaterialAtPoints):
         if self._solid or self.dim == 3:
             return np.ones(len(F))
         left, elastic = self._elastic(F), np.empty(len(F))
-        for rows, material, _, history in self._by_law():
-            elastic[rows] = material.hidden_stretch(left[rows], history)
+        for law, history in self._by_law():
+            elastic[law.rows] = law.material.hidden_stretch(left[law.rows], history)
         if self.material.linear:
             return np.asarray(elastic + (self._hidden - 1.0).sum(axis=1))
         return np.asarray(elastic * self._hidden.prod(axis=1))
@@ -153,7 +174,7 @@ class ExpandedAtPoints(MaterialAtPoints):
         """Return whether it has a stress at F (all points, dim, dim)."""
         inside = F[self.points]
         elastic = self._elastic(inside)
-        if not all(material.defined(elastic, rows, history) for rows, material, _, history in self._by_law()):
+        if not all(law.material.defined(elastic, law.rows, history) for law, history in self._by_law()):
             return False
         return not self.material.may_fail or bool(np.isfinite(self._stress(inside)).all())
 
@@ -162,10 +183,11 @@ class ExpandedAtPoints(MaterialAtPoints):
         if not self.has_history or not len(self.points):
             return 0.0
         elastic, most = self._elastic(F[self.points]), 0.0
-        for rows, material, constants, history in self._by_law():
+        for law, history in self._by_law():
             after = history.copy()
-            self._kernels.commit(elastic, rows, constants, after)
-            most = max(most, float((material.plastic_strain(after) - material.plastic_strain(history)).max()))
+            law.kernels.commit(elastic, law.rows, law.constants, after)
+            grown = law.material.plastic_strain(after) - law.material.plastic_strain(history)
+            most = max(most, float(grown.max()))
         return most
 
     def largest_modulus(self) -> float:
@@ -175,21 +197,50 @@ class ExpandedAtPoints(MaterialAtPoints):
         most = 1.0 if self._multiplier is None else float(self._multiplier.max())
         return self.material.largest_modulus(self.dim) * most
 
-    def _at_temperatures(self, temperature: Float) -> list[tuple[GlobalIndex, Material, Float]]:
-        """Return the points that have one temperature, with the law there and the constants of its loops."""
+    def _at_temperatures(self, temperature: Float) -> list[Law]:
+        """Return the points that have one temperature, with the law there.
+
+        Raises
+        ------
+        CaseError
+            A law keeps another history than the others, or has a tangent of another symmetry.
+        """
         if self._law is None or not len(temperature):
-            return [(self._rows, self.material, self._constants)]
+            return [Law(self._rows, self.material, self._kernels, self._constants)]
         levels, of = np.unique(temperature, return_inverse=True)
         order = np.argsort(of, kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(of, minlength=len(levels)))[:-1])
         inside = 3 if self._solid else self.dim
         laws = [self._law.material_at(float(level), self.material) for level in levels]
-        return [(rows, law, law.constants(inside)) for rows, law in zip(parts, laws, strict=True)]
+        for level, law in zip(levels, laws, strict=True):
+            kept = law.history_at(inside, np.zeros((1, inside))).shape[1]
+            alike = law.symmetric == self.material.symmetric and law.timed == self.material.timed
+            if kept != self.history.shape[1] or not alike or law.may_fail != self.material.may_fail:
+                raise CaseError(
+                    f"The law of a Thermal material is of another kind at temperature {level:g} than its material: "
+                    f"what it remembers, its symmetry and whether it depends on time must be the same everywhere."
+                )
+        return [
+            Law(rows, law, law.history_kernels(inside), law.constants(inside))
+            for rows, law in zip(parts, laws, strict=True)
+        ]
 
-    def _by_law(self) -> Iterator[tuple[GlobalIndex, Material, Float, Float]]:
-        """Yield the points of each law, with the law, the constants of its loops and the history of these points."""
-        for rows, material, constants in self._groups:
-            yield rows, material, constants, self.history if len(self._groups) == 1 else self.history[rows]
+    def _by_law(self) -> Iterator[tuple[Law, Float]]:
+        """Yield each law with the history of its points."""
+        for law in self._groups:
+            yield law, self.history if len(self._groups) == 1 else self.history[law.rows]
+
+    def elastic_response(self, F: Float, P: Float, A: Float) -> tuple[Float, Float, Float, Float]:
+        """Return what is left of F without expansion, with stress and tangent there, and A at F = I, unscaled."""
+        d, elastic = self.dim, self._elastic(F[self.points])
+        stress = np.empty_like(elastic)
+        tangent = np.empty((len(elastic), *(elastic.shape[-1],) * 4))
+        rest = np.empty((len(elastic), *(d,) * 4))
+        for law, history in self._by_law():
+            law.kernels.stress(elastic, law.rows, law.constants, history, stress)
+            law.kernels.tangent(elastic, law.rows, law.constants, history, tangent)
+            rest[law.rows] = law.material.moduli(d)
+        return elastic[:, :d, :d], stress[:, :d, :d], tangent[:, :d, :d, :d, :d], rest
 
     def _elastic(self, F: Float) -> Float:
         """Return what is left of F (n, dim, dim) when the stress-free deformation is taken off (n, inside, inside)."""

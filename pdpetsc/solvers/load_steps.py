@@ -160,7 +160,7 @@ def equilibrium(
         attempt, result = solver.solve(attempt, target)
     if stop():
         return attempt, result, broken, 0
-    problem.revert()
+    damage_of(solver).revert()  # what went ahead of the equilibrium stays
     return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
 
 

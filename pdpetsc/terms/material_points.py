@@ -135,9 +135,9 @@ class MaterialPoints(Matter):
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]; the materials are then those of the step time of the state."""
         u_local, operator = state.u_local, self.operator
+        self._at_time(state.t)  # may make other laws, of other temperatures
         for at_points in self.materials:
             at_points.at_time(state.t)
-        self._at_time(state.t)
 
         def make() -> Float:
             F = operator.gradient(u_local)
@@ -220,9 +220,7 @@ class MaterialPoints(Matter):
         P, A, share = self.stress(F), self.moduli(F), np.ones(len(F))
         for one in self.materials:
             if one.has_history and len(one.points):
-                at, A_0 = one.points, one.material.moduli(self.body.dim)
-                factor = 1.0 if one.factor is None else one.factor
-                share[at] = tangent_share(F[at], P[at], A[at], A_0) / factor
+                share[one.points] = tangent_share(*one.elastic_response(F, P, A))
         return self._mean(share)
 
     def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:

@@ -204,3 +204,26 @@ def test_every_scheme_with_every_control_and_material(scheme, rng):
         assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
         model.commit(u)
         assert np.isfinite(model.internal_force(u)).all()
+
+
+def test_a_particle_without_gradient_flows_no_more(tmp_path):
+    """What it keeps is not what F = I would make of it: such a particle cuts no step."""
+
+    def critical(lengths, middles):
+        return np.where(np.hypot(middles[:, 0] - 3.5, middles[:, 1] - 2.5) < 1.2, 0.08, 10.0)
+
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 5.0), 1.0),
+        horizon=2.015,
+        material=pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0, plane="stress"),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=5.0), x=0.6),
+        ],
+        damage=pd.Brittle(pd.CriticalFunction(critical)),
+        control=pd.Silling(0.5),
+        steps=pd.Steps(8, plastic_growth=0.02),
+        history={"broken": pd.BrokenBonds()},
+    )
+    run = pd.run(case, tmp_path)
+    assert run.history["t"][-1] == 1.0 and run.history["broken"][-1] > 10

@@ -109,13 +109,13 @@ class MaterialAtPoints:
         self.stress(F, P)
         return bool(np.isfinite(P[self.points]).all())
 
-    def plastic_growth(self, F: Float) -> float:
-        """Return how much the plastic strain grows at most if the step ends at F (all points, dim, dim) [-]."""
+    def plastic_growth(self, F: Float) -> Float:
+        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
         if not self.has_history or not len(self.points):
-            return 0.0
+            return np.zeros(len(self.points))
         after = self.history.copy()
         self._kernels.commit(F, self.points, self._constants, after)
-        return float((self.material.plastic_strain(after) - self.plastic_strain()).max())
+        return np.asarray(self.material.plastic_strain(after) - self.plastic_strain())
 
     def plastic_strain(self) -> Float:
         """Return the accumulated plastic strain at its points (n,) [-]."""

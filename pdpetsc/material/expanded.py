@@ -157,16 +157,17 @@ class ExpandedAtPoints(MaterialAtPoints):
             return False
         return not self.material.may_fail or bool(np.isfinite(self._stress(inside)).all())
 
-    def plastic_growth(self, F: Float) -> float:
-        """Return how much the plastic strain grows at most if the step ends at F (all points, dim, dim) [-]."""
+    def plastic_growth(self, F: Float) -> Float:
+        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
+        grown = np.zeros(len(self.points))
         if not self.has_history or not len(self.points):
-            return 0.0
-        elastic, most = self._elastic(F[self.points]), 0.0
+            return grown
+        elastic = self._elastic(F[self.points])
         for rows, material, constants, history in self._by_law():
             after = history.copy()
             self._kernels.commit(elastic, rows, constants, after)
-            most = max(most, float((material.plastic_strain(after) - material.plastic_strain(history)).max()))
-        return most
+            grown[rows] = material.plastic_strain(after) - material.plastic_strain(history)
+        return grown
 
     def largest_modulus(self) -> float:
         """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""

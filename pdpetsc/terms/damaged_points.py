@@ -129,6 +129,10 @@ class DamagedPoints(MaterialPoints):
             at_points.history[dead] = history[dead]
         self._history.take(self.operator, self.materials)
 
+    def _most_growth(self, grown: Float) -> float:
+        """Return the largest of the points whose flow would be kept: those of a particle that has a gradient."""
+        return super()._most_growth(grown[~self._dead])
+
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials that have one, by its number, and what the drive remembers."""
         found = {} if self._history is None else self._history.arrays(self.materials)

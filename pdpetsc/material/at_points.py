@@ -47,7 +47,11 @@ class MaterialAtPoints:
         """Put the material at other points, undeformed ones."""
         self.points = points
         self.factor = factor
-        self.history = self.material.history_at(self.dim, np.zeros((len(points), self.dim)) if x is None else x)
+        self.history = self.undeformed(np.zeros((len(points), self.dim)) if x is None else x)
+
+    def undeformed(self, x: Float) -> Float:
+        """Return the history of undeformed points of particles at ``x`` (n, dim), as wide as that of its points."""
+        return self.material.history_at(self.dim, x)
 
     def at_time(self, t: float) -> None:
         """Let it be step time ``t`` from now on."""

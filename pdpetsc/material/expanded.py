@@ -46,11 +46,13 @@ class ExpandedAtPoints(MaterialAtPoints):
     def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
         """Put the material at other points, undeformed ones without strain."""
         super().put_at(points, factor, x)
-        if self._solid:
-            self.history = self.material.history_in_space(np.zeros((len(points), 2)) if x is None else x)
         self._rows = np.arange(len(points))
         self._groups = [(self._rows, self.material, self._constants)]
         self.expand(np.zeros((len(points), 3, 3)), None)
+
+    def undeformed(self, x: Float) -> Float:
+        """Return the history of undeformed points of particles at ``x`` (n, dim): that of a solid in plane strain."""
+        return self.material.history_in_space(x) if self._solid else super().undeformed(x)
 
     def expand(self, strain: Float, factor: Float | None, temperature: Float | None = None) -> None:
         """Give its points strains without stress (n, 3, 3) [-].

@@ -97,11 +97,12 @@ class MaterialAtPoints:
         """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 except in plane strain."""
         if self.dim != 2 or self.material.plane == "stress":
             return np.zeros(len(F))
-        return self.material.out_of_plane_stress(F, self.history) * (1.0 if self.factor is None else self.factor)
+        P = self.material.out_of_plane_stress(F, self.history, *self._time(self.material, self._constants))
+        return P * (1.0 if self.factor is None else self.factor)
 
     def hidden_stretch(self, F: Float) -> Float:
         """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
-        return self.material.hidden_stretch(F, self.history)
+        return self.material.hidden_stretch(F, self.history, *self._time(self.material, self._constants))
 
     def defined(self, F: Float) -> bool:
         """Return whether it has a stress at F (all points, dim, dim)."""
@@ -135,6 +136,11 @@ class MaterialAtPoints:
         if len(self.points) == 0:
             return 0.0
         return self.material.largest_modulus(self.dim) * (1.0 if self.factor is None else float(self.factor.max()))
+
+    @staticmethod
+    def _time(material: Material, constants: Float) -> tuple[float, ...]:
+        """Return the step time that the constants of a law hold; nothing where it does not depend on it."""
+        return (float(constants[-1]),) if material.timed else ()
 
     def _scale(self, values: Float) -> None:
         if self.factor is not None:

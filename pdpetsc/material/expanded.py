@@ -145,8 +145,8 @@ class ExpandedAtPoints(MaterialAtPoints):
         if self._solid or self.dim == 3:
             return np.ones(len(F))
         left, elastic = self._elastic(F), np.empty(len(F))
-        for rows, material, _, history in self._by_law():
-            elastic[rows] = material.hidden_stretch(left[rows], history)
+        for rows, material, constants, history in self._by_law():
+            elastic[rows] = material.hidden_stretch(left[rows], history, *self._time(material, constants))
         if self.material.linear:
             return np.asarray(elastic + (self._hidden - 1.0).sum(axis=1))
         return np.asarray(elastic * self._hidden.prod(axis=1))

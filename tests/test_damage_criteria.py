@@ -423,3 +423,31 @@ def test_tangents_of_the_present_stretch_are_exact_too(name, rng):
     check_tangent(model, u, rng, least=2)
     model.break_bonds(2.5 * u, 8)
     check_tangent(model, u, rng, least=2)
+
+
+SLOW = pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0, rate=pd.rate.Perzyna(duration=1.0, rate_0=1.0, drag=0.1))
+
+
+@pytest.mark.parametrize("heated", [False, True])
+def test_a_rate_law_flows_in_the_step_that_damage_reads(heated, tmp_path):
+    """One step of uniform strain: what is used up follows from stress and flow at its end, with a stress across."""
+    D = (0.05, 3.44, -2.12)
+    held = pd.Displacement(pd.region.All(), x=lambda x, t: 0.05 * t * x[:, 0], y=0.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 5.0), 1.0),
+        horizon=2.015,
+        material=pd.Thermal(SLOW, 1e-3) if heated else SLOW,
+        conditions=[held, pd.Temperature(pd.region.All(), 0.0)] if heated else [held],
+        scheme=pd.Correspondence(),
+        damage=pd.Brittle(pd.JohnsonCookFailure(*D)),
+        fields=[],
+    )
+    solution = pd.run(case, tmp_path).solution
+    P = pd.stress(solution)[0]
+    flow = pd.plastic_strain(solution)[0]
+    sigma = np.array([P[0, 0], P[1, 1], solution.problem.matter.out_of_plane(solution.state)[2][0]])
+    mean = sigma.mean()
+    s = mean / np.sqrt(1.5 * ((sigma - mean) ** 2).sum())
+    used = flow / (D[0] + D[1] * np.exp(D[2] * s))
+    assert used == pytest.approx(0.540, abs=5e-4)
+    assert np.allclose(solution.problem.damage.drive.arrays()["grown"], used, rtol=1e-9)

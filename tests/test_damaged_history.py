@@ -204,3 +204,66 @@ def test_every_scheme_with_every_control_and_material(scheme, rng):
         assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
         model.commit(u)
         assert np.isfinite(model.internal_force(u)).all()
+
+
+def test_a_particle_without_gradient_flows_no_more(tmp_path):
+    """What it keeps is not what F = I would make of it: such a particle cuts no step."""
+
+    def critical(lengths, middles):
+        return np.where(np.hypot(middles[:, 0] - 3.5, middles[:, 1] - 2.5) < 1.2, 0.08, 10.0)
+
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 5.0), 1.0),
+        horizon=2.015,
+        material=pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0, plane="stress"),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=5.0), x=0.6),
+        ],
+        damage=pd.Brittle(pd.CriticalFunction(critical)),
+        control=pd.Silling(0.5),
+        steps=pd.Steps(8, plastic_growth=0.02),
+        history={"broken": pd.BrokenBonds()},
+    )
+    run = pd.run(case, tmp_path)
+    assert run.history["t"][-1] == 1.0 and run.history["broken"][-1] > 10
+
+
+SOIL = pd.DruckerPrager(E=100.0, nu=0.3, cohesion=0.3, friction=0.4, plane="strain")
+STEEL = pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0, plane="strain")
+
+
+def heated(material, rise, critical, strain=0.02, **changes):
+    """A plate in plane strain that is pulled along x, and gets warm."""
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 5.0), 1.0),
+        horizon=2.015,
+        material=pd.Thermal(material, 1e-3),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+            pd.Displacement(pd.region.Slab("x", low=5.0), x=5.0 * strain),
+            pd.Temperature(pd.region.All(), rise),
+        ],
+        damage=pd.Brittle(pd.ConstantCritical(critical)),
+        control=pd.Silling(0.5),
+        steps=pd.Steps(4),
+        history={"broken": pd.BrokenBonds(), "plastic": pd.Largest(pd.plastic_strain)},
+        fields=[pd.displacement, pd.stress, pd.plastic_strain],
+    )
+    return dataclasses.replace(case, **changes)
+
+
+@pytest.mark.parametrize("material", [STEEL, SOIL], ids=["j2", "drucker_prager"])
+def test_history_in_plane_strain_with_damage_and_heat(material, tmp_path):
+    """Bonds that do not fail change nothing, and heat of 0 nothing where they fail."""
+    made = pd.run(heated(material, 5.0, 9.0), tmp_path)
+    alike = pd.run(heated(material, 5.0, 9.0, damage=None), tmp_path)
+    assert made.history["plastic"][-1] > 1e-3
+    assert np.allclose(made.gathered(pd.stress), alike.gathered(pd.stress), rtol=1e-7, atol=1e-8)
+    assert np.allclose(made.gathered(pd.plastic_strain), alike.gathered(pd.plastic_strain), rtol=1e-7, atol=1e-10)
+    critical = 0.022
+    warm = pd.run(heated(material, 0.0, critical), tmp_path)
+    cold = heated(material, 0.0, critical)
+    cold = pd.run(dataclasses.replace(cold, material=material, conditions=cold.conditions[:2]), tmp_path)
+    assert np.array_equal(warm.history["broken"], cold.history["broken"]) and cold.history["broken"][-1] > 2
+    assert np.allclose(warm.gathered(pd.displacement), cold.gathered(pd.displacement), rtol=1e-6, atol=1e-8)

@@ -136,13 +136,13 @@ class AnisotropicLinear(Material):
         rows = history if history.shape[1] else self.constants(dim)[None]
         return np.asarray(np.einsum("pij,pij->p", rows[:, dim**4 :].reshape(-1, dim, dim) + 0.0 * F, F - np.eye(dim)))
 
-    def hidden_stretch(self, F: Float, history: Float) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return one plus the strains that the body does not show, to first order (n,) [-]."""
         if F.shape[-1] == 3 or (F.shape[-1] == 2 and self.plane == "strain"):
             return np.ones(len(F))
         return 1.0 + self._across(F, history)
 
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``P_zz = C_zzij eps_ij`` (n,) [stress] in plane strain."""
         return self._across(F, history)
 

@@ -47,7 +47,11 @@ class MaterialAtPoints:
         """Put the material at other points, undeformed ones."""
         self.points = points
         self.factor = factor
-        self.history = self.material.history_at(self.dim, np.zeros((len(points), self.dim)) if x is None else x)
+        self.history = self.undeformed(np.zeros((len(points), self.dim)) if x is None else x)
+
+    def undeformed(self, x: Float) -> Float:
+        """Return the history of undeformed points of particles at ``x`` (n, dim), as wide as that of its points."""
+        return self.material.history_at(self.dim, x)
 
     def at_time(self, t: float) -> None:
         """Let it be step time ``t`` from now on."""
@@ -105,11 +109,12 @@ class MaterialAtPoints:
         """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 except in plane strain."""
         if self.dim != 2 or self.material.plane == "stress":
             return np.zeros(len(F))
-        return self.material.out_of_plane_stress(F, self.history) * (1.0 if self.factor is None else self.factor)
+        P = self.material.out_of_plane_stress(F, self.history, *self._time(self.material, self._constants))
+        return P * (1.0 if self.factor is None else self.factor)
 
     def hidden_stretch(self, F: Float) -> Float:
         """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
-        return self.material.hidden_stretch(F, self.history)
+        return self.material.hidden_stretch(F, self.history, *self._time(self.material, self._constants))
 
     def defined(self, F: Float) -> bool:
         """Return whether it has a stress at F (all points, dim, dim)."""
@@ -121,13 +126,13 @@ class MaterialAtPoints:
         self.stress(F, P)
         return bool(np.isfinite(P[self.points]).all())
 
-    def plastic_growth(self, F: Float) -> float:
-        """Return how much the plastic strain grows at most if the step ends at F (all points, dim, dim) [-]."""
+    def plastic_growth(self, F: Float) -> Float:
+        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
         if not self.has_history or not len(self.points):
-            return 0.0
+            return np.zeros(len(self.points))
         after = self.history.copy()
         self._kernels.commit(F, self.points, self._constants, after)
-        return float((self.material.plastic_strain(after) - self.plastic_strain()).max())
+        return np.asarray(self.material.plastic_strain(after) - self.plastic_strain())
 
     def plastic_strain(self) -> Float:
         """Return the accumulated plastic strain at its points (n,) [-]."""
@@ -143,6 +148,11 @@ class MaterialAtPoints:
         if len(self.points) == 0:
             return 0.0
         return self.material.largest_modulus(self.dim) * (1.0 if self.factor is None else float(self.factor.max()))
+
+    @staticmethod
+    def _time(material: Material, constants: Float) -> tuple[float, ...]:
+        """Return the step time that the constants of a law hold; nothing where it does not depend on it."""
+        return (float(constants[-1]),) if material.timed else ()
 
     def _scale(self, values: Float) -> None:
         if self.factor is not None:

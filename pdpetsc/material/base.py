@@ -94,12 +94,18 @@ class Material(Declared, ABC):
         """
 
     @abstractmethod
-    def hidden_stretch(self, F: Float, history: Float) -> Float:
-        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
+    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
+        """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-].
+
+        ``t`` is the step time of F for a law that is ``timed``; that of the last converged step where absent.
+        """
 
     @abstractmethod
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
-        """Return ``P_zz`` (n,) [stress] in plane strain, for ``F`` (n, 2, 2) and ``history`` (n, n_history)."""
+    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
+        """Return ``P_zz`` (n,) [stress] in plane strain, for ``F`` (n, 2, 2) and ``history`` (n, n_history).
+
+        ``t`` is as for ``hidden_stretch``.
+        """
 
     def history_at(self, dim: int, x: Float) -> Float:
         """Return what undeformed points of particles at ``x`` (n, dim) keep (n, n_history): nothing by default.
@@ -206,7 +212,7 @@ class IsotropicMaterial(Material):
     def thickness_stretch(self, F: Float) -> Float:
         """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
 
-    def hidden_stretch(self, F: Float, history: Float) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``thickness_stretch``."""
         return self.thickness_stretch(F)
 
@@ -230,7 +236,7 @@ def isotropic_moduli(lam: float, mu: float, dim: int) -> Float:
 class ElasticMaterial(IsotropicMaterial):
     """An isotropic material whose stress depends on F alone."""
 
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
         return self.lame(2)[0] * self.volumetric_strain(F)
 

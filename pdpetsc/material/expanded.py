@@ -67,11 +67,13 @@ class ExpandedAtPoints(MaterialAtPoints):
     def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
         """Put the material at other points, undeformed ones without strain."""
         super().put_at(points, factor, x)
-        if self._solid:
-            self.history = self.material.history_in_space(np.zeros((len(points), 2)) if x is None else x)
         self._rows = np.arange(len(points))
         self._groups = [Law(self._rows, self.material, self._kernels, self._constants)]
         self.expand(np.zeros((len(points), 3, 3)), None)
+
+    def undeformed(self, x: Float) -> Float:
+        """Return the history of undeformed points of particles at ``x`` (n, dim): that of a solid in plane strain."""
+        return self.material.history_in_space(x) if self._solid else super().undeformed(x)
 
     def expand(self, strain: Float, factor: Float | None, temperature: Float | None = None) -> None:
         """Give its points strains without stress (n, 3, 3) [-].
@@ -165,7 +167,8 @@ class ExpandedAtPoints(MaterialAtPoints):
             return np.ones(len(F))
         left, elastic = self._elastic(F), np.empty(len(F))
         for law, history in self._by_law():
-            elastic[law.rows] = law.material.hidden_stretch(left[law.rows], history)
+            t = self._time(law.material, law.constants)
+            elastic[law.rows] = law.material.hidden_stretch(left[law.rows], history, *t)
         if self.material.linear:
             return np.asarray(elastic + (self._hidden - 1.0).sum(axis=1))
         return np.asarray(elastic * self._hidden.prod(axis=1))
@@ -178,17 +181,17 @@ class ExpandedAtPoints(MaterialAtPoints):
             return False
         return not self.material.may_fail or bool(np.isfinite(self._stress(inside)).all())
 
-    def plastic_growth(self, F: Float) -> float:
-        """Return how much the plastic strain grows at most if the step ends at F (all points, dim, dim) [-]."""
+    def plastic_growth(self, F: Float) -> Float:
+        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
+        grown = np.zeros(len(self.points))
         if not self.has_history or not len(self.points):
-            return 0.0
-        elastic, most = self._elastic(F[self.points]), 0.0
+            return grown
+        elastic = self._elastic(F[self.points])
         for law, history in self._by_law():
             after = history.copy()
             law.kernels.commit(elastic, law.rows, law.constants, after)
-            grown = law.material.plastic_strain(after) - law.material.plastic_strain(history)
-            most = max(most, float(grown.max()))
-        return most
+            grown[law.rows] = law.material.plastic_strain(after) - law.material.plastic_strain(history)
+        return grown
 
     def largest_modulus(self) -> float:
         """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""

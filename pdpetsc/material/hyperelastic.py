@@ -148,13 +148,13 @@ class EnergyMaterial(Material):
             return True
         return bool(np.isfinite(self._across(F, select, history)).all())
 
-    def hidden_stretch(self, F: Float, history: Float) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``b`` in plane stress, ``b^2`` in a bar, 1 in plane strain and solids (n,) [-]."""
         if self._kind(F.shape[-1]) in ("solid", "strain"):
             return np.ones(len(F))
         return self._across(F, np.arange(len(F)), history)
 
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``P_zz = d psi / d F_zz`` (n,) [stress] in plane strain."""
         return self._across(F, np.arange(len(F)), history)
 

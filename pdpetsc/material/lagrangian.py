@@ -158,21 +158,21 @@ class LagrangianMaterial(HistoryMaterial):
 
         return HistoryKernels(stress, tangent, energy, commit)
 
-    def hidden_stretch(self, F: Float, history: Float) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
         dim, kind = F.shape[-1], self._kind(F.shape[-1])
         across = np.ones(len(F))
         if kind in ("stress", "bar"):
             for points, kept in _blocks(np.arange(len(F)), history):
-                frame, _ = self._returned(F, points, None, kept, kind, False)
+                frame, _ = self._returned(F, points, t, kept, kind, False)
                 across[points] = np.exp(frame.strain[:, dim:3].sum(axis=1))
         return across
 
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``T_33`` (n,) [stress] in plane strain: ``F_zz`` is 1."""
         P = np.empty(len(F))
         for points, kept in _blocks(np.arange(len(F)), history):
-            P[points] = self._returned(F, points, None, kept, "strain", False)[1].T[:, 2]
+            P[points] = self._returned(F, points, t, kept, "strain", False)[1].T[:, 2]
         return P
 
     def _kind(self, dim: int) -> Kind:

@@ -171,22 +171,22 @@ class LogarithmicMaterial(HistoryMaterial):
 
         return HistoryKernels(stress, tangent, energy, commit)
 
-    def hidden_stretch(self, F: Float, history: Float) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
         dim, kind = F.shape[-1], self._kind(F.shape[-1])
         across = np.ones(len(F))
         if kind in ("stress", "bar"):
             for points, kept in _blocks(np.arange(len(F)), history):
-                axes, _ = self._returned(F, points, None, kept, kind, False)
+                axes, _ = self._returned(F, points, t, kept, kind, False)
                 whole = kept[:, dim * dim + 1] + axes.strain[:, 2] - kept[:, dim * dim]
                 across[points] = np.exp(whole * (3 - dim))
         return across
 
-    def out_of_plane_stress(self, F: Float, history: Float) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``tau_3`` after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
         P = np.empty(len(F))
         for points, kept in _blocks(np.arange(len(F)), history):
-            P[points] = self._returned(F, points, None, kept, "strain", False)[1].tau[:, 2]
+            P[points] = self._returned(F, points, t, kept, "strain", False)[1].tau[:, 2]
         return P
 
     def _kind(self, dim: int) -> Kind:

@@ -69,12 +69,10 @@ class DamagedPoints(MaterialPoints):
         operator = scheme.build(body.cloud, body.families, omega)
         super().__init__(body, operator if weigh is None else weigh(operator), materials, material_of, factor)
         self._whole = None if weigh is None else self.operator
-        remembers = any(at_points.has_history for at_points in self.materials)
-        kept = KeptHistory(self.operator, self.materials, material_of, body.cloud.x) if remembers else None
-        self._history: KeptHistory | None = kept
         self._omega = omega
         self._scheme = scheme
         self._material_of = material_of
+        self._history = self._undeformed()
         self._factor = factor
         self.damage = damage
         self._effect = damage.bonds.law.effect
@@ -85,6 +83,17 @@ class DamagedPoints(MaterialPoints):
         if damage.drive.reads_flow and not any(flows):
             raise CaseError("Plastic strain drives damage, and no material of this body flows; take one that does.")
         damage.drive.take(self)
+
+    def _undeformed(self) -> KeptHistory | None:
+        """Return the histories of the materials at the start, None where they have none (not collective)."""
+        if not any(at_points.has_history for at_points in self.materials):
+            return None
+        return KeptHistory(self.operator, self.materials, self._material_of, self.body.cloud.x)
+
+    def expand(self) -> None:
+        """Let the materials follow the stress-free deformation; in plane strain they are solids then (collective)."""
+        super().expand()
+        self._history = self._undeformed()
 
     @property
     def gradients(self) -> GradientOperator:
@@ -128,6 +137,10 @@ class DamagedPoints(MaterialPoints):
             dead = self._dead[at_points.points]
             at_points.history[dead] = history[dead]
         self._history.take(self.operator, self.materials)
+
+    def _most_growth(self, grown: Float) -> float:
+        """Return the largest of the points whose flow would be kept: those of a particle that has a gradient."""
+        return super()._most_growth(grown[~self._dead])
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials that have one, by its number, and what the drive remembers."""

@@ -48,7 +48,7 @@ class KeptHistory:
             self._place[rows] = np.arange(len(rows))
             self._rows.append(rows)
             at = x[whole[rows]] if one.has_history else x[:0]
-            self._values.append(one.material.history_at(x.shape[1], at))
+            self._values.append(one.undeformed(at))
 
     def give(self, operator: GradientOperator, materials: Sequence[MaterialAtPoints]) -> None:
         """Put the histories at the points of an operator.

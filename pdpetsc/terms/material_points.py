@@ -257,8 +257,14 @@ class MaterialPoints(Matter):
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most on this rank if the step ends at a state [-]."""
-        F = self.deformation(state)
-        return max(at_points.plastic_growth(F) for at_points in self.materials)
+        F, grown = self.deformation(state), np.zeros(self.operator.n_points)
+        for at_points in self.materials:
+            grown[at_points.points] = at_points.plastic_growth(F)
+        return self._most_growth(grown)
+
+    def _most_growth(self, grown: Float) -> float:
+        """Return the largest of what plastic strain at the points grows by (n_points,) [-]."""
+        return float(grown.max(initial=0.0))
 
     @property
     def has_history(self) -> bool:

@@ -8,8 +8,10 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.discrete.communicator import world
 from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.petsc.constrained import Constrained
+from pdpetsc.running.build import rehearse
 from tests.commands import results
 from tests.scenes import SCHEMES, body, dense_tangent, differences, displacement, rotation
 
@@ -134,8 +136,6 @@ def test_every_relative_control_can_go_by_shear(control, rng):
 
 
 def test_particles_of_a_lattice_do_not_lie_on_the_borders_of_patches():
-    from pdpetsc.discrete.communicator import world
-
     for dx, many in itertools.product((1.0, 0.1, 1e-3 / 3.0), (2, 3)):
         x = 7.3 + dx * (0.5 + np.arange(300.0))
         found = boxes(world(), x[:, None], many * dx)[:, 0]
@@ -195,6 +195,12 @@ def test_layers_that_share_a_box_have_dilatations_of_their_own(layers, rng):
     np.maximum.at(highest, matter.patch_of_point, y)
     assert not np.any((lowest < middle) & (highest > middle))
     assert (highest - lowest).max() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1e20])
+def test_kernels_are_compiled_for_patches_in_any_unit_of_length(unit):
+    case = block(scheme=pd.MeanDilatation(pd.Correspondence(), 2.0 * unit))
+    rehearse(world(), case, 2)
 
 
 def test_without_a_matrix_it_is_the_same(tmp_path):

@@ -661,3 +661,19 @@ def test_a_domain_follows_the_tip_and_says_nan_where_it_has_left_the_body(materi
         found.append(moving.evaluate(solution) * law.E)
     assert found[:2] == pytest.approx([1.0, 1.0], rel=0.03)
     assert np.isnan(found[2])
+
+
+@pytest.mark.parametrize("e", [0.05, 2.0])
+@pytest.mark.parametrize("material", [pd.LinearElastic(100.0, 0.3), pd.BondBased(100.0, kinematics="small")])
+def test_lateral_strains_of_a_linear_line_are_linear(material, e):
+    of_bonds = isinstance(material, pd.BondBased)
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (6.0,), 1.0), horizon=1.015, material=material,
+        scheme=None if of_bonds else pd.SubHorizons(),
+        conditions=[pd.Displacement(pd.region.All(), x=lambda x, t: e * t * x[:, 0])],
+    )  # fmt: skip
+    problem = pd.prepare(case).problem
+    state = problem.state(e * problem.body.cloud.x[: problem.body.cloud.n_owned], 1.0)
+    nu = material.elastic(1).nu if of_bonds else material.nu
+    across = problem.matter.out_of_plane(state)[0]
+    assert across == pytest.approx(1.0 - nu * e, rel=1e-12)

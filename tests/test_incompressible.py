@@ -8,8 +8,10 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.discrete.communicator import world
 from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.petsc.constrained import Constrained
+from pdpetsc.running.build import rehearse
 from tests.commands import results
 from tests.scenes import SCHEMES, body, dense_tangent, differences, displacement, rotation
 
@@ -134,8 +136,6 @@ def test_every_relative_control_can_go_by_shear(control, rng):
 
 
 def test_particles_of_a_lattice_do_not_lie_on_the_borders_of_patches():
-    from pdpetsc.discrete.communicator import world
-
     for dx, many in itertools.product((1.0, 0.1, 1e-3 / 3.0), (2, 3)):
         x = 7.3 + dx * (0.5 + np.arange(300.0))
         found = boxes(world(), x[:, None], many * dx)[:, 0]
@@ -159,6 +159,48 @@ def block(dim=2, **changes):
         "results": lambda h: {name: h[name][-1] for name in ("force", "energy")},
     }  # fmt: skip
     return pd.Case(**(declared | changes))
+
+
+def test_what_a_crack_cuts_off_has_no_stress(tmp_path):
+    """A plate in two pieces, cut inside boxes: the left one is stretched, the right one is only held."""
+    left, held = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=7.0)
+    case = block(
+        particles=pd.Lattice((0.0, 0.0), (8.0, 5.0), 1.0), horizon=2.2, material=pd.NeoHookean(10.0, 0.49),
+        control=pd.ByShear(pd.Silling()), cracks=[pd.Segment((3.02, -1.0), (3.02, 6.0))],
+        conditions=[
+            pd.Displacement(left, x=-0.2, y=0.0), pd.Displacement(pd.region.Slab("x", low=2.0, high=3.0), x=0.2, y=0.0),
+            pd.Displacement(held, x=0.0, y=0.0),
+        ],
+        history={"left": pd.Mean(pd.von_mises, "", pd.region.Slab("x", high=3.0)),
+                 "right": pd.Largest(pd.von_mises, "", pd.region.Slab("x", low=3.1))},
+        results=lambda h: {name: h[name][-1] for name in ("left", "right")},
+    )  # fmt: skip
+    found = pd.run(case, tmp_path)
+    assert found["left"] > 0.1
+    assert found["right"] < 1e-9
+
+
+@pytest.mark.parametrize("layers", [(0.0, 3.0, 6.0), (0.0, 1.0, 6.0)])
+def test_layers_that_share_a_box_have_dilatations_of_their_own(layers, rng):
+    """Each particle of a box has a patch with those of its material: no patch has two."""
+    low, middle, _ = layers
+    soft = pd.region.Slab("y", low=low, high=middle)
+    case = block(material=[
+        (soft, pd.LinearElastic(E=10.0, nu=0.49)), (pd.region.Slab("y", low=middle), pd.LinearElastic(1000.0, 0.49)),
+    ])  # fmt: skip
+    matter = pd.prepare(case).problem.matter
+    y = matter.body.cloud.x[matter.operator.owner, 1]
+    lowest, highest = np.full(len(matter._patch_owner), np.inf), np.full(len(matter._patch_owner), -np.inf)
+    np.minimum.at(lowest, matter.patch_of_point, y)
+    np.maximum.at(highest, matter.patch_of_point, y)
+    assert not np.any((lowest < middle) & (highest > middle))
+    assert (highest - lowest).max() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1e20])
+def test_kernels_are_compiled_for_patches_in_any_unit_of_length(unit):
+    case = block(scheme=pd.MeanDilatation(pd.Correspondence(), 2.0 * unit))
+    rehearse(world(), case, 2)
 
 
 def test_without_a_matrix_it_is_the_same(tmp_path):

@@ -296,3 +296,23 @@ def test_a_restart_goes_on_with_the_history_of_the_material(scheme, ranks, tmp_p
 def test_wrong_constants_are_refused(wrong):
     with pytest.raises(pd.CaseError, match="J2"):
         pd.J2(E=1.0, **wrong)
+
+
+@pytest.mark.parametrize("control", [pd.Silling(), pd.Following(pd.Silling())])
+def test_what_a_material_that_flows_dissipates_is_refused_at_the_start(control, tmp_path):
+    """Its strain energy contains plastic work: of a bar that flows the difference would be next to nothing."""
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=5.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (6.0,), 1.0), horizon=1.015, scheme=pd.Correspondence(), control=control,
+        material=pd.J2(E=100.0, nu=0.3, yield_stress=1.0, hardening=1.0),
+        conditions=[pd.Displacement(left, x=0.0), pd.Displacement(right, x=0.2)], steps=pd.Steps(10),
+        history={"work": pd.ExternalWork(), "stored": pd.StrainEnergy()},
+    )  # fmt: skip
+    history = pd.run(case, tmp_path / "stored").history
+    # All but the elastic energy, sigma^2 / 2E over the free length, is lost; stored and lost are the work.
+    assert history["work"][-1] > 0.1
+    assert history["stored"][-1] == pytest.approx(history["work"][-1], rel=0.1)
+    refused = dataclasses.replace(case, history={"lost": pd.DissipatedEnergy()})
+    with pytest.raises(pd.CaseError, match="flows or relaxes"):
+        pd.run(refused, tmp_path / "refused")
+    assert not (tmp_path / "refused" / "summary.json").exists()

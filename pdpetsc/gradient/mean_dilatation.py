@@ -36,7 +36,9 @@ class MeanDilatation(Scheme):
     energy is that of dilatations that the mean does not see: without it they meet no force. Uniform states have
     ``F_bar = F``. The pressure is nearly constant in a patch, so its error falls with the edge; an edge of two spacings
     leaves one condition to eight displacements in the plane, to 24 in space. Patches do not depend on the number of
-    ranks; beside a mirror plane they end there.
+    ranks; beside a mirror plane they end there. Particles of several materials in one box are in several patches, and
+    so are pieces of a box that no bonds inside it hold together, as on both sides of a crack. Around the tip of a
+    crack, which bonds of the box still go around, both sides share their dilatation.
 
     A control is scaled with the bulk modulus unless it is told not to: take ``ByShear``.
 
@@ -52,8 +54,8 @@ class MeanDilatation(Scheme):
     Raises
     ------
     CaseError
-        A number is out of range, or ``scheme`` has patches already; when built, of a bar, of a body in plane stress
-        or of one whose bonds fail.
+        A number is out of range, or ``scheme`` has patches already; when built, of a bar, of a body in plane stress,
+        of one that expands or of one whose bonds fail.
 
     References
     ----------

@@ -210,6 +210,8 @@ class CellStress(Quantity):
 class StrainEnergy(Quantity):
     """Strain energy of the body without that of its zero-energy control [energy].
 
+    Of a material that flows or relaxes it is all that its stress has stored and lost, plastic work included.
+
     Examples
     --------
     >>> import pdpetsc as pd
@@ -260,7 +262,14 @@ class DissipatedEnergy(Quantity):
     In bond-based bodies it is what the damage laws of the bonds have dissipated, which does not depend on the steps; in
     elastic bodies without damage it is 0. In other bodies, and where a term of the case has a history, it is the
     external work less the stored energy: that also contains the energy set free by jumps within a load step and the
-    error of the trapezoidal rule.
+    error of the trapezoidal rule. Where the material flows as well as its bonds fail, the stored energy contains what
+    flow has lost: the difference is what failing bonds dissipate.
+
+    Raises
+    ------
+    CaseError
+        At the start of the run: the material flows or relaxes and no bonds fail, so that the stored energy, which
+        contains what is lost, leaves nothing; or a body that expands has no laws that tell the energy.
 
     Examples
     --------
@@ -276,6 +285,12 @@ class DissipatedEnergy(Quantity):
             raise CaseError(
                 "The energy that this body dissipates is not the external work less the stored energy: strains without "
                 "stress store energy too; leave DissipatedEnergy out."
+            )
+        if problem.damage is None and problem.matter.has_history:
+            raise CaseError(
+                "The strain energy of a material that flows or relaxes contains what it has lost, so that the external "
+                "work less the stored energy is not what this body dissipates; leave DissipatedEnergy out and look at "
+                "StrainEnergy."
             )
         others = any(term.has_history for term in problem.terms if term is not problem.matter)
         return solution.work - sum(solution.energies.values()) if known is None or others else known

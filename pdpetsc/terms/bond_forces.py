@@ -376,7 +376,9 @@ class BondForces(Matter):
             )
             held = (young[self._material_of] * self._factor) * expansion.strain(state.t)[:, 2, 2]
             traces = [trace - held for trace in traces]
-        return np.sqrt(across) if dim == 1 else across, traces[0], traces[1]
+        if dim == 1:  # the product of two equal ones
+            across = 1.0 + 0.5 * (across - 1.0) if not self.finite else np.sqrt(across)
+        return across, traces[0], traces[1]
 
     def _hidden_stretch(self, F: Float, state: State) -> Float:
         """Return the product of the stretches that F (n_owned, dim, dim) does not show, to first order (collective)."""

@@ -323,7 +323,11 @@ class MaterialPoints(Matter):
         for at_points in self.materials:
             part = F[at_points.points]
             across = at_points.hidden_stretch(part)
-            stretch[at_points.points] = np.sqrt(across) if self.body.dim == 1 else across
+            if self.body.dim > 1:
+                stretch[at_points.points] = across
+            else:  # of two equal ones the product, which to first order is one plus the sum of their strains
+                linear = at_points.material.linear
+                stretch[at_points.points] = 1.0 + 0.5 * (across - 1.0) if linear else np.sqrt(across)
             P[at_points.points] = at_points.out_of_plane_stress(part)
             current = 1.0 if at_points.material.linear else stretch[at_points.points] / (np.linalg.det(part) * across)
             sigma[at_points.points] = P[at_points.points] * current

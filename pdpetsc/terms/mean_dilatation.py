@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.discrete.communicator import agreed
+from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, ListedProduct, Moduli, Patches, Scheme
@@ -116,8 +119,8 @@ class PatchPoints(MaterialPoints):
             twice = twice_shear(one.material.moduli(dim))
             self.twice_shear[one.points] = twice if one.factor is None else twice * one.factor
         self._rest = patches.share * self.twice_shear
-        found = np.unique(boxes(cloud.comm, cloud.x[: cloud.n_owned], patches.edge), axis=0, return_inverse=True)[1]
-        self._gather(np.asarray(found).ravel())
+        grid = boxes(cloud.comm, cloud.x[: cloud.n_owned], patches.edge)
+        self._gather(_pieces(body.families, np.column_stack([grid, material_of])))
 
     def _gather(self, patch_of: GlobalIndex) -> None:
         """Set up the patches of the own particles (n_owned,)."""
@@ -359,3 +362,22 @@ def material_points(
     if scheme.patches is None:
         return MaterialPoints(body, operator, materials, material_of, factor)
     return PatchPoints(body, operator, materials, material_of, factor, scheme.patches)
+
+
+def _pieces(families: Families, box: GlobalIndex) -> GlobalIndex:
+    """Return the patch of each own particle (n_owned,): particles of one box that bonds inside it hold together.
+
+    Parameters
+    ----------
+    families : Families
+        Bonds, without those that cracks cut.
+    box : (n_owned, any) int64
+        Numbers of the box of each own particle, and of its material; a rank has all particles of its boxes.
+    """
+    n = len(box)
+    number = np.asarray(np.unique(box, axis=0, return_inverse=True)[1]).ravel()
+    a, b = families.centres, families.neighbours
+    own = np.flatnonzero(b < n)
+    inside = own[number[a[own]] == number[b[own]]]
+    graph = csr_array((np.ones(len(inside), dtype=np.int8), (a[inside], b[inside])), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

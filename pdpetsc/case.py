@@ -209,6 +209,7 @@ class Case(Declared):
             raise CaseError("Case takes at least one material.")
         self._check_symmetry()
         self._check_formulation()
+        self._check_durations()
         self._check_names()
 
     def _check_symmetry(self) -> None:
@@ -221,6 +222,19 @@ class Case(Declared):
             raise CaseError(
                 f"The Cell is periodic in {both[0]} and the case has a Symmetry across it; take one of both."
             )
+
+    def _check_durations(self) -> None:
+        """Raise CaseError where the load takes another time for one part of the case than for another."""
+        laws = [(f"material {number}", ungraded(one)) for number, (_, one) in enumerate(self.materials, 1)]
+        named = [(f"{type(law).__name__} of {name}", law.duration) for name, law in laws]
+        named.append(("HeatConduction", None if self.heat is None else self.heat.duration))
+        given = [(name, duration) for name, duration in named if duration is not None]
+        for name, duration in given[1:]:
+            if duration != given[0][1]:
+                raise CaseError(
+                    f"One time goes by from step time 0 to 1, and {given[0][0]} has a duration of {given[0][1]:g} "
+                    f"where {name} has {duration:g}; give both the same."
+                )
 
     def _check_names(self) -> None:
         clash = _COLUMNS & set(self.history)

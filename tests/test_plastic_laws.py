@@ -499,3 +499,46 @@ def test_a_tangent_that_is_not_symmetric_is_not_factorised_as_one(tmp_path):
     for name, chosen in (("drucker_prager", "cholesky"), ("not_associated", "lu")):
         pd.run(case(law=name, plane="strain", steps=2), output=tmp_path)
         assert json.loads((tmp_path / "summary.json").read_text())["options"]["pc_type"]["value"] == chosen
+
+
+def test_one_time_goes_by_in_a_case(tmp_path):
+    """Whatever has a duration has the same one: rate laws, graded or not, Maxwell elements and conduction."""
+    left, right = pd.region.Slab("x", high=2.0), pd.region.Slab("x", low=2.0)
+
+    def perzyna(duration):
+        return pd.J2(100.0, 0.3, yield_stress=0.5, rate=rates.Perzyna(duration, rate_0=1.0, drag=0.1))
+
+    def kinematic(duration):
+        rate = rates.Perzyna(duration, rate_0=1.0, drag=0.1)
+        return pd.KinematicJ2(100.0, 0.3, yield_stress=0.5, kinematic=1.0, rate=rate)
+
+    def made(one, other, heat=None):
+        return pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0),
+            horizon=1.515,
+            material=[(left, one), (right, other)],
+            conditions=[pd.Displacement(left, x=0.0, y=0.0)],
+            heat=heat,
+        )
+
+    def graded(x):
+        return 1.0 + x[:, 0]
+
+    maxwell, elastic = pd.Maxwell(100.0, 0.3, duration=1.0), pd.LinearElastic(100.0, 0.3)
+    warm = pd.Thermal(pd.Graded(perzyna(2.0), graded), 1e-3)
+    for one, other, heat, names in (
+        (perzyna(1.0), perzyna(100.0), None, "J2 of material 1 has a duration of 1 where J2 of material 2 has 100"),
+        (kinematic(1.0), warm, None, "KinematicJ2 of material 1 has a duration of 1 where J2 of material 2 has 2"),
+        (elastic, maxwell, pd.HeatConduction(duration=3.0), "Maxwell of .* duration of 1 where HeatConduction has 3"),
+        (warm, maxwell, None, "J2 of material 1 has a duration of 2 where Maxwell of material 2 has 1"),
+    ):
+        with pytest.raises(pd.CaseError, match=names):
+            made(one, other, heat)
+    made(perzyna(1.0), maxwell, pd.HeatConduction(duration=1.0))
+    made(perzyna(5.0), elastic, pd.HeatConduction())
+    made(elastic, dataclasses.replace(perzyna(5.0), rate=None), pd.HeatConduction(duration=3.0))
+    # Nor has a law another time when it is hot.
+    other = pd.Thermal(perzyna(1.0), 1e-3, law=lambda T: perzyna(1.0 + T))
+    with pytest.raises(pd.CaseError, match=r"the duration 1.0 of its material, not 8.0 at temperature 7"):
+        other.material_at(7.0, other.material)
+    assert other.material_at(0.0, other.material).duration == 1.0

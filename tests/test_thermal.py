@@ -546,3 +546,36 @@ def test_a_control_that_follows_takes_no_heat_for_flow(rise, tmp_path):
         return pd.run(case, tmp_path).history["R"][-1]
 
     assert force(pd.Following(pd.Silling(0.5))) == pytest.approx(force(pd.Silling(0.5)), rel=1e-6)
+
+
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+def test_stress_at_points_breaks_bonds_that_are_held_against_cold(kinematics, tmp_path):
+    """A free body gets cold without stress; in one held on all sides the stress is that of the closed form."""
+    E, shrunk = 10.0, 0.01
+    cold, strength = pd.Temperature(pd.region.All(), -10.0), 0.05
+    law = pd.BondBased(E, plane="stress", kinematics=kinematics, calibration="lattice")
+    for damage in (pd.Brittle(pd.PrincipalStress(strength)), pd.LinearSoftening(pd.PrincipalStress(strength), 5.0)):
+        free = block(pd.Thermal(law, 1e-3), cold, damage=damage, fields=[], history={"broken": pd.BrokenBonds()})
+        run = pd.run(free, output=tmp_path / "free")
+        assert run.history["broken"][-1] == 0
+        solution = run.solution
+        assert np.abs(solution.problem.damage.drive.at(solution.state)).max() < 1e-9
+        assert np.abs(solution.u).max() > 0.03
+    # Biaxial stress E alpha dT / (1 - nu), nu = 1/3 in plane stress, of elastic gradient 1 / 0.99 where that is finite.
+    if kinematics == "small":
+        sigma = E * shrunk / (1.0 - 1.0 / 3.0)
+    else:
+        stretch = 1.0 / (1.0 - shrunk)
+        green = 0.5 * (stretch**2 - 1.0)
+        S = E * green / (1.0 - 1.0 / 3.0)
+        # Thickness of Saint Venant's law without stress across: the strain there is -nu / (1 - nu) (E_x + E_y).
+        sigma = S / np.sqrt(1.0 - 2.0 * 0.5 * 2.0 * green)
+    for share, whole in ((1.01, True), (0.99, False)):
+        case = block(pd.Thermal(law, 1e-3), cold, damage=pd.Brittle(pd.PrincipalStress(sigma * share)), fields=[])
+        held = pd.Displacement(pd.region.All(), x=0.0, y=0.0)
+        case = dataclasses.replace(case, conditions=[held, cold], history={"broken": pd.BrokenBonds()})
+        run = pd.run(case, output=tmp_path / "held")
+        assert bool(run.history["broken"][-1] == 0) == whole
+        if whole:
+            drive = run.solution.problem.damage.drive.at(run.solution.state)
+            assert np.allclose(drive, 1.0 / share, rtol=1e-9)

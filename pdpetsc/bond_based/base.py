@@ -112,6 +112,8 @@ class BondMaterial(Declared, ABC):
     """
 
     of_family: ClassVar[bool] = False
+    # The time that the load takes, as materials of deformation gradients may have it.
+    duration: ClassVar[float | None] = None
 
     E: float
     nu: float | None = None

@@ -71,6 +71,11 @@ class Material(Declared, ABC):
         """Return whether it depends on time: the last of its constants is then the step time, which is put there."""
         return False
 
+    @property
+    def duration(self) -> float | None:
+        """Return the time from step time 0 to 1 [time], which all of a case share; None where rates do not count."""
+        return None
+
     @abstractmethod
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the loops for dimension ``dim``."""

@@ -108,9 +108,9 @@ class J2(LogarithmicMaterial):
         return P
 
     @property
-    def duration(self) -> float:
+    def duration(self) -> float | None:
         """Return that of the rate law."""
-        return 0.0 if self.rate is None else self.rate.duration
+        return None if self.rate is None else self.rate.duration
 
     def initial_state(self) -> Float:
         """Return alpha, after the work of flow where that depends on its rate."""

@@ -75,9 +75,9 @@ class KinematicJ2(LagrangianMaterial):
         return flow_of("KinematicJ2", self.yield_stress, self.hardening, self.rate)
 
     @property
-    def time(self) -> float:
-        """Return the duration of the rate law."""
-        return 0.0 if self.rate is None else self.rate.duration
+    def duration(self) -> float | None:
+        """Return that of the rate law."""
+        return None if self.rate is None else self.rate.duration
 
     def initial_state(self) -> Float:
         """Return plastic strain, work of flow and alpha."""

@@ -88,7 +88,7 @@ class LagrangianMaterial(HistoryMaterial):
         state : (n, n_state) float64
             What converged steps left; not to be changed.
         dt : (n,) float64
-            Time of the step [time], 0 for a law without ``time``.
+            Time of the step [time], 0 for a law without ``duration``.
         moduli : bool
             Whether the moduli are asked for.
         """
@@ -102,14 +102,9 @@ class LagrangianMaterial(HistoryMaterial):
         """Return the state of an undeformed point (n_state,)."""
 
     @property
-    def time(self) -> float:
-        """Return the time from step time 0 to 1 [time]; 0 where it does not count."""
-        return 0.0
-
-    @property
     def timed(self) -> bool:
         """Return whether the last of its constants is the step time."""
-        return self.time > 0.0
+        return self.duration is not None
 
     @property
     def shear_and_bulk(self) -> tuple[float, float]:
@@ -189,7 +184,7 @@ class LagrangianMaterial(HistoryMaterial):
         lagrangian_loops(dim).strain(np.ascontiguousarray(F), points, tensor, c, N)
         strain = np.stack([tensor[:, i, j] for i, j in PAIRS], axis=1) * WEIGHT
         state = kept[:, KEPT:]
-        dt = np.zeros(n) if t is None else self.time * (t - kept[:, 0])
+        dt = np.zeros(n) if t is None or self.duration is None else self.duration * (t - kept[:, 0])
         if kind in ("stress", "bar"):
             return _Frame(strain, c, N), self._without_lateral_stress(strain, state, dt, kind, moduli)
         return _Frame(strain, c, N), self.respond(strain, state, dt, moduli)

@@ -105,14 +105,9 @@ class LogarithmicMaterial(HistoryMaterial):
         return np.zeros(1)
 
     @property
-    def duration(self) -> float:
-        """Return the time from step time 0 to 1 [time]; 0 where rates do not count."""
-        return 0.0
-
-    @property
     def timed(self) -> bool:
         """Return whether the last of its constants is the step time."""
-        return self.duration > 0.0
+        return self.duration is not None
 
     @property
     def shear_and_bulk(self) -> tuple[float, float]:
@@ -204,7 +199,7 @@ class LogarithmicMaterial(HistoryMaterial):
         loops: LogarithmicLoops = logarithmic_loops(dim)
         loops.trial(np.ascontiguousarray(F), points, kept, *axes)
         state = kept[:, first + KEPT :]
-        dt = np.zeros(n) if t is None else self.duration * (t - kept[:, first + 2])
+        dt = np.zeros(n) if t is None or self.duration is None else self.duration * (t - kept[:, first + 2])
         if kind == "strain":
             axes.strain[:, 2] = kept[:, first]
         if kind in ("stress", "bar"):

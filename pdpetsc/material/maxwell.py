@@ -78,11 +78,6 @@ class Maxwell(LagrangianMaterial):
         object.__setattr__(self, "shear", tuple(float(value) for value in self.shear))
         object.__setattr__(self, "times", tuple(float(value) for value in self.times))
 
-    @property
-    def time(self) -> float:
-        """Return the duration."""
-        return self.duration
-
     def initial_state(self) -> Float:
         """Return the energy of the branches, the deviator and the stress of each branch."""
         return np.zeros(7 + 6 * len(self.shear))

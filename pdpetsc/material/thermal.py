@@ -175,7 +175,7 @@ class Thermal(Declared):
         Raises
         ------
         CaseError
-            The function fails or returns another kind of material than ``plain``.
+            The function fails or returns another kind of material than ``plain``, or one of another duration.
         """
         if self.law is None:
             return plain
@@ -184,6 +184,11 @@ class Thermal(Declared):
             raise CaseError(
                 f"The law of a Thermal material must return a {type(plain).__name__} in plane {plain.plane} as its "
                 f"material is one, not {shown(found)} at temperature {T:g}."
+            )
+        if found.duration != plain.duration:
+            raise CaseError(
+                f"The law of a Thermal material must have the duration {plain.duration} of its material, not "
+                f"{found.duration} at temperature {T:g}: one time goes by from step time 0 to 1."
             )
         return found
 

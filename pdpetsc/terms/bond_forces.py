@@ -72,6 +72,8 @@ class BondForces(Matter):
         self.materials, self._material_of, self._factor = materials, material_of, factor
         self.finite = materials[0].kinematics == "finite"
         self.damage: Damage | None = None
+        # The gradient points that drive damage, where it reads any.
+        self._driving: DamagedPoints | None = None
         # Whether bonds that shorten have their whole stiffness, however damaged.
         self._closes = False
         # Whether damage makes bonds depend on more than their own elongation.
@@ -133,14 +135,15 @@ class BondForces(Matter):
             # The gradient of the bonds that are left, with the elastic material that the bonds stand for.
             kind = SaintVenantKirchhoff if self.finite else LinearElastic
             solids = [kind(one.E, one.nu, one.plane) for one in self._elastic]
-            DamagedPoints(self.body, self.omega, Correspondence(), solids, self._material_of, self._factor, damage)
+            scheme, of, factor = Correspondence(), self._material_of, self._factor
+            self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
             # Forces are those of bonds, which break by what drives them alone.
             damage.torn = None
         self._reaches = damage.drive.reaches
         self.horizons = 2 if self._reaches or self.a is not None else 1
 
     def expand(self) -> None:
-        """Take elongations as those beyond what bonds have without force, as states give them (not collective).
+        """Take elongations as those beyond what bonds have without force, as states give them (collective).
 
         Raises
         ------
@@ -152,6 +155,8 @@ class BondForces(Matter):
                 "The stiffness of bonds does not depend on temperature; leave the factor of Thermal out, or take a "
                 "material of deformation gradients."
             )
+        if self._driving is not None:
+            self._driving.expand()
 
     @property
     def n_points(self) -> int:

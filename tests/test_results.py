@@ -13,7 +13,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.post.sampling import sampled
-from tests.commands import ROOT, run
+from tests.commands import ROOT, TIMEOUT, run
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +154,35 @@ def test_the_doctor_tells_processes_that_do_not_hear_each_other(monkeypatch):
 
     monkeypatch.setattr(doctor, "CHECKS", (fails,))
     assert doctor.doctor(world()) == 1
+
+
+ONE_RANK = """
+import sys
+from pdpetsc.command_line import doctor
+from pdpetsc.discrete.communicator import world
+
+def looks(comm):
+    if comm.rank == 1:
+        raise RuntimeError("no such library")
+    return [doctor.Finding("ok", "library", "there")]
+
+doctor.CHECKS = (looks,)
+sys.exit(doctor.doctor(world()))
+"""
+
+
+def test_the_doctor_tells_what_is_broken_on_another_rank(tmp_path):
+    (tmp_path / "one.py").write_text(ONE_RANK)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    words = [str(ROOT / ".ci" / "mpirun"), "2", sys.executable, str(tmp_path / "one.py")]
+    finished = subprocess.run(
+        words, capture_output=True, text=True, timeout=TIMEOUT, cwd=ROOT, env=environment, check=False
+    )
+    assert finished.returncode == 1
+    first, second, third = finished.stdout.splitlines()[:3]
+    assert first.split() == ["ok", "library", "there"]
+    assert second.startswith("broken  looks on rank 1") and "no such library" in second
+    assert "install it anew" in third
 
 
 def test_words_that_are_nearly_right_are_named(tmp_path):

@@ -13,7 +13,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.post.sampling import sampled
-from tests.commands import ROOT, run
+from tests.commands import ROOT, TIMEOUT, run
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_a_linear_field_is_sampled_exactly(result):
 
 
 def test_there_is_nothing_outside_of_the_body(result):
-    outside = result.sample([(-1.0, 1.0), (3.0, 3.9), (3.0, 1.0)])
+    outside = result.sample([(-1.0, 1.0), (3.0, 4.0), (3.0, 1.0)])
     assert np.isnan(outside[:2]).all() and np.isfinite(outside[2]).all()
     with pytest.raises(pd.CaseError, match="2 or 3 coordinates"):
         result.sample([(1.0,)])
@@ -65,6 +65,43 @@ def test_sampling_in_other_units_and_shaken_clouds_is_exact_for_linear_fields(di
     at = rng.uniform(1.0, 5.0, (20, dim)) * 1e-9
     found = sampled(x, x[:, :dim] @ slope, at)
     assert np.allclose(found, at @ slope, rtol=1e-9, atol=1e-9 * np.abs(at @ slope).max())
+
+
+def test_places_of_a_line_are_points():
+    x = np.zeros((6, 3))
+    x[:, 0] = np.arange(6.0)
+    for places in ([0.5, 1.5, 4.2], [0.5], 0.5, [0.5, 4.0]):
+        assert np.allclose(sampled(x, 2.0 * x[:, 0], places), 2.0 * np.atleast_1d(places))
+    assert np.allclose(sampled(x, 2.0 * x[:, 0], [[1.5, 0.0, 0.0]]), 3.0)
+    assert np.isnan(sampled(x, 2.0 * x[:, 0], [[1.5, 0.0, 1.1]])).all()
+
+
+def test_one_particle_has_a_value_where_it_is():
+    x, values = np.array([[1.0, 2.0, 0.0]]), np.array([[7.0, 8.0]])
+    for points in ([(1.0, 2.0)], [(1.0, 2.0, 0.0)], (1.0, 2.0)):
+        assert np.array_equal(sampled(x, values, points), values)
+    with pytest.raises(pd.CaseError, match="one particle"):
+        sampled(x, values, [(1.0, 2.0), (1.5, 2.0)])
+
+
+def test_odd_points_are_answered_or_refused(result):
+    assert result.sample([]).shape == (0, 3) and result.sample(np.empty((0, 2)), "stress").shape == (0, 3, 3)
+    with pytest.raises(pd.CaseError, match="1 points are not finite"):
+        result.sample([(1.0, 1.0), (np.nan, 1.0)])
+    with pytest.raises(pd.CaseError, match="not 1x2x2"):
+        result.sample(np.ones((1, 2, 2)))
+    off = result.sample([(3.0, 1.0, 0.4), (3.0, 1.0, 0.6)])
+    assert np.isfinite(off[0]).all() and np.isnan(off[1]).all()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_shaken_clouds_have_values_everywhere_inside(dim):
+    rng = np.random.default_rng(3)
+    grid = np.stack(np.meshgrid(*[np.arange(9.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    x = np.zeros((len(grid), 3))
+    x[:, :dim] = grid + rng.uniform(-0.2, 0.2, grid.shape)
+    found = sampled(x, x[:, 0], rng.uniform(1.0, 7.0, (3000, dim)))
+    assert np.isfinite(found).all()
 
 
 def test_results_come_as_frames_and_clouds_where_the_libraries_are(result):
@@ -117,6 +154,35 @@ def test_the_doctor_tells_processes_that_do_not_hear_each_other(monkeypatch):
 
     monkeypatch.setattr(doctor, "CHECKS", (fails,))
     assert doctor.doctor(world()) == 1
+
+
+ONE_RANK = """
+import sys
+from pdpetsc.command_line import doctor
+from pdpetsc.discrete.communicator import world
+
+def looks(comm):
+    if comm.rank == 1:
+        raise RuntimeError("no such library")
+    return [doctor.Finding("ok", "library", "there")]
+
+doctor.CHECKS = (looks,)
+sys.exit(doctor.doctor(world()))
+"""
+
+
+def test_the_doctor_tells_what_is_broken_on_another_rank(tmp_path):
+    (tmp_path / "one.py").write_text(ONE_RANK)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    words = [str(ROOT / ".ci" / "mpirun"), "2", sys.executable, str(tmp_path / "one.py")]
+    finished = subprocess.run(
+        words, capture_output=True, text=True, timeout=TIMEOUT, cwd=ROOT, env=environment, check=False
+    )
+    assert finished.returncode == 1
+    first, second, third = finished.stdout.splitlines()[:3]
+    assert first.split() == ["ok", "library", "there"]
+    assert second.startswith("broken  looks on rank 1") and "no such library" in second
+    assert "install it anew" in third
 
 
 def test_words_that_are_nearly_right_are_named(tmp_path):

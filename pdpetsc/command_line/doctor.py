@@ -225,14 +225,22 @@ def examine(comm: Comm) -> list[Finding]:
 
 
 def doctor(comm: Comm) -> int:
-    """Print what all checks find on rank 0; return 1 where one says that pdpetsc cannot work (collective)."""
+    """Print what all checks find on rank 0, and what is broken on others; return 1 where pdpetsc cannot work.
+
+    Notes
+    -----
+    Collective.
+    """
     found = examine(comm)
-    broken = int(total(comm, sum(one.verdict == "broken" for one in found)))
+    broken = comm.allgather([one for one in found if one.verdict == "broken"])
     if is_root(comm):
-        width = max(len(one.what) for one in found)
-        for one in found:
+        told = [*found]
+        for rank, others in enumerate(broken[1:], 1):
+            told += [one._replace(what=f"{one.what} on rank {rank}") for one in others]
+        width = max(len(one.what) for one in told)
+        for one in told:
             print(
                 f"{one.verdict:6}  {one.what:{width}}  {one.found}"
                 + (f"\n        -> {one.advice}" if one.advice else "")
             )
-    return 1 if broken else 0
+    return 1 if any(broken) else 0

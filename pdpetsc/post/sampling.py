@@ -12,6 +12,8 @@ from pdpetsc.errors import CaseError
 FITTED = {1: 4, 2: 10, 3: 24}
 # Singular values below this share of the largest belong to directions in which the particles do not differ.
 FLAT = 1e-8
+# Over the distance of a particle from its nearest neighbour, how far values of the field reach from it.
+FARTHEST = 1.5
 
 
 def sampled(x: Float, values: Float, points: Float) -> Float:
@@ -26,36 +28,68 @@ def sampled(x: Float, values: Float, points: Float) -> Float:
     values : (n, ...) float64
         The field there.
     points : (m, d) float64
-        Where it is asked for [length], with as many coordinates as the body has directions, or three.
+        Where it is asked for [length], with as many coordinates as the body has directions, or three; (m,) is a list of
+        places along a line body. May be empty.
 
     Returns
     -------
     (m, ...) float64
-        nan at points that are farther from every particle than that one is from its nearest neighbour.
+        nan at points that are farther from their nearest particle than 1.5 times the distance of that one from its own
+        nearest neighbour: so far holes between the particles of a shaken cloud may reach. Points of three coordinates
+        that lie off a line or plane body by more than that distance have nan too.
 
     Raises
     ------
     CaseError
-        The points have another number of coordinates.
+        The points have another number of coordinates or are not finite, or one particle alone, which has a value only
+        where it is, is asked for one elsewhere.
     """
     axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0)
-    given = np.atleast_2d(np.asarray(points, dtype=float))
-    if given.ndim != 2 or given.shape[1] not in (3, len(axes)):
+    given = np.asarray(points, dtype=float)
+    if given.size == 0:
+        return np.empty((0, *np.shape(values)[1:]))
+    if given.ndim < 2:
+        # One number after another are places along a line; else they are the coordinates of one point.
+        given = given.reshape((-1, 1) if len(axes) == 1 else (1, -1))
+    # What number of directions one particle has is not known from where it is.
+    allowed = (3, len(axes)) if len(x) > 1 else (1, 2, 3)
+    if given.ndim != 2 or given.shape[1] not in allowed:
         shape = "x".join(str(n) for n in given.shape)
         raise CaseError(
             f"Points of a body of {len(axes)} dimensions have {len(axes)} or 3 coordinates each, not {shape}."
         )
+    bad = np.flatnonzero(~np.isfinite(given).all(axis=1))
+    if len(bad):
+        raise CaseError(f"{len(bad)} points are not finite, the first is {given[bad[0]]}; take them out.")
+    if len(x) == 1:
+        return _of_one(x, values, given)
     at = given if given.shape[1] == len(axes) else given[:, axes]
     inside, dim = x[:, axes], len(axes)
     tree = cKDTree(inside)
     most = min(FITTED[dim], len(x))
     distance, near = tree.query(at, k=most)
     distance, near = distance.reshape(len(at), -1), near.reshape(len(at), -1)
-    spacing = tree.query(inside[near[:, 0]], k=min(2, len(x)))[0].reshape(len(at), -1)[:, -1]
+    spacing = tree.query(inside[near[:, 0]], k=2)[0][:, 1]
     scale = np.maximum(distance[:, -1], np.finfo(float).tiny)[:, None]
     weight = np.exp(-((2.0 * distance / scale) ** 2))
     basis = np.concatenate([np.ones((*near.shape, 1)), (inside[near] - at[:, None]) / scale[..., None]], axis=2)
     fit = np.linalg.pinv(weight[..., None] * basis, rcond=FLAT)[:, 0] * weight
     found = np.einsum("me,me...->m...", fit, values[near])
-    found[distance[:, 0] > spacing * (1.0 + FLAT)] = np.nan
+    outside = distance[:, 0] > FARTHEST * spacing
+    if given.shape[1] == 3 and dim < 3:
+        across = np.setdiff1d(np.arange(3), axes)
+        outside |= np.linalg.norm(given[:, across] - x[0, across], axis=1) > spacing * (1.0 + FLAT)
+    found[outside] = np.nan
     return np.asarray(found)
+
+
+def _of_one(x: Float, values: Float, given: Float) -> Float:
+    """Return the value of one particle at points (m, d), all of which are at it."""
+    d = given.shape[1]
+    apart = np.linalg.norm(given - x[0, :d], axis=1)
+    far = np.flatnonzero(apart > FLAT * np.abs(x[0, :d]).max())
+    if len(far):
+        raise CaseError(
+            f"A body of one particle has values at {x[0]} alone, not at {given[far[0]]}; ask for the field there."
+        )
+    return np.repeat(np.asarray(values, dtype=float), len(given), axis=0)

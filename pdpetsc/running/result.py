@@ -105,7 +105,8 @@ class Result(Mapping[str, float]):
         Parameters
         ----------
         points : (m, d) array
-            Where [length]; d is the dimension of the body, or 3: ``np.linspace(start, end, 50)`` is a line.
+            Where [length]; d is the dimension of the body, or 3: ``np.linspace(start, end, 50)`` is a line;
+            places along a line body may be (m,).
         name : str
             The field, as for ``field``.
         step : int, optional
@@ -114,12 +115,14 @@ class Result(Mapping[str, float]):
         Returns
         -------
         (m, ...) float64
-            nan outside of the body.
+            nan outside of the body: farther from the nearest particle than 1.5 times the distance of that one from its
+            own nearest neighbour.
 
         Raises
         ------
         CaseError
-            The run wrote no such field or step, or the points have another dimension.
+            The run wrote no such field or step, or the points have another dimension or are not finite, or the body
+            is one particle that is elsewhere.
         """
         return sampled(self.x, np.asarray(self.field(name, step), dtype=float), points)
 

@@ -113,7 +113,8 @@ class FollowingForces(ControlForces):
             e = np.sqrt(np.maximum(doubled, 0.0))
             return Families(e, forces, self.control.scaled(self._yielding.secant(e)))
 
-        return state.kept(("families", self.version, id(self.control)), make)
+        changed = 0 if self.damage is None else self.damage.version
+        return state.kept(("families", self.version, changed, id(self.control)), make)
 
     def energy(self, state: State) -> float:
         """Return the energy of the control, with what its yielding has lost."""

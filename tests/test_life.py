@@ -417,7 +417,12 @@ def signalled(case, number, where, ranks=1, to=(0,), again=False):
     words = command(case, "--quiet", f"where={where}", "what=waits", ranks=ranks, output=folder)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PIDS": str(case.parent)}
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(words, env=environment, **pipes)
+    process = subprocess.Popen(
+        words,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # tests may run under nohup
+        env=environment,
+        **pipes,
+    )
     for rank in range(ranks):
         wait_for(case.parent / str(rank))
     time.sleep(0.3)

@@ -311,6 +311,10 @@ class Scheme(Declared, ABC):
     of_family: ClassVar[bool] = False
     points_of_bonds: ClassVar[bool] = False
 
+    def of_unit_spacing(self) -> Scheme:
+        """Return it without lengths of its body, to compile its loops on particles one unit apart."""
+        return self
+
     @property
     def patches(self) -> Patches | None:
         """Return which gradient points share one dilatation; None where each has its own."""

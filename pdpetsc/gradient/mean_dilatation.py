@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,6 +80,10 @@ class MeanDilatation(Scheme):
             raise CaseError(f"MeanDilatation needs a share >= 0, not {self.share}.")
         if self.scheme.patches is not None:
             raise CaseError(f"{type(self.scheme).__name__} has patches already; give MeanDilatation another scheme.")
+
+    def of_unit_spacing(self) -> Scheme:
+        """Return it with patches of two spacings."""
+        return replace(self, scheme=self.scheme.of_unit_spacing(), patch=2.0)
 
     @property
     def patches(self) -> Patches:

@@ -13,6 +13,9 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
+# What a body shows of a solid: all, a plane without strain or without stress across it, or a line.
+Kind = Literal["solid", "strain", "stress", "bar"]
+
 # Moduli outside of these bounds overflow in products, and factorisations of such matrices crash [stress].
 LEAST_MODULUS, LARGEST_MODULUS = 1e-100, 1e100
 
@@ -60,6 +63,12 @@ class Material(Declared, ABC):
     has_history: ClassVar[bool] = False
     # Whether its local iteration may find no stress, which is NaN then; a step that leads there is cut back.
     may_fail: ClassVar[bool] = False
+
+    def kind(self, dim: int) -> Kind:
+        """Return what a body of ``dim`` dimensions shows of the solid."""
+        if dim == 2:
+            return self.plane
+        return "bar" if dim == 1 else "solid"
 
     @property
     def symmetric(self) -> bool:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.errors import CaseError
-from pdpetsc.material.hardening import Hardening, law_of
+from pdpetsc.material.hardening import Hardening, law_of, refuse_softening
 from pdpetsc.material.logarithmic import LogarithmicMaterial, Response
 from pdpetsc.material.roots import falling_roots
 
@@ -69,8 +69,6 @@ class DruckerPrager(LogarithmicMaterial):
     hardening: float | Hardening = 0.0
     fit: Literal["compression", "tension", "plane strain"] = "compression"
 
-    may_fail: ClassVar[bool] = True
-
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.cohesion) and self.cohesion > 0.0):
@@ -82,8 +80,7 @@ class DruckerPrager(LogarithmicMaterial):
                 f"DruckerPrager takes an angle of dilatancy from 0 to that of friction, {self.friction}, not "
                 f"{self.dilatancy}."
             )
-        if not isinstance(self.hardening, Hardening) and not (math.isfinite(self.hardening) and self.hardening >= 0.0):
-            raise CaseError(f"DruckerPrager needs hardening >= 0, not {self.hardening}.")
+        refuse_softening("DruckerPrager", self.hardening)
 
     @property
     def symmetric(self) -> bool:

@@ -15,17 +15,16 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import sympy
 from sympy.printing.numpy import NumPyPrinter
 
 from pdpetsc.kernels.compile import note
-from pdpetsc.material.base import HistoryKernels
+from pdpetsc.material.base import HistoryKernels, Kind
 from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, Energy
 
 # A solid; a plane body without strain or without stress across it; a bar with free sides.
-Kind = Literal["solid", "strain", "stress", "bar"]
 DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
 # Equal stretches across the body that F does not show.
 HIDDEN: dict[Kind, int] = {"solid": 0, "strain": 1, "stress": 1, "bar": 2}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.errors import CaseError
-from pdpetsc.material.hardening import Hardening, law_of
+from pdpetsc.material.hardening import Hardening, law_of, refuse_softening
 from pdpetsc.material.rate import RateLaw
 from pdpetsc.material.roots import falling_roots
 
@@ -81,10 +81,36 @@ class Flow(NamedTuple):
         return stress, by_slow * slope + by_rate / dt
 
 
-def flow_of(name: str, yield_stress: float, hardening: float | Hardening, rate: RateLaw | None) -> Flow:
-    """Return the flow of declared fields; raise CaseError where one is out of range."""
-    if not (math.isfinite(yield_stress) and yield_stress > 0.0):
-        raise CaseError(f"{name} needs a positive yield stress, not {yield_stress}.")
-    if not isinstance(hardening, Hardening) and not (math.isfinite(hardening) and hardening >= 0.0):
-        raise CaseError(f"{name} needs hardening >= 0, not {hardening}.")
-    return Flow(yield_stress, law_of(hardening), rate)
+class Yields:
+    """What metals have in common whose stress is bounded by a yield stress that does not fall; beside a base of theirs.
+
+    Attributes
+    ----------
+    yield_stress, hardening, rate
+        As declared by the material.
+    """
+
+    yield_stress: float
+    hardening: float | Hardening
+    rate: RateLaw | None
+
+    # The yield stress does not fall: what is to be found lies between two bounds.
+    may_fail: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        base: Any = super()
+        base.__post_init__()
+        name = type(self).__name__
+        if not (math.isfinite(self.yield_stress) and self.yield_stress > 0.0):
+            raise CaseError(f"{name} needs a positive yield stress, not {self.yield_stress}.")
+        refuse_softening(name, self.hardening)
+
+    @property
+    def flow(self) -> Flow:
+        """Return its resistance to flow."""
+        return Flow(self.yield_stress, law_of(self.hardening), self.rate)
+
+    @property
+    def duration(self) -> float | None:
+        """Return that of the rate law."""
+        return None if self.rate is None else self.rate.duration

@@ -283,6 +283,12 @@ def law_of(hardening: float | Hardening) -> Hardening:
     return hardening if isinstance(hardening, Hardening) else Linear(hardening)
 
 
+def refuse_softening(name: str, hardening: float | Hardening) -> None:
+    """Raise CaseError where a number that material ``name`` takes as hardening is negative or not finite."""
+    if not isinstance(hardening, Hardening) and not (math.isfinite(hardening) and hardening >= 0.0):
+        raise CaseError(f"{name} needs hardening >= 0, not {hardening}.")
+
+
 def _parts(law: Hardening) -> Sequence[Hardening]:
     return law.laws if isinstance(law, Sum) else (law,)
 

@@ -14,11 +14,11 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
-from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Material, isotropic_moduli
+from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Kind, Material, isotropic_moduli
 
 if TYPE_CHECKING:
     from pdpetsc.material.energy import Energy
-    from pdpetsc.material.energy_loops import Kind, Loops
+    from pdpetsc.material.energy_loops import Loops
 
 # A unit vector, or a function that gives one for every position.
 Direction: TypeAlias = Sequence[float] | Callable[[Float], Float]
@@ -76,12 +76,7 @@ class EnergyMaterial(Material):
     def _loops(self, dim: int) -> Loops:
         from pdpetsc.material.energy_loops import loops_of
 
-        return loops_of(self._energy, self._kind(dim))
-
-    def _kind(self, dim: int) -> Kind:
-        if dim == 2:
-            return self.plane
-        return "bar" if dim == 1 else "solid"
+        return loops_of(self._energy, self.kind(dim))
 
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the compiled loops for dimension ``dim``."""
@@ -91,7 +86,7 @@ class EnergyMaterial(Material):
         """Return the constants in the order in which they were given, and the lateral ratio of the linear law."""
         lam, mu = isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions())))
         ratio = {"solid": 0.0, "strain": 0.0, "stress": -lam / (lam + 2.0 * mu), "bar": -0.5 * lam / (lam + mu)}
-        return np.array([*self._values(), ratio[self._kind(dim)]])
+        return np.array([*self._values(), ratio[self.kind(dim)]])
 
     def _values(self) -> tuple[float, ...]:
         return tuple(float(value) for value in self.declared_energy()[1].values())
@@ -144,13 +139,13 @@ class EnergyMaterial(Material):
 
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
         """Return whether the hidden stretch is found at all points ``select``."""
-        if self._kind(F.shape[-1]) in ("solid", "strain"):
+        if self.kind(F.shape[-1]) in ("solid", "strain"):
             return True
         return bool(np.isfinite(self._across(F, select, history)).all())
 
     def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``b`` in plane stress, ``b^2`` in a bar, 1 in plane strain and solids (n,) [-]."""
-        if self._kind(F.shape[-1]) in ("solid", "strain"):
+        if self.kind(F.shape[-1]) in ("solid", "strain"):
             return np.ones(len(F))
         return self._across(F, np.arange(len(F)), history)
 
@@ -166,12 +161,12 @@ class EnergyMaterial(Material):
             solid = isotropic_moduli(lam, mu, 3)
         else:
             solid = self._solid_moduli([np.append(_unit(one, ""), np.zeros(3))[:3] for one in given])
-        return _condensed(solid, self._kind(dim))
+        return _condensed(solid, self.kind(dim))
 
     def bulk_like_modulus(self, dim: int) -> float:
         """Return that of the isotropic mean [stress]: the same however directions are given."""
         mean = isotropic_moduli(*isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
-        return float(np.einsum("iikk", _condensed(mean, self._kind(dim)))) / dim**2
+        return float(np.einsum("iikk", _condensed(mean, self.kind(dim)))) / dim**2
 
     def _solid_moduli(self, directions: Sequence[Float]) -> Float:
         moduli: Float = _undeformed(self._energy, self._values(), tuple(map(tuple, directions)))[1]

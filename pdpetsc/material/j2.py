@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.linear_return import linear_out_of_plane, linear_return_loops
 from pdpetsc.material.base import HistoryKernels
-from pdpetsc.material.flow import Flow, flow_of
+from pdpetsc.material.flow import Yields
 from pdpetsc.material.hardening import Hardening, Linear, law_of
 from pdpetsc.material.logarithmic import LogarithmicMaterial, Response
 from pdpetsc.material.rate import RateLaw
 
 
 @dataclass(frozen=True)
-class J2(LogarithmicMaterial):
+class J2(Yields, LogarithmicMaterial):
     r"""J2 plasticity in Hencky strain, ``F = F_e F_p``, with a radial return.
 
     In the principal frame of ``b_e = F G G^T F^T``, ``G = F_p^-1``, with logarithmic strains eps and deviator s::
@@ -63,17 +62,6 @@ class J2(LogarithmicMaterial):
     hardening: float | Hardening = 0.0
     rate: RateLaw | None = None
 
-    # The yield stress does not fall: what is to be found lies between two bounds.
-    may_fail: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        assert self._flow  # or refused
-
-    @property
-    def _flow(self) -> Flow:
-        return flow_of("J2", self.yield_stress, self.hardening, self.rate)
-
     def _linear_loops(self, dim: int) -> bool:
         """Return whether loops made for linear hardening do all of it."""
         free = dim == 2 and self.plane == "stress"
@@ -107,11 +95,6 @@ class J2(LogarithmicMaterial):
         linear_out_of_plane(np.ascontiguousarray(F), self.constants(2), history, P)
         return P
 
-    @property
-    def duration(self) -> float | None:
-        """Return that of the rate law."""
-        return None if self.rate is None else self.rate.duration
-
     def initial_state(self) -> Float:
         """Return alpha, after the work of flow where that depends on its rate."""
         return np.zeros(1 if self.rate is None else 2)
@@ -126,11 +109,11 @@ class J2(LogarithmicMaterial):
         q = math.sqrt(6.0) * mu * np.sqrt(square)
         after = state.copy()
         theta = np.ones(len(q))
-        flow, growth, slope = self._flow.growth(q, alpha, dt, 3.0 * mu)
+        flow, growth, slope = self.flow.growth(q, alpha, dt, 3.0 * mu)
         theta[flow] -= 3.0 * mu * growth / q[flow]
         after[flow, -1] += growth
         if self.rate is not None and len(flow):
-            after[flow, 0] += self._flow.work(alpha[flow], growth, dt[flow])
+            after[flow, 0] += self.flow.work(alpha[flow], growth, dt[flow])
         pressure = 3.0 * K * mean
         scaled = theta[:, None] * deviator
         tau = pressure[:, None] + 2.0 * mu * scaled
@@ -150,6 +133,6 @@ class J2(LogarithmicMaterial):
         """Return elastic energy and the work of flow."""
         mu, K = self.shear_and_bulk
         alpha, mean = state[:, -1], elastic.mean(axis=1)
-        work = self._flow.work(np.zeros(len(alpha)), alpha, alpha) if self.rate is None else state[:, 0]
+        work = self.flow.work(np.zeros(len(alpha)), alpha, alpha) if self.rate is None else state[:, 0]
         stored = 4.5 * K * mean * mean + mu * ((elastic - mean[:, None]) ** 2).sum(axis=1)
         return np.asarray(stored + work)

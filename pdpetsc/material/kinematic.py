@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
-from pdpetsc.material.flow import Flow, flow_of
+from pdpetsc.material.flow import Yields
 from pdpetsc.material.hardening import Hardening
 from pdpetsc.material.lagrangian import DEVIATOR, ONE, LagrangianMaterial, TensorResponse
 from pdpetsc.material.rate import RateLaw
 
 
 @dataclass(frozen=True)
-class KinematicJ2(LagrangianMaterial):
+class KinematicJ2(Yields, LagrangianMaterial):
     r"""J2 plasticity with a back stress, additive in the Lagrangian logarithmic strain, ``E = E_e + E_p``.
 
     With the deviator e of ``E - E_p``, T conjugate to E, and the back stress X::
@@ -61,23 +60,10 @@ class KinematicJ2(LagrangianMaterial):
     hardening: float | Hardening = 0.0
     rate: RateLaw | None = None
 
-    # The yield stress does not fall: what is to be found lies between two bounds.
-    may_fail: ClassVar[bool] = False
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        assert self._flow  # or refused
         if not (math.isfinite(self.kinematic) and self.kinematic >= 0.0):
             raise CaseError(f"KinematicJ2 needs kinematic >= 0, not {self.kinematic}.")
-
-    @property
-    def _flow(self) -> Flow:
-        return flow_of("KinematicJ2", self.yield_stress, self.hardening, self.rate)
-
-    @property
-    def duration(self) -> float | None:
-        """Return that of the rate law."""
-        return None if self.rate is None else self.rate.duration
 
     def initial_state(self) -> Float:
         """Return plastic strain, work of flow and alpha."""
@@ -95,7 +81,7 @@ class KinematicJ2(LagrangianMaterial):
         xi = 2.0 * mu * e - 2.0 / 3.0 * self.kinematic * plastic
         size = np.sqrt(np.einsum("pa,pa->p", xi, xi))
         q = math.sqrt(1.5) * size
-        flow, growth, slope = self._flow.growth(q, alpha, dt, 3.0 * mu + self.kinematic)
+        flow, growth, slope = self.flow.growth(q, alpha, dt, 3.0 * mu + self.kinematic)
         after = state.copy()
         T = K * strain[:, :3].sum(axis=1)[:, None] * ONE + 2.0 * mu * e
         found = None
@@ -106,7 +92,7 @@ class KinematicJ2(LagrangianMaterial):
             moved = math.sqrt(1.5) * growth[:, None] * n
             T[flow] -= 2.0 * mu * moved
             after[flow, :6] += moved
-            after[flow, 6] += self._flow.work(alpha[flow], growth, dt[flow])
+            after[flow, 6] += self.flow.work(alpha[flow], growth, dt[flow])
             after[flow, 7] += growth
             if found is not None:
                 share = (3.0 * mu * growth / q[flow])[:, None, None]

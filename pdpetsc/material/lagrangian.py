@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.kernels.lagrangian import lagrangian_loops
-from pdpetsc.material.base import HistoryKernels, HistoryMaterial
-from pdpetsc.material.logarithmic import BLOCK, Kind
-from pdpetsc.material.roots import rising_roots
+from pdpetsc.material.base import HistoryKernels, Kind
+from pdpetsc.material.stepped import SteppedMaterial, blocks
 
 # Components of a symmetric tensor as a vector, in which scalar products are those of tensors.
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -53,7 +51,7 @@ class _Frame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LagrangianMaterial(HistoryMaterial):
+class LagrangianMaterial(SteppedMaterial):
     r"""A small-strain law ``T(E)`` in the Lagrangian logarithmic strain ``E = 1/2 ln(F^T F)``.
 
     Whatever law of small strain is written in E is a law of finite strain that is objective and keeps its potential:
@@ -74,8 +72,6 @@ class LagrangianMaterial(HistoryMaterial):
     ----------
     Miehe2002.
     """
-
-    may_fail: ClassVar[bool] = True
 
     @abstractmethod
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> TensorResponse:
@@ -101,52 +97,33 @@ class LagrangianMaterial(HistoryMaterial):
     def initial_state(self) -> Float:
         """Return the state of an undeformed point (n_state,)."""
 
-    @property
-    def timed(self) -> bool:
-        """Return whether the last of its constants is the step time."""
-        return self.duration is not None
-
-    @property
-    def shear_and_bulk(self) -> tuple[float, float]:
-        """Return ``mu, K`` of the solid [stress]."""
-        return 0.5 * self.E / (1.0 + self.nu), self.E / (3.0 * (1.0 - 2.0 * self.nu))
-
-    def constants(self, dim: int) -> Float:
-        """Return the step time, which is put there before every step."""
-        return np.zeros(1)
-
     def initial_history(self, dim: int, n: int) -> Float:
         """Return the history of ``n`` undeformed points: the step time and the law's own state."""
         return np.tile(np.concatenate([np.zeros(KEPT), self.initial_state()]), (n, 1))
 
-    def thickness_stretch(self, F: Float) -> Float:
-        """Return the hidden stretches of the elastic law; ``hidden_stretch`` has those of the law itself."""
-        stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
-        return stretch
-
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return loops over blocks of points around ``respond``."""
-        kind, loops = self._kind(dim), lagrangian_loops(dim)
+        kind, loops = self.kind(dim), lagrangian_loops(dim)
 
         def stress(F: Float, select: GlobalIndex, constants: Float, history: Float, P: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 frame, found = self._returned(F, points, constants[-1], kept, kind, False)
                 loops.stress(F, points, _tensor(found.T, dim), frame.c, frame.N, P)
 
         def tangent(F: Float, select: GlobalIndex, constants: Float, history: Float, A: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 frame, found = self._returned(F, points, constants[-1], kept, kind, True)
                 assert found.moduli is not None
                 moduli = _tensors(_condensed(found.moduli, kind), dim)
                 loops.tangent(F, points, _tensor(found.T, dim), moduli, frame.c, frame.N, A)
 
         def energy(F: Float, select: GlobalIndex, constants: Float, history: Float, psi: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 frame, found = self._returned(F, points, constants[-1], kept, kind, False)
                 psi[points] = self.energy(frame.strain, found.state)
 
         def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 _, found = self._returned(F, points, constants[-1], kept, kind, False)
                 kept[:, 0] = constants[-1]
                 kept[:, KEPT:] = found.state
@@ -155,10 +132,10 @@ class LagrangianMaterial(HistoryMaterial):
 
     def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
-        dim, kind = F.shape[-1], self._kind(F.shape[-1])
+        dim, kind = F.shape[-1], self.kind(F.shape[-1])
         across = np.ones(len(F))
         if kind in ("stress", "bar"):
-            for points, kept in _blocks(np.arange(len(F)), history):
+            for points, kept in blocks(np.arange(len(F)), history):
                 frame, _ = self._returned(F, points, t, kept, kind, False)
                 across[points] = np.exp(frame.strain[:, dim:3].sum(axis=1))
         return across
@@ -166,14 +143,9 @@ class LagrangianMaterial(HistoryMaterial):
     def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``T_33`` (n,) [stress] in plane strain: ``F_zz`` is 1."""
         P = np.empty(len(F))
-        for points, kept in _blocks(np.arange(len(F)), history):
+        for points, kept in blocks(np.arange(len(F)), history):
             P[points] = self._returned(F, points, t, kept, "strain", False)[1].T[:, 2]
         return P
-
-    def _kind(self, dim: int) -> Kind:
-        if dim == 2:
-            return self.plane
-        return "bar" if dim == 1 else "solid"
 
     def _returned(
         self, F: Float, points: GlobalIndex, t: float | None, kept: Float, kind: Kind, moduli: bool
@@ -184,35 +156,10 @@ class LagrangianMaterial(HistoryMaterial):
         lagrangian_loops(dim).strain(np.ascontiguousarray(F), points, tensor, c, N)
         strain = np.stack([tensor[:, i, j] for i, j in PAIRS], axis=1) * WEIGHT
         state = kept[:, KEPT:]
-        dt = np.zeros(n) if t is None or self.duration is None else self.duration * (t - kept[:, 0])
+        dt = self.time_of_step(t, kept[:, 0])
         if kind in ("stress", "bar"):
-            return _Frame(strain, c, N), self._without_lateral_stress(strain, state, dt, kind, moduli)
+            return _Frame(strain, c, N), self.free_across(strain, state, dt, kind, moduli)
         return _Frame(strain, c, N), self.respond(strain, state, dt, moduli)
-
-    def _without_lateral_stress(
-        self, strain: Float, state: Float, dt: Float, kind: Kind, moduli: bool
-    ) -> TensorResponse:
-        """Return the response where hidden strains, written into ``strain``, leave no stress across the body."""
-        mu, K = self.shear_and_bulk
-        lam = K - 2.0 * mu / 3.0
-        hidden = [2] if kind == "stress" else [1, 2]
-
-        def lateral(x: Float, rows: GlobalIndex) -> tuple[Float, Float, Float]:
-            strain[rows[:, None], hidden] = x[:, None]
-            T, moduli, _ = self.respond(strain[rows], state[rows], dt[rows], True)
-            assert moduli is not None
-            return T[:, 2], moduli[:, 2, hidden].sum(axis=1), np.abs(T).max(axis=1)
-
-        elastic = -lam / (lam + 2.0 * mu) * (strain[:, 0] + strain[:, 1])
-        x = rising_roots(lateral, elastic if kind == "stress" else -self.nu * strain[:, 0], lam + 2.0 * mu)
-        strain[:, hidden] = x[:, None]
-        return self.respond(strain, state, dt, moduli)
-
-
-def _blocks(select: GlobalIndex, history: Float) -> Iterator[tuple[GlobalIndex, Float]]:
-    """Yield points with their rows of the history, which may be written."""
-    for first in range(0, len(select), BLOCK):
-        yield select[first : first + BLOCK], history[first : first + BLOCK]
 
 
 def _condensed(moduli: Float, kind: Kind) -> Float:

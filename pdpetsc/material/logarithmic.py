@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.kernels.logarithmic import LogarithmicLoops, logarithmic_loops
-from pdpetsc.material.base import HistoryKernels, HistoryMaterial
-from pdpetsc.material.roots import rising_roots
+from pdpetsc.material.base import HistoryKernels, Kind
+from pdpetsc.material.stepped import SteppedMaterial, blocks
 
-# Points that are computed together: their arrays stay in the cache.
-BLOCK = 4096
 # Numbers of a history between G and the state of the law: hidden elastic strain, hidden whole strain, step time.
 KEPT = 3
 # Strains that differ by less are taken as equal where the difference quotient of their stresses is asked.
 EQUAL = 1e-5
-
-Kind = Literal["solid", "strain", "stress", "bar"]
 
 
 class Response(NamedTuple):
@@ -55,7 +50,7 @@ class _Axes(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LogarithmicMaterial(HistoryMaterial):
+class LogarithmicMaterial(SteppedMaterial):
     r"""A law in principal elastic logarithmic strains, ``F = F_e F_p``, of a solid, a plane body or a bar.
 
     The law sees the three principal values of ``eps = 1/2 ln(F G G^T F^T)``, ``G = F_p^-1`` that of the last converged
@@ -74,8 +69,6 @@ class LogarithmicMaterial(HistoryMaterial):
     ----------
     Simo1992.
     """
-
-    may_fail: ClassVar[bool] = True
 
     @abstractmethod
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Response:
@@ -104,20 +97,6 @@ class LogarithmicMaterial(HistoryMaterial):
         """Return the state of an undeformed point (n_state,): an accumulated plastic strain of 0."""
         return np.zeros(1)
 
-    @property
-    def timed(self) -> bool:
-        """Return whether the last of its constants is the step time."""
-        return self.duration is not None
-
-    @property
-    def shear_and_bulk(self) -> tuple[float, float]:
-        """Return ``mu, K`` of the solid [stress]."""
-        return 0.5 * self.E / (1.0 + self.nu), self.E / (3.0 * (1.0 - 2.0 * self.nu))
-
-    def constants(self, dim: int) -> Float:
-        """Return the step time, which is put there before every step."""
-        return np.zeros(1)
-
     def initial_history(self, dim: int, n: int) -> Float:
         """Return the history of ``n`` undeformed points: G, hidden strains and step time, and the law's own state."""
         return np.tile(np.concatenate([np.eye(dim).ravel(), np.zeros(KEPT), self.initial_state()]), (n, 1))
@@ -126,22 +105,17 @@ class LogarithmicMaterial(HistoryMaterial):
         """Return the last number of the state (n,) [-]: the accumulated plastic strain."""
         return history[:, -1]
 
-    def thickness_stretch(self, F: Float) -> Float:
-        """Return the hidden stretches of the elastic law; ``hidden_stretch`` has those of the law itself."""
-        stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
-        return stretch
-
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return loops over blocks of points around ``respond``."""
-        kind, loops = self._kind(dim), logarithmic_loops(dim)
+        kind, loops = self.kind(dim), logarithmic_loops(dim)
 
         def stress(F: Float, select: GlobalIndex, constants: Float, history: Float, P: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 axes, found = self._returned(F, points, constants[-1], kept, kind, False)
                 loops.stress(points, kept, found.tau, axes.stretch, axes.N, axes.n, P)
 
         def tangent(F: Float, select: GlobalIndex, constants: Float, history: Float, A: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 axes, found = self._returned(F, points, constants[-1], kept, kind, True)
                 assert found.moduli is not None
                 moduli = np.ascontiguousarray(_condensed(found.moduli, kind))
@@ -149,13 +123,13 @@ class LogarithmicMaterial(HistoryMaterial):
                 loops.tangent(points, kept, found.tau, moduli, shear, axes.stretch, axes.N, axes.n, A)
 
         def energy(F: Float, select: GlobalIndex, constants: Float, history: Float, psi: Float) -> None:
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 _, found = self._returned(F, points, constants[-1], kept, kind, False)
                 psi[points] = self.energy(found.elastic, found.state)
 
         def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
             first = dim * dim
-            for points, kept in _blocks(select, history):
+            for points, kept in blocks(select, history):
                 axes, found = self._returned(F, points, constants[-1], kept, kind, False)
                 loops.commit(kept, found.elastic, axes.stretch, axes.N, axes.n)
                 if kind in ("stress", "bar"):
@@ -168,10 +142,10 @@ class LogarithmicMaterial(HistoryMaterial):
 
     def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
-        dim, kind = F.shape[-1], self._kind(F.shape[-1])
+        dim, kind = F.shape[-1], self.kind(F.shape[-1])
         across = np.ones(len(F))
         if kind in ("stress", "bar"):
-            for points, kept in _blocks(np.arange(len(F)), history):
+            for points, kept in blocks(np.arange(len(F)), history):
                 axes, _ = self._returned(F, points, t, kept, kind, False)
                 whole = kept[:, dim * dim + 1] + axes.strain[:, 2] - kept[:, dim * dim]
                 across[points] = np.exp(whole * (3 - dim))
@@ -180,14 +154,9 @@ class LogarithmicMaterial(HistoryMaterial):
     def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
         """Return ``tau_3`` after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
         P = np.empty(len(F))
-        for points, kept in _blocks(np.arange(len(F)), history):
+        for points, kept in blocks(np.arange(len(F)), history):
             P[points] = self._returned(F, points, t, kept, "strain", False)[1].tau[:, 2]
         return P
-
-    def _kind(self, dim: int) -> Kind:
-        if dim == 2:
-            return self.plane
-        return "bar" if dim == 1 else "solid"
 
     def _returned(
         self, F: Float, points: GlobalIndex, t: float | None, kept: Float, kind: Kind, moduli: bool
@@ -199,38 +168,12 @@ class LogarithmicMaterial(HistoryMaterial):
         loops: LogarithmicLoops = logarithmic_loops(dim)
         loops.trial(np.ascontiguousarray(F), points, kept, *axes)
         state = kept[:, first + KEPT :]
-        dt = np.zeros(n) if t is None or self.duration is None else self.duration * (t - kept[:, first + 2])
+        dt = self.time_of_step(t, kept[:, first + 2])
         if kind == "strain":
             axes.strain[:, 2] = kept[:, first]
         if kind in ("stress", "bar"):
-            return axes, self._without_lateral_stress(axes.strain, state, dt, kind)
+            return axes, self.free_across(axes.strain, state, dt, kind, moduli)
         return axes, self.respond(axes.strain, state, dt, moduli)
-
-    def _without_lateral_stress(self, strain: Float, state: Float, dt: Float, kind: Kind) -> Response:
-        """Return the response where hidden strains, written into ``strain``, leave no stress across the body.
-
-        The stress grows with the strain, so that every strain tried bounds the one that is looked for.
-        """
-        mu, K = self.shear_and_bulk
-        lam = K - 2.0 * mu / 3.0
-        hidden = [2] if kind == "stress" else [1, 2]
-
-        def lateral(x: Float, rows: GlobalIndex) -> tuple[Float, Float, Float]:
-            strain[rows[:, None], hidden] = x[:, None]
-            tau, moduli, _, _ = self.respond(strain[rows], state[rows], dt[rows], True)
-            assert moduli is not None
-            return tau[:, 2], moduli[:, 2, hidden].sum(axis=1), np.abs(tau).max(axis=1)
-
-        elastic = -lam / (lam + 2.0 * mu) * (strain[:, 0] + strain[:, 1])
-        x = rising_roots(lateral, elastic if kind == "stress" else -self.nu * strain[:, 0], lam + 2.0 * mu)
-        strain[:, hidden] = x[:, None]
-        return self.respond(strain, state, dt, True)
-
-
-def _blocks(select: GlobalIndex, history: Float) -> Iterator[tuple[GlobalIndex, Float]]:
-    """Yield points with their rows of the history, which may be written."""
-    for first in range(0, len(select), BLOCK):
-        yield select[first : first + BLOCK], history[first : first + BLOCK]
 
 
 def _condensed(moduli: Float, kind: Kind) -> Float:

@@ -31,7 +31,7 @@ from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
-from pdpetsc.gradient.mean_dilatation import MeanDilatation, boxes
+from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.gradient.repeated import RepeatedOperator
 from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
@@ -192,9 +192,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                     damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
                 weights = case.chosen_weights
                 strained = [Eigenstrain(All(), xx=1e-3)] if case.expands else []
-                scheme = case.scheme
-                if isinstance(scheme, MeanDilatation):  # whose edge is that of another body
-                    scheme = replace(scheme, patch=2.0)
+                scheme = None if case.scheme is None else case.scheme.of_unit_spacing()
                 bare = replace(
                     case, scheme=scheme, damage=damage, conditions=strained, heat=None, cell=None, symmetry=(),
                     terms=(), weights=weights, material=[(All(), material) for material in materials],

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.eigen import symmetric_eigen
+from pdpetsc.kernels.principal import right_axes
 
 # Values whose relative distance is smaller have their second divided difference from a series of so many terms.
 CLOSE, TERMS = 0.02, 10
@@ -70,13 +70,7 @@ def lagrangian_loops(dim: int) -> LagrangianLoops:
     def strain(F, select, E, c, N):  # type: ignore[no-untyped-def]
         C = np.empty((dim, dim))
         for r in range(select.size):
-            p = select[r]
-            for i in range(dim):
-                for j in range(dim):
-                    C[i, j] = 0.0
-                    for k in range(dim):
-                        C[i, j] += F[p, k, i] * F[p, k, j]
-            symmetric_eigen(C, c[r], N[r])
+            right_axes(F[select[r]], dim, C, c[r], N[r])
             for i in range(3):
                 for j in range(3):
                     E[r, i, j] = 0.0

@@ -12,33 +12,20 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.eigen import symmetric_eigen
-from pdpetsc.kernels.principal import principal_tangent
+from pdpetsc.kernels.principal import principal_axes, principal_tangent, reference_axes, unload
 
 
 @compiled
-def _trial(F, history, dim, E, C, squares, N, n, strain):  # type: ignore[no-untyped-def]
-    """Return the stretches of ``F G`` in ``squares``, their directions n, N and all three trial strains."""
+def _trial(F, history, dim, E, C, stretch, N, n, strain):  # type: ignore[no-untyped-def]
+    """Write the stretches of ``F G``, their directions n, N and all three trial strains."""
     for i in range(dim):
         for j in range(dim):
             E[i, j] = 0.0
             for k in range(dim):
                 E[i, j] += F[i, k] * history[k * dim + j]
-    for i in range(dim):
-        for j in range(dim):
-            C[i, j] = 0.0
-            for k in range(dim):
-                C[i, j] += E[k, i] * E[k, j]
-    symmetric_eigen(C, squares, N)
+    principal_axes(E, dim, C, stretch, N, n)
     for a in range(3):
-        strain[a] = 0.0
-    for a in range(dim):
-        strain[a] = 0.5 * np.log(squares[a])
-        squares[a] = np.sqrt(squares[a])
-        for i in range(dim):
-            n[i, a] = 0.0
-            for k in range(dim):
-                n[i, a] += E[i, k] * N[k, a] / squares[a]
+        strain[a] = np.log(stretch[a]) if a < dim else 0.0
     if dim == 2:
         strain[2] = history[dim * dim]
 
@@ -118,12 +105,7 @@ def linear_return_loops(dim: int) -> tuple[Any, Any, Any, Any]:
             p = select[r]
             _trial(F[p], history[r], dim, E, C, stretch, N, n, strain)
             theta, theta_bar, _ = _return(strain, history[r, -1], constants, dim, tau, flow)
-            # M_ma = (G N_a)_m: the return of the second index to the reference configuration.
-            for m in range(dim):
-                for a in range(dim):
-                    M[m, a] = 0.0
-                    for k in range(dim):
-                        M[m, a] += history[r, m * dim + k] * N[k, a]
+            reference_axes(history[r], N, dim, M)
             for a in range(dim):
                 for b in range(dim):
                     moduli[a, b] = bulk - 2.0 * mu * (theta * third + theta_bar * flow[a] * flow[b])
@@ -152,20 +134,7 @@ def linear_return_loops(dim: int) -> tuple[Any, Any, Any, Any]:
         for r in range(select.size):
             _trial(F[select[r]], history[r], dim, E, C, stretch, N, n, strain)
             _, _, d_alpha = _return(strain, history[r, -1], constants, dim, tau, flow)
-            # G becomes F^-1 V_e = G (F G)^-1 V_e with the elastic stretch V_e after the return.
-            for i in range(dim):
-                for j in range(dim):
-                    C[i, j] = 0.0
-                    for a in range(dim):
-                        C[i, j] += np.exp(strain[a]) / stretch[a] * N[i, a] * n[j, a]
-            for i in range(dim):
-                for j in range(dim):
-                    E[i, j] = 0.0
-                    for k in range(dim):
-                        E[i, j] += history[r, i * dim + k] * C[k, j]
-            for i in range(dim):
-                for j in range(dim):
-                    history[r, i * dim + j] = E[i, j]
+            unload(strain, stretch, N, n, dim, E, C, history[r])
             if dim == 2:
                 history[r, dim * dim] = strain[2]
             history[r, -1] += d_alpha

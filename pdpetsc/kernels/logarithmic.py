@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.kernels.eigen import symmetric_eigen
-from pdpetsc.kernels.principal import principal_tangent
+from pdpetsc.kernels.principal import principal_tangent, reference_axes, unload
 
 
 class LogarithmicLoops(NamedTuple):
@@ -32,6 +32,8 @@ class LogarithmicLoops(NamedTuple):
 def logarithmic_loops(dim: int) -> LogarithmicLoops:
     """Return the loops for dimension ``dim``."""
 
+    # Trial strains and stresses are written out here, with a dimension that the compiler knows: shared functions of one
+    # point, for which it is a variable, take twice the time.
     @compiled
     def trial(F, select, history, strain, stretch, N, n):  # type: ignore[no-untyped-def]
         E, C = np.empty((dim, dim)), np.empty((dim, dim))
@@ -80,31 +82,13 @@ def logarithmic_loops(dim: int) -> LogarithmicLoops:
     def tangent(select, history, tau, moduli, shear, stretch, N, n, A):  # type: ignore[no-untyped-def]
         M = np.empty((dim, dim))
         for r in range(select.size):
-            # M_ma = (G N_a)_m: the return of the second index to the reference configuration.
-            for m in range(dim):
-                for a in range(dim):
-                    M[m, a] = 0.0
-                    for k in range(dim):
-                        M[m, a] += history[r, m * dim + k] * N[r, k, a]
+            reference_axes(history[r], N[r], dim, M)
             principal_tangent(dim, stretch[r], tau[r], moduli[r], shear[r], n[r], M, A[select[r]])
 
     @compiled
     def commit(history, elastic, stretch, N, n):  # type: ignore[no-untyped-def]
         E, C = np.empty((dim, dim)), np.empty((dim, dim))
         for r in range(len(elastic)):
-            # G becomes F^-1 V_e = G (F G)^-1 V_e with the elastic stretch V_e after the return.
-            for i in range(dim):
-                for j in range(dim):
-                    C[i, j] = 0.0
-                    for a in range(dim):
-                        C[i, j] += np.exp(elastic[r, a]) / stretch[r, a] * N[r, i, a] * n[r, j, a]
-            for i in range(dim):
-                for j in range(dim):
-                    E[i, j] = 0.0
-                    for k in range(dim):
-                        E[i, j] += history[r, i * dim + k] * C[k, j]
-            for i in range(dim):
-                for j in range(dim):
-                    history[r, i * dim + j] = E[i, j]
+            unload(elastic[r], stretch[r], N[r], n[r], dim, E, C, history[r])
 
     return LogarithmicLoops(trial, stress, tangent, commit)

@@ -1,4 +1,8 @@
-"""The tangent of an isotropic law from its principal values."""
+"""Principal axes of a deformation gradient, and stress and tangent of an isotropic law from its principal values.
+
+All of them are functions of the module for one point: numba cannot cache a closure over another one. G is the inverse
+plastic part of F, row by row at the beginning of a history, where there is one.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,20 @@ from pdpetsc.kernels.eigen import symmetric_eigen
 
 
 @compiled
-def principal_axes(F, dim, C, stretch, N, n):  # type: ignore[no-untyped-def]
-    """Write the stretches of F and their directions, columns of N in the reference and of n in the current state."""
+def right_axes(F, dim, C, squares, N):  # type: ignore[no-untyped-def]
+    """Write the principal values of ``C = F^T F``, and their directions as columns of N."""
     for i in range(dim):
         for j in range(dim):
             C[i, j] = 0.0
             for k in range(dim):
                 C[i, j] += F[k, i] * F[k, j]
-    symmetric_eigen(C, stretch, N)
+    symmetric_eigen(C, squares, N)
+
+
+@compiled
+def principal_axes(F, dim, C, stretch, N, n):  # type: ignore[no-untyped-def]
+    """Write the stretches of F and their directions, columns of N in the reference and of n in the current state."""
+    right_axes(F, dim, C, stretch, N)
     for a in range(dim):
         stretch[a] = np.sqrt(stretch[a])
         for i in range(dim):
@@ -24,6 +34,34 @@ def principal_axes(F, dim, C, stretch, N, n):  # type: ignore[no-untyped-def]
             for k in range(dim):
                 value += F[i, k] * N[k, a]
             n[i, a] = value / stretch[a]
+
+
+@compiled
+def reference_axes(G, N, dim, M):  # type: ignore[no-untyped-def]
+    """Write ``M_a = G N_a``: the second index of the tangent, brought back to the reference configuration."""
+    for m in range(dim):
+        for a in range(dim):
+            M[m, a] = 0.0
+            for k in range(dim):
+                M[m, a] += G[m * dim + k] * N[k, a]
+
+
+@compiled
+def unload(elastic, stretch, N, n, dim, E, C, G):  # type: ignore[no-untyped-def]
+    """Overwrite G with ``F^-1 V_e = G (F G)^-1 V_e``, where V_e has the elastic strains (3,) after the return."""
+    for i in range(dim):
+        for j in range(dim):
+            C[i, j] = 0.0
+            for a in range(dim):
+                C[i, j] += np.exp(elastic[a]) / stretch[a] * N[i, a] * n[j, a]
+    for i in range(dim):
+        for j in range(dim):
+            E[i, j] = 0.0
+            for k in range(dim):
+                E[i, j] += G[i * dim + k] * C[k, j]
+    for i in range(dim):
+        for j in range(dim):
+            G[i * dim + j] = E[i, j]
 
 
 @compiled

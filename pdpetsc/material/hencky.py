@@ -9,8 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.kernels.eigen import symmetric_eigen
-from pdpetsc.kernels.principal import principal_tangent
+from pdpetsc.kernels.principal import principal_tangent, right_axes
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
 
@@ -52,17 +51,6 @@ class Hencky(ElasticMaterial):
         return stretch
 
 
-@compiled
-def _principal(F, dim, C, squares, N):  # type: ignore[no-untyped-def]
-    """Diagonalise ``C = F^T F``; a function of the module, because numba cannot cache a closure over another one."""
-    for i in range(dim):
-        for j in range(dim):
-            C[i, j] = 0.0
-            for k in range(dim):
-                C[i, j] += F[k, i] * F[k, j]
-    symmetric_eigen(C, squares, N)
-
-
 @lru_cache
 def _kernels(dim: int) -> PointKernels:
     @compiled
@@ -73,7 +61,7 @@ def _kernels(dim: int) -> PointKernels:
         S = np.empty((dim, dim))
         squares = np.empty(dim)
         for p in select:
-            _principal(F[p], dim, C, squares, N)
+            right_axes(F[p], dim, C, squares, N)
             trace = 0.0
             for a in range(dim):
                 trace += 0.5 * np.log(squares[a])
@@ -104,7 +92,7 @@ def _kernels(dim: int) -> PointKernels:
             moduli[a, a] += 2.0 * mu
         shear = np.full((dim, dim), 2.0 * mu)
         for p in select:
-            _principal(F[p], dim, C, stretch, N)
+            right_axes(F[p], dim, C, stretch, N)
             trace = 0.0
             for a in range(dim):
                 strain[a] = 0.5 * np.log(stretch[a])
@@ -126,7 +114,7 @@ def _kernels(dim: int) -> PointKernels:
         N = np.empty((dim, dim))
         squares = np.empty(dim)
         for p in select:
-            _principal(F[p], dim, C, squares, N)
+            right_axes(F[p], dim, C, squares, N)
             trace = 0.0
             square = 0.0
             for a in range(dim):

@@ -1,9 +1,9 @@
 """Elastic-plastic plate by finite elements, for comparison: python runs/plasticity/finite_elements.py.
 
 Writes ``finite_elements.json``. Biquadratic quadrilaterals (scikit-fem) with 3 x 3 Gauss points, full Newton, a
-quarter of the plate: elements know no difference between symmetry lines and the whole. The law is written anew here,
-in terms of b_e = F C_p^-1 F^T with a return in principal logarithmic strains (Simo 1992), its tangent by central
-differences. Units mm, N.
+quarter of the plate: elements know no difference between symmetry lines and the whole. The law is that of
+the elements in ``runs/solids``, written anew in terms of b_e = F C_p^-1 F^T, its tangent by central differences. Units
+mm, N.
 """
 
 import json
@@ -14,49 +14,25 @@ import numpy as np
 from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementQuad1, ElementQuad2, ElementVector, LinearForm, MeshQuad
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parent / "solids")]
 import study  # noqa: E402
 
 study.start("plasticity")
 
+import elements  # noqa: E402
 import plate  # noqa: E402
 
 STORE = Path(__file__).with_suffix(".json")
-DIFFERENCE = 1e-7
 # Largest residual on the free nodes over the reactions.
 TOLERANCE = 1e-8
 
 
-class Law:
+class Law(elements.Law):
     """J2 plasticity with linear hardening in Hencky strain at many points, plane strain."""
 
     def __init__(self, E, nu, yield_stress, hardening, points):
-        self.lam, self.mu = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), E / (2.0 * (1.0 + nu))
-        self.yield_stress, self.hardening = yield_stress, hardening
-        self.inverse_plastic = np.tile(np.eye(3), (points, 1, 1))
-        self.alpha = np.zeros(points)
-
-    def respond(self, F):
-        """Return P, Kirchhoff stress, C_p^-1 and alpha (n, ...) after a step to F (n, 3, 3) from the kept state."""
-        b = F @ self.inverse_plastic @ np.swapaxes(F, 1, 2)
-        squares, n = np.linalg.eigh(b)
-        strain = 0.5 * np.log(squares)
-        volume = strain.sum(axis=1, keepdims=True)
-        deviator = 2.0 * self.mu * (strain - volume / 3.0)
-        q = np.sqrt(1.5 * (deviator**2).sum(axis=1))
-        excess = np.maximum(q - self.yield_stress - self.hardening * self.alpha, 0.0)
-        flow = excess / (3.0 * self.mu + self.hardening)
-        deviator *= (1.0 - 3.0 * self.mu * flow / np.maximum(q, 1e-300))[:, None]
-        principal = (self.lam + 2.0 * self.mu / 3.0) * volume + deviator
-        elastic = volume / 3.0 + deviator / (2.0 * self.mu)
-        tau = np.einsum("pia,pa,pja->pij", n, principal, n)
-        b = np.einsum("pia,pa,pja->pij", n, np.exp(2.0 * elastic), n)
-        inverse = np.linalg.inv(F)
-        return tau @ np.swapaxes(inverse, 1, 2), tau, inverse @ b @ np.swapaxes(inverse, 1, 2), self.alpha + flow
-
-    def keep(self, F):
-        """Take the state at F as the one that further steps start from."""
-        _, _, self.inverse_plastic, self.alpha = self.respond(F)
+        super().__init__(E, nu, lambda alpha: (yield_stress + hardening * alpha, hardening), points)
 
     def tangent(self, F):
         """Return dP/dF in the plane (2, 2, 2, 2, n)."""
@@ -64,9 +40,9 @@ class Law:
         for k in range(2):
             for m in range(2):
                 d = np.zeros((3, 3))
-                d[k, m] = DIFFERENCE
+                d[k, m] = elements.DIFFERENCE
                 change = self.respond(F + d)[0] - self.respond(F - d)[0]
-                A[:, :, k, m] = np.moveaxis(change[:, :2, :2] / (2.0 * DIFFERENCE), 0, -1)
+                A[:, :, k, m] = np.moveaxis(change[:, :2, :2] / (2.0 * elements.DIFFERENCE), 0, -1)
         return A
 
 

@@ -43,7 +43,8 @@ from pdpetsc.declare.conditions import (
     Traction,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
-from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
+from pdpetsc.declare.expected import Expected
+from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.schedule import Hold, Ramp, Table
@@ -51,6 +52,7 @@ from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, Eve
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.declare.text_file import TextFile
 from pdpetsc.declare.thermal import (
     Convection,
     Eigenstrain,
@@ -59,7 +61,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
-from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
+from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
 from pdpetsc.output.picture import Picture
@@ -130,6 +132,7 @@ __all__ = [
     "Cell",
     "CellStrain",
     "CellStress",
+    "CheckError",
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
@@ -145,6 +148,7 @@ __all__ = [
     "Eigenstrain",
     "EnergyReleaseRate",
     "EventDriven",
+    "Expected",
     "ExponentialSoftening",
     "ExternalWork",
     "ExtraTerm",

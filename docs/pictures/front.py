@@ -96,7 +96,7 @@ def draw(name, result):
     axes.set_aspect("equal")
     axes.axis("off")
     figure.colorbar(drawn, ax=axes, label=label, shrink=0.6)
-    figure.savefig(HERE / f"{name}.png", dpi=180)
+    figure.savefig(HERE / f"{name}.png", dpi=180, bbox_inches="tight", pad_inches=0.03)
 
 
 if __name__ == "__main__":

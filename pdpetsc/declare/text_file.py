@@ -199,7 +199,7 @@ class Column:
 
 @lru_cache(maxsize=8)
 def _placed(column: Column, version: tuple[int, int]) -> tuple[Any, Float, float]:
-    """Return a search tree of the particles, the values of a column and the extent of the cloud, as long as it is so."""
+    """Return a search tree of the particles, the values of a column and the extent of the cloud, while it is so."""
     x = np.asarray(column._cloud._arrays().x, dtype=float)
     return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
 

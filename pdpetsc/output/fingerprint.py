@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.declare.files import Mesh, TextFile
+from pdpetsc.declare.files import Mesh
+from pdpetsc.declare.text_file import TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
 MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect"}

@@ -497,6 +497,12 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:
             self.report.say(f"scheme: {matter.note}")
+        if self.case.damage is not None and self.case.damage.assumes_share and not self.case.of_bonds:
+            self.report.warn(
+                "The fracture energy is that of a body of bonds with the same modulus, and a crack through deformation "
+                "gradients takes another one, a third of it or more; give the share that it takes, "
+                "FractureEnergy(Gc, share=...), from the table in the page on fracture."
+            )
 
     def _report_loads(self, problem: Problem) -> None:
         resultants = [found for term in problem.terms for found in term.resultants]

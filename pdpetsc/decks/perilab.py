@@ -132,6 +132,10 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
     controls, kinds, broken, used = set[str | None](), set[str](), set[str](), set[str]()
     for block in root.section("Blocks").sections.values():
         number = block.whole("Block ID")
+        if tidy(f"block_{number}") not in script.body.called:
+            # A block without particles, which other meshes of the same deck have.
+            script.notes.leave_out_all(block)
+            continue
         where = script.body.named(f"block_{number}", block.place)
         left &= ~where.mask
         horizon = block.number("Horizon")
@@ -411,11 +415,12 @@ def _times(solver: Section, notes: Notes, static: bool) -> tuple[bool, Times]:
         count = STATIC_STEPS
         notes.differs(f"Inertia is left out: the deck is solved in time with {kinds[0]}, here in {count} load steps.")
     else:
+        dt = section.number("Fixed dt", 0.0) if kinds[0] == "Static" else 0.0
+        if dt > 0.0:
+            # As many whole steps as there are before the final time.
+            count = max(1, int((last - first) / dt * (1.0 + 1e-9)))
+            last = first + count * dt
         notes.leave_out(section, *_TUNING)
-        notes.differs(
-            "The last load step is at the final time; PeriLab's last one begins one step before it and takes the loads "
-            "of its beginning."
-        )
     for name in ("Calculation", "Calculate Cauchy", "Calculate von Mises stress", "Calculate Strain"):
         notes.leave_out(solver, name)
     if count < 1 or not last > first:

@@ -252,7 +252,7 @@ class Script:
         imports += ["import numpy as np", ""] if "np." in code else []
         folder = ["", "FOLDER = Path(__file__).resolve().parent"] if "FOLDER" in code else []
         top = "\n".join([self._head(), "", *imports, "import pdpetsc as pd", *folder])
-        return f"{top}{code}\n{self._tail()}"
+        return f"{top}\n{code}\n{self._tail()}"
 
     def _head(self) -> str:
         text = [f"{plain(self.deck.stem)}, imported from the {self.program} deck {plain(self.deck.name)}."]

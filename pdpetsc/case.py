@@ -22,6 +22,7 @@ from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
+from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
@@ -121,6 +122,8 @@ class Case(Declared):
         What adds forces besides material, control and conditions.
     heat : HeatConduction, optional
         Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
+    units : Units, optional
+        What the units of length and force are called in pictures, tables and the report; nothing is converted.
     """
 
     particles: Particles
@@ -145,6 +148,7 @@ class Case(Declared):
     options: Mapping[str, Any] = field(default_factory=dict)
     terms: Sequence[ExtraTerm] = ()
     heat: HeatConduction | None = None
+    units: Units | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:

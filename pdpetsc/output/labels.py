@@ -9,6 +9,9 @@ from typing import Any
 from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError
 
+# Fields whose names are not those of the quantity.
+_WORDS = {"von_mises": "von Mises stress"}
+
 
 @dataclass(frozen=True)
 class Labels:
@@ -40,7 +43,7 @@ class Labels:
 
     def column(self, name: str) -> str:
         """Return what stands at an axis of a column of the history."""
-        return self._with(name, self.unit_of_column(name)) if name != "t" else "t, share of the load"
+        return self._with(name, self.unit_of_column(name)) if name != "t" else "load t"
 
     def unit_of_column(self, name: str) -> str:
         """Return the unit of a column of the history; empty where there is none."""
@@ -48,7 +51,8 @@ class Labels:
 
     def field(self, name: str, component: str = "") -> str:
         """Return what stands at the scale of a field component."""
-        return self._with(f"{name.replace('_', ' ')} {component}".strip(), self._unit(self._kind(name)))
+        words = _WORDS.get(name, name.replace("_", " "))
+        return self._with(f"{words} {component}".strip(), self._unit(self._kind(name)))
 
     def axis(self, letter: str) -> str:
         """Return what stands at an axis of positions."""

@@ -32,6 +32,8 @@ DPI, DPI_OF_FRAMES = 150, 90
 FRAMES, PER_SECOND = 120, 10
 # How long PyVista may take to draw one picture [s].
 LONGEST = 120
+# What tells a later run in the folder that it may move the file away.
+MARK = {"Software": "pdpetsc"}
 _SOLID = Path(__file__).with_name("solid.py")
 
 
@@ -118,6 +120,8 @@ def draw_film(
     kind = path.suffix
     if kind not in (".gif", ".mp4"):
         raise CaseError(f"A film is a .gif or an .mp4, not {path.name}.")
+    if kind == ".mp4":
+        _refuse_without_ffmpeg()
     steps = StoredFields(folder).steps
     chosen = steps[:: max(1, -(-len(steps) // FRAMES))]
     if chosen[-1] != steps[-1]:
@@ -141,7 +145,16 @@ def _gif(frames: list[Path], path: Path) -> None:
     # The last one stays a second longer.
     times = [1000 // PER_SECOND] * (len(frames) - 1) + [1000 + 1000 // PER_SECOND]
     with path.open("wb") as file:
-        opened[0].save(file, format="GIF", save_all=True, append_images=opened[1:], duration=times, loop=0)
+        opened[0].save(
+            file, format="GIF", save_all=True, append_images=opened[1:], duration=times, loop=0, comment=b"pdpetsc"
+        )
+
+
+def _refuse_without_ffmpeg() -> None:
+    from matplotlib.animation import FFMpegWriter
+
+    if not FFMpegWriter.isAvailable():
+        raise CaseError("An .mp4 is written by the program ffmpeg, which is not installed; take format=gif.")
 
 
 def _mp4(frames: list[Path], path: Path) -> None:
@@ -149,8 +162,6 @@ def _mp4(frames: list[Path], path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.image import imread
 
-    if not FFMpegWriter.isAvailable():
-        raise CaseError("An .mp4 is written by the program ffmpeg, which is not installed; take format=gif.")
     first = imread(frames[0])
     # The code of most players wants even numbers of points.
     height, width = (size // 2 * 2 for size in first.shape[:2])
@@ -158,7 +169,7 @@ def _mp4(frames: list[Path], path: Path) -> None:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
     image = axes.imshow(first[:height, :width])
-    writer = FFMpegWriter(fps=PER_SECOND, extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])
+    writer = FFMpegWriter(fps=PER_SECOND, extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"], metadata=MARK)
     with writer.saving(figure, str(path), 100):
         for frame in frames:
             image.set_data(imread(frame)[:height, :width])
@@ -179,17 +190,21 @@ def _draw_scene(
     axes = figure.add_subplot(projection="3d" if scene.dim == 3 else None)
     (_curve, _plane, _space)[scene.dim - 1](figure, axes, scene, low, high)
     axes.set_title(scene.title, fontsize=11)
-    figure.savefig(path, dpi=dpi, format=kind, metadata={"Software": "pdpetsc"} if kind == "png" else None)
+    figure.savefig(path, dpi=dpi, format=kind, metadata=MARK if kind == "png" else None)
 
 
 def _framed(scene: Scene, box: tuple[Float, Float] | None) -> tuple[Float, Float]:
     """Return the corners of the picture: those of the body, with a margin, and room for the circle of the horizon."""
     low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else (box[0].copy(), box[1].copy())
-    margin = 0.75 * float(np.max(scene.size))
+    margin = _margin(scene, low, high)
     low, high = low - margin, high + margin
     if scene.dim == 2 and scene.horizon:
         low[1] -= 2.0 * scene.horizon + margin
     return low, high
+
+
+def _margin(scene: Scene, low: Float, high: Float) -> float:
+    return max(0.75 * float(np.max(scene.size)), 0.02 * float((high - low).max()))
 
 
 def _size(low: Float, high: Float, dim: int) -> tuple[float, float]:
@@ -233,7 +248,7 @@ def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     axes.set(xlabel=scene.labels.axis("x"), ylabel=scene.labels.axis("y"))
     _scale_of_colours(figure, axes, drawn, scene)
     if scene.horizon:
-        _horizon(axes, scene, low)
+        _horizon(axes, scene, low, high)
 
 
 def _outlines(scene: Scene) -> Float:
@@ -246,12 +261,12 @@ def _outlines(scene: Scene) -> Float:
     return np.asarray(0.575 * scene.size[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
-def _horizon(axes: Any, scene: Scene, low: Float) -> None:
+def _horizon(axes: Any, scene: Scene, low: Float, high: Float) -> None:
     """Draw a circle of the size of the horizon below the body."""
     from matplotlib.patches import Circle
 
     radius = float(scene.horizon or 0.0)
-    margin = 0.75 * float(np.max(scene.size))
+    margin = 0.7 * _margin(scene, low, high)
     centre = float(low[0]) + margin + radius, float(low[1]) + 0.5 * margin + radius
     axes.add_patch(Circle(centre, radius, fill=False, color="black", linewidth=1.0))
     axes.plot(*centre, ".", color="black", markersize=2)

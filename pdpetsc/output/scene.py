@@ -43,7 +43,7 @@ class Scene:
     steps : (dim,) float64 or None
         Sides of the cells of a lattice [length]; None for other clouds.
     size : (n,) float64
-        Distance of each particle from its nearest neighbour, at most twice the usual one [length].
+        Mean distance of each particle from those next to it, at most twice the usual one [length].
     F : (n, dim, dim) float64
         How the drawn body is deformed about each particle [-].
     inside : (n,) bool
@@ -159,11 +159,16 @@ def component_of(values: Float, name: str) -> Float:
 
 
 def spacings(x: Float) -> Float:
-    """Return the distance of each particle from its nearest neighbour, at most twice the usual one (n,) [length]."""
+    """Return the mean distance of each particle from those next to it, at most twice the usual one (n,) [length]."""
     if len(x) < 2:
         return np.ones(len(x))
-    distance = cKDTree(x).query(x, k=2)[0][:, 1]
-    return np.asarray(np.minimum(distance, 2.0 * np.median(distance)))
+    beside = 2 * max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
+    distance = cKDTree(x).query(x, k=min(1 + beside, len(x)))[0][:, 1:]
+    # At a corner of a lattice some of them are farther.
+    near = np.where(distance < 1.3 * distance[:, :1], distance, np.nan)
+    mean = np.nanmean(near, axis=1)
+    usual = float(np.median(mean))
+    return np.asarray(np.clip(mean, 0.7 * usual, 2.0 * usual))
 
 
 def lattice_steps(x: Float) -> Float | None:

@@ -28,9 +28,17 @@ def main(source: str, target: str) -> None:
     plotter.set_background("white")
     low, high = scene["limits"]
     label = str(scene["label"])
-    bar = {"title": label, "vertical": True, "title_font_size": 22, "label_font_size": 20, "color": "black",
-           "fmt": "%.3g", "height": 0.6, "width": 0.06, "position_x": 0.88, "position_y": 0.2}  # fmt: skip
-    look = {"scalars": "values", "clim": [low, high], "cmap": "viridis", "scalar_bar_args": bar}
+    bar = {"title": label, "vertical": True, "title_font_size": 24, "label_font_size": 22, "color": "black",
+           "fmt": "%.3g", "height": 0.6, "width": 0.04, "position_x": 0.86, "position_y": 0.15}  # fmt: skip
+    look = {
+        "scalars": "values",
+        "clim": [low, high],
+        "cmap": "viridis",
+        "scalar_bar_args": bar,
+        "ambient": 0.55,
+        "diffuse": 0.5,
+        "specular": 0.0,
+    }
     y, values, size = scene["y"], scene["values"], scene["size"]
     if scene["steps"].size:
         shown = ~scene["inside"]
@@ -55,26 +63,36 @@ def main(source: str, target: str) -> None:
         if crack:
             plotter.add_mesh(pyvista.read(str(crack)), color="black", opacity=0.8)
     box = scene["box"]
-    bounds = [box[0, 0], box[1, 0], box[0, 1], box[1, 1], box[0, 2], box[1, 2]]
-    letters = {f"{letter}title": str(text) for letter, text in zip("xyz", scene["axes"], strict=True)}
-    plotter.show_bounds(
-        bounds=bounds, color="black", location="outer", ticks="outside", font_size=11, n_xlabels=4, n_ylabels=3,
-        n_zlabels=3, **letters,
-    )  # fmt: skip
+    # Round numbers at the ends of the axes.
+    tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0
+    bounds = (tick * np.array([np.floor(box[0] / tick + 1e-6), np.ceil(box[1] / tick - 1e-6)])).T.ravel().tolist()
     horizon = float(scene["horizon"])
     if horizon > 0.0:
         # To scale, beside the corner that is next to the eye.
-        at = np.array([box[1, 0] + 1.5 * horizon, box[0, 1] - 1.5 * horizon, box[0, 2]])
+        away = 1.5 * horizon + 0.08 * float(np.linalg.norm(box[1] - box[0]))
+        at = np.array([box[1, 0] + away, box[0, 1] - away, box[0, 2]])
         plotter.add_mesh(pyvista.Sphere(radius=horizon, center=at), color="tomato", opacity=0.6)
         plotter.add_point_labels(
-            at[None] + [[0.0, 0.0, 1.3 * horizon]], ["horizon"], show_points=False, shape=None, font_size=18,
+            at[None] + [[1.3 * horizon, 0.0, -horizon]], ["horizon"], show_points=False, shape=None, font_size=18,
             text_color="black", always_visible=True,
         )  # fmt: skip
-    plotter.add_text(str(scene["title"]), position="upper_left", font_size=12, color="black")
+    plotter.add_text(str(scene["title"]), position="upper_left", font_size=13, color="black")
+    # Last: whatever is added after them moves the axes.
+    letters = {f"{letter}title": str(text) for letter, text in zip("xyz", scene["axes"], strict=True)}
+    plotter.show_bounds(
+        bounds=bounds, color="black", location="outer", ticks="outside", font_size=14, n_xlabels=4, n_ylabels=2,
+        n_zlabels=2, fmt="%.3g", bold=False, use_3d_text=False, **letters,
+    )  # fmt: skip
     middle, reach = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
     plotter.camera_position = [tuple(middle + reach * np.array([0.9, -1.3, 0.75])), tuple(middle), (0.0, 0.0, 1.0)]
     plotter.camera.parallel_projection = True
     plotter.reset_camera()
+    # The body left of the scale of colours.
+    right = np.cross(plotter.camera.direction, (0.0, 0.0, 1.0))
+    shift = 0.05 * reach * right / np.linalg.norm(right)
+    plotter.camera.position = tuple(np.array(plotter.camera.position) + shift)
+    plotter.camera.focal_point = tuple(np.array(plotter.camera.focal_point) + shift)
+    plotter.camera.zoom(1.02)
     plotter.screenshot(target)
     plotter.close()
 

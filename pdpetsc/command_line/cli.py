@@ -407,7 +407,8 @@ def _doctor(argv: list[str]) -> int:
 def _plot(argv: list[str]) -> int:
     from pdpetsc.command_line import plot
 
-    arguments = split(argv)
+    animate = "--animate" in argv
+    arguments = split([word for word in argv if word != "--animate"])
     if arguments.help or not argv:
         print(plot.USAGE)
         return 0 if argv else 2
@@ -415,7 +416,7 @@ def _plot(argv: list[str]) -> int:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
     if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
-    for path in plot.plot(arguments.path, arguments.parameters):
+    for path in plot.plot(arguments.path, arguments.parameters, animate):
         print(path)
     return 0
 

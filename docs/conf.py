@@ -28,6 +28,8 @@ root_doc = "index"
 exclude_patterns = ["_ext", "_templates"]
 templates_path = ["_templates"]
 nitpicky = True
+# The gallery is generated before the site is built; without it the rest builds as well.
+suppress_warnings = ["toc.empty_glob"]
 highlight_language = "none"
 
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]

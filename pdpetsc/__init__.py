@@ -43,6 +43,7 @@ from pdpetsc.declare.conditions import (
     Traction,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
+from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
@@ -60,7 +61,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
-from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
+from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
 from pdpetsc.output.picture import Picture
@@ -131,6 +132,7 @@ __all__ = [
     "Cell",
     "CellStrain",
     "CellStress",
+    "CheckError",
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
@@ -146,6 +148,7 @@ __all__ = [
     "Eigenstrain",
     "EnergyReleaseRate",
     "EventDriven",
+    "Expected",
     "ExponentialSoftening",
     "ExternalWork",
     "ExtraTerm",

@@ -22,7 +22,7 @@ from pdpetsc.declare.files import Mesh
 from pdpetsc.declare.text_file import Column, TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
-MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints"}
+MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect"}
 _PACKAGE = f"{Path(__file__).parent.parent}{os.sep}"
 _PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
 _LIBRARIES = (_PACKAGE, *(f"{sysconfig.get_path(name)}{os.sep}" for name in _PLACES))

@@ -464,11 +464,6 @@ COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
 }  # fmt: skip
 
 
-def make_case(path: Path) -> Case:
-    """Return the case of a file with its default parameters; raises CaseError where it is none."""
-    return _make_case(path, load_case(path), {})
-
-
 def _make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
     from pdpetsc.case import Case
 

@@ -85,7 +85,7 @@ def _program(deck: Path, root: Section) -> tuple[Translate, Section]:
 
 def _write(path: Path, text: str, overwrite: bool) -> None:
     """Write the case beside its place, see whether it is one, and put it there."""
-    from pdpetsc.command_line.cli import make_case
+    from pdpetsc.command_line.cli import load_case
 
     compile(text, str(path), "exec")
     trial = None
@@ -95,7 +95,7 @@ def _write(path: Path, text: str, overwrite: bool) -> None:
         ) as file:
             trial = Path(file.name)
             file.write(text)
-        make_case(trial)
+        load_case(trial)()
         if overwrite:
             os.replace(trial, path)
         else:

@@ -14,6 +14,7 @@ from pdpetsc.damage import BondDamage, DamageOf
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.horizon import AnyHorizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
 from pdpetsc.declare.particles import Particles
@@ -124,6 +125,8 @@ class Case(Declared):
         Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
     units : Units, optional
         What the units of length and force are called in pictures, tables and the report; nothing is converted.
+    expect : mapping of str to Expected
+        What the named results should be, with these parameters; compared where the run is asked to (``--check``).
     """
 
     particles: Particles
@@ -149,6 +152,7 @@ class Case(Declared):
     terms: Sequence[ExtraTerm] = ()
     heat: HeatConduction | None = None
     units: Units | None = None
+    expect: Mapping[str, Expected] = field(default_factory=dict)
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
@@ -251,6 +255,10 @@ class Case(Declared):
                     f"A quantity of the history cannot be named {shown(name)}: names are columns of a table, without "
                     f"commas, semicolons, quotes, line ends and outer blanks."
                 )
+        if self.expect and self.results is None:
+            raise CaseError(
+                f"The case expects a result {next(iter(self.expect))!r} and has none; give results=lambda h: {{...}}."
+            )
         for name, value in self.options.items():
             if not name or name.startswith("-") or len(name.split()) != 1:
                 raise CaseError(f"An option of PETSc is one word without dash in front, not {name!r}.")

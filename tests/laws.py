@@ -7,7 +7,7 @@ from pathlib import Path
 import pdpetsc as pd
 from tests.commands import Stop
 
-PAGE = Path(__file__).parent.parent / "docs/plasticity.md"
+PAGE = Path(__file__).parent.parent / "docs/theory/materials.md"
 hard, rates = pd.hardening, pd.rate
 E, NU, Y = 10.0, 0.3, 0.3
 DURATION = 4.0

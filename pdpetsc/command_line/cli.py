@@ -35,6 +35,7 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   --restart FILE  go on from a checkpoint, or from the one in a folder
   --restart-anyway  go on from it also where material, loads or cracks of the case have changed
   --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
+  --check         compare the results with what the case expects; exit status 1 where one is off
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
@@ -62,6 +63,7 @@ class Arguments:
     output: Path | None = None
     restart: Path | None = None
     restart_anyway: bool = False
+    check: bool = False
     solver: str | None = None
     quiet: bool = False
     version: bool = False
@@ -92,13 +94,14 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version", "--restart-anyway"):
+        elif word in ("--quiet", "--version", "--restart-anyway", "--check"):
             setattr(found, word[2:].replace("-", "_"), True)
         elif word in ("-h", "--help"):
             found.help = True
         elif word.startswith("--"):
             raise CaseError(
-                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --quiet, --version, -h."
+                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --check, --quiet, "
+                f"--version, -h."
             )
         elif _OPTION.match(word):
             found.petsc.append(word)
@@ -328,6 +331,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         parameters=parameters,
         restart_anyway=arguments.restart_anyway,
         report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
+        check=arguments.check,
     )
     return 0
 
@@ -380,7 +384,7 @@ def _plot(argv: list[str]) -> int:
         return 0 if argv else 2
     if arguments.path is None:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
-    if arguments.petsc or arguments.output or arguments.restart or arguments.solver:
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
     for path in plot.plot(arguments.path, arguments.parameters, animate):
         print(path)
@@ -398,6 +402,8 @@ def _compare(argv: list[str]) -> int:
         raise CaseError("No case file is given; python -m pdpetsc compare -h shows the usage.")
     if arguments.restart is not None:
         raise CaseError("compare takes no --restart; every run starts from the beginning.")
+    if arguments.check:
+        raise CaseError("compare takes no --check; it compares runs with each other.")
     ranks, petsc = 1, list(arguments.petsc)
     if arguments.solver is not None:
         petsc += ["--solver", arguments.solver]

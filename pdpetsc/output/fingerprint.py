@@ -18,10 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.declare.files import Mesh, TextFile
+from pdpetsc.declare.files import Mesh
+from pdpetsc.declare.text_file import TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
-MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "units"}
+MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints"}
+MAY_DIFFER |= {"expect", "units"}
 _PACKAGE = f"{Path(__file__).parent.parent}{os.sep}"
 _PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
 _LIBRARIES = (_PACKAGE, *(f"{sysconfig.get_path(name)}{os.sep}" for name in _PLACES))

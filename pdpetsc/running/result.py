@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
+from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
+from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
 
 
 class Result(Mapping[str, float]):
@@ -44,7 +46,7 @@ class Result(Mapping[str, float]):
 
     def __init__(
         self, folder: Path, results: Mapping[str, float], history: Mapping[str, Any], summary: Mapping[str, Any],
-        solution: Solution | None = None, run: str | None = None,
+        solution: Solution | None = None, run: str | None = None, expect: Mapping[str, Expected] | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.history: dict[str, Float] = {name: np.asarray(values, dtype=float) for name, values in history.items()}
@@ -52,6 +54,7 @@ class Result(Mapping[str, float]):
         self.solution = solution
         self._results = dict(results)
         self._run = run
+        self._expect = dict(expect or {})
 
     def __getitem__(self, name: str) -> float:
         return self._results[name]
@@ -159,6 +162,25 @@ class Result(Mapping[str, float]):
             values = np.asarray(self.field(name, step))
             cloud.point_data[name] = values.reshape(len(values), -1) if values.ndim > 1 else values
         return cloud
+
+    def check(self) -> list[Check]:
+        """Compare the results with what the case expects, and return every check (not collective).
+
+        Raises
+        ------
+        CheckError
+            A result is not what was expected, or missing.
+        CaseError
+            There is nothing to compare with: the case expects nothing, or the run was opened from its folder and had
+            not been checked.
+        """
+        expect = self._expect or expected_of(self.summary)
+        refuse_unchecked(expect)
+        checks = compared(expect, self._results)
+        wrong = failure(checks)
+        if wrong is not None:
+            raise wrong
+        return checks
 
     def gathered(self, field: Field) -> NDArray[Any] | None:
         """Return a field of the last solution, all particles in creation order, on rank 0; None on the others.

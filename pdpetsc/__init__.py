@@ -61,6 +61,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
+from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
@@ -215,6 +216,7 @@ __all__ = [
     "Term",
     "TextFile",
     "Traction",
+    "Units",
     "VonMisesStrain",
     "choose",
     "crack_faces",

@@ -23,6 +23,7 @@ from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
+from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
@@ -124,6 +125,8 @@ class Case(Declared):
         Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
     expect : mapping of str to Expected
         What the named results should be, with these parameters; compared where the run is asked to (``--check``).
+    units : Units, optional
+        What the units of length and force are called in pictures, tables and the report; nothing is converted.
     """
 
     particles: Particles
@@ -149,6 +152,7 @@ class Case(Declared):
     terms: Sequence[ExtraTerm] = ()
     heat: HeatConduction | None = None
     expect: Mapping[str, Expected] = field(default_factory=dict)
+    units: Units | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:

@@ -110,5 +110,5 @@ def case(n=20, horizon=3.015, opening=6.0, solver="events", law="brittle", schem
             **({"G": pd.Expected(1.0, relative=0.05, source="the same")} if intact else {}),
         },
         fields=[pd.displacement, pd.local_damage],
-        picture=pd.Picture(pd.local_damage, "", 1.0),
+        picture=pd.Picture(pd.von_mises, "", 50.0) if intact else pd.Picture(pd.local_damage, "", 1.0),
     )

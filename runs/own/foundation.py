@@ -89,5 +89,5 @@ def case(n=8, bed=0.7, horizon=1.515, scheme="sub_horizons"):
             "deflection": pd.Expected(deflection(bed * HEIGHT), relative=0.02, source="Timoshenko beam on a bed"),
             "share": pd.Expected(1.0, absolute=1e-9, source="nothing else holds the beam up"),
         },
-        picture=pd.Picture(pd.stress, "xx", scale=0.0),
+        picture=pd.Picture(pd.stress, "xx", scale=20.0),
     )

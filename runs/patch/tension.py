@@ -109,5 +109,5 @@ def case(
         },
         results=lambda h: {"max_F_error": h["max_F_error"][-1], "strain": F[0, 0] - 1.0},
         expect={"max_F_error": pd.Expected(0.0, absolute=1e-9, source="one deformation gradient everywhere")},
-        picture=pd.Picture(pd.stress, "xx") if dim > 1 else None,
+        picture=pd.Picture(pd.displacement, "x") if dim > 1 else None,
     )

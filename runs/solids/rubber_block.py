@@ -64,5 +64,5 @@ def case(n=6, stretch=2.0, horizon=1.515, steps=8):
             "force": pd.Expected(stress, relative=1e-6, source="uniaxial stress of the same energy"),
             "across": pd.Expected(across, relative=1e-6, source="sides without stress"),
         },
-        picture=pd.Picture(pd.stress, "xx"),
+        picture=pd.Picture(pd.displacement, "x"),
     )

@@ -44,7 +44,7 @@ from pdpetsc.declare.conditions import (
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
 from pdpetsc.declare.expected import Expected
-from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
+from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.schedule import Hold, Ramp, Table
@@ -52,6 +52,7 @@ from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, Eve
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.declare.text_file import TextFile
 from pdpetsc.declare.thermal import (
     Convection,
     Eigenstrain,
@@ -60,6 +61,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
+from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
@@ -214,6 +216,7 @@ __all__ = [
     "Term",
     "TextFile",
     "Traction",
+    "Units",
     "VonMisesStrain",
     "choose",
     "crack_faces",

@@ -13,7 +13,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.post.sampling import sampled
-from tests.commands import ROOT, TIMEOUT, run
+from tests.commands import ROOT, TIMEOUT, results, run
 
 
 @pytest.fixture(scope="module")
@@ -192,3 +192,101 @@ def test_words_that_are_nearly_right_are_named(tmp_path):
     assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
     said = run(tmp_path / "bar.py", "-h").stdout
     assert "A bar that is pulled" in said and "strain=0.01  float" in said
+
+
+# Files that other programs open.
+
+
+def test_pyvista_opens_the_fields_with_time_steps_and_tensors_by_component(result):
+    pyvista = pytest.importorskip("pyvista")
+    reader = pyvista.get_reader(result.folder / "fields.xdmf")
+    assert list(reader.time_values) == [0.0, 0.5, 1.0]
+    for step, t in enumerate(reader.time_values):
+        reader.set_active_time_value(t)
+        mesh = reader.read()
+        assert mesh.n_points == 72 and np.array_equal(mesh.points, result.x.astype(mesh.points.dtype))
+        stress = result.field("stress", step)
+        assert np.array_equal(mesh["stress"], stress.reshape(-1, 9))
+        assert np.array_equal(mesh["displacement"], result.field("displacement", step))
+        for name, i, j in (("xx", 0, 0), ("xy", 0, 1), ("yx", 1, 0), ("yy", 1, 1), ("zz", 2, 2)):
+            assert np.array_equal(mesh[f"stress_{name}"], stress[:, i, j])
+            assert np.array_equal(result.field(f"stress_{name}", step), stress[:, i, j])
+
+
+NAMES = """
+import pdpetsc as pd
+
+def case(dim=2, end=""):
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=5.0)
+
+    class Ends(pd.Quantity):
+        def evaluate(self, solution):
+            if end == "killed" and solution.t > 0.6:
+                import os, signal
+                os.kill(os.getpid(), signal.SIGKILL)
+            return 0.0
+
+    return pd.Case(
+        particles=pd.Lattice((0.0,) * dim, (6.0, 2.0, 2.0)[:dim], 0.5), horizon=1.0075, material=pd.LinearElastic(1.0),
+        scheme=pd.SubHorizons(), steps=pd.Steps(4), history={"ends": Ends()},
+        conditions=[pd.Displacement(left, **dict.fromkeys("xyz"[:dim], 0.0)), pd.Displacement(right, x=0.1)],
+    )
+"""
+
+
+@pytest.mark.parametrize(("dim", "n"), [(1, 3), (2, 5), (3, 9)])
+def test_a_tensor_has_the_entries_that_its_body_may_have(dim, n, tmp_path):
+    (tmp_path / "case.py").write_text(NAMES)
+    results(tmp_path / "case.py", f"dim={dim}", output=tmp_path / "out")
+    opened = pd.open(tmp_path / "out")
+    named = [name for name in opened.fields.names() if name.startswith("stress_")]
+    assert len(named) == n
+    stress = opened.field("stress")
+    for name in named:
+        i, j = ("xyz".index(letter) for letter in name[-2:])
+        assert np.array_equal(opened.field(name), stress[:, i, j])
+    other = np.ones((3, 3), dtype=bool)
+    other[tuple(np.transpose([["xyz".index(letter) for letter in name[-2:]] for name in named]))] = False
+    assert not stress[:, other].any()
+    # Of the stress: s = sqrt(3/2 dev : dev), in the words of the axes.
+    s = 0.5 * (stress + stress.transpose(0, 2, 1))
+    spread = (s[:, 0, 0] - s[:, 1, 1]) ** 2 + (s[:, 1, 1] - s[:, 2, 2]) ** 2 + (s[:, 2, 2] - s[:, 0, 0]) ** 2
+    shear = s[:, 0, 1] ** 2 + s[:, 1, 2] ** 2 + s[:, 2, 0] ** 2
+    assert np.allclose(opened.field("von_mises"), np.sqrt(0.5 * spread + 3.0 * shear), atol=1e-12)
+
+
+def test_a_field_of_the_case_keeps_the_name_of_a_component(tmp_path):
+    def stress_xx(solution):
+        return solution.x[:, 0]
+
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (4.0,), 0.5), horizon=1.0075, material=pd.LinearElastic(1.0),
+        conditions=[pd.Displacement(pd.region.All(), x=0.0)], fields=[pd.stress, stress_xx],
+    )  # fmt: skip
+    result = pd.run(case, tmp_path)
+    assert np.array_equal(result.field("stress_xx"), result.x[:, 0])
+    assert result.fields.names() == ["stress", "stress_xx", "stress_yy", "stress_zz"]
+    text = (tmp_path / "fields.xdmf").read_text()
+    assert text.count('Name="stress_xx"') == 2  # once in each of two steps
+
+
+def test_what_a_killed_run_left_opens_and_a_restart_makes_it_whole(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    (tmp_path / "case.py").write_text(NAMES)
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    results(tmp_path / "case.py", output=whole)
+    assert run(tmp_path / "case.py", "end=killed", output=out).returncode == -9
+    reader = pyvista.get_reader(out / "fields.xdmf")
+    assert list(reader.time_values)[:3] == [0.0, 0.25, 0.5]
+    for t in reader.time_values:
+        reader.set_active_time_value(t)
+        assert np.isfinite(reader.read()["stress_xx"]).all()
+    assert run(tmp_path / "case.py", "--restart", out, "--restart-anyway", output=out, ranks=2).returncode == 0
+    assert (out / "fields.xdmf").read_text() == (whole / "fields.xdmf").read_text()
+    reader = pyvista.get_reader(out / "fields.xdmf")
+    assert list(reader.time_values) == [0.0, 0.25, 0.5, 0.75, 1.0]
+    for step, t in enumerate(reader.time_values):
+        reader.set_active_time_value(t)
+        for name in ("stress_xx", "von_mises", "displacement"):
+            exact = pd.open(whole).field(name, step)
+            assert np.allclose(reader.read()[name], exact, atol=1e-9 * np.abs(exact).max(initial=1e-300))

@@ -44,6 +44,7 @@ Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 python -m pdpetsc new FILE.py                    writes a commented case to begin with
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
 python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
+python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
 python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
 
 # PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
@@ -360,6 +361,35 @@ def _new(argv: list[str]) -> int:
     return 0
 
 
+def _import(argv: list[str]) -> int:
+    from pdpetsc.command_line import import_deck
+
+    words, options = list(argv), dict[str, Any](ignore=[])
+    if "-h" in words or "--help" in words or not words:
+        print(import_deck.USAGE)
+        return 0 if words else 2
+    while words:
+        word = words.pop(0)
+        if word in ("-o", "--ignore"):
+            if not words:
+                raise CaseError(f"{word} needs a {'path' if word == '-o' else 'name'} after it.")
+            value = words.pop(0)
+            if word == "--ignore":
+                options["ignore"].append(value)
+            else:
+                options["output"] = Path(value)
+        elif word in ("--static", "--overwrite"):
+            options[word[2:]] = True
+        elif word.startswith("-") or "deck" in options:
+            raise CaseError(f"import does not know {word!r}; python -m pdpetsc import -h shows the usage.")
+        else:
+            options["deck"] = Path(word)
+    if "deck" not in options:
+        raise CaseError("No deck is given; python -m pdpetsc import -h shows the usage.")
+    print(import_deck.described(*import_deck.import_deck(**options)))
+    return 0
+
+
 def _doctor(argv: list[str]) -> int:
     petsc4py.init(PETSC)
     _take_signals()
@@ -377,7 +407,8 @@ def _doctor(argv: list[str]) -> int:
 def _plot(argv: list[str]) -> int:
     from pdpetsc.command_line import plot
 
-    arguments = split(argv)
+    animate = "--animate" in argv
+    arguments = split([word for word in argv if word != "--animate"])
     if arguments.help or not argv:
         print(plot.USAGE)
         return 0 if argv else 2
@@ -385,7 +416,7 @@ def _plot(argv: list[str]) -> int:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
     if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
-    for path in plot.plot(arguments.path, arguments.parameters):
+    for path in plot.plot(arguments.path, arguments.parameters, animate):
         print(path)
     return 0
 
@@ -429,7 +460,7 @@ def _compare(argv: list[str]) -> int:
 
 # What the command line does besides running a case, by its first word.
 COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
-    "plot": _plot, "compare": _compare, "new": _new, "doctor": _doctor,
+    "plot": _plot, "compare": _compare, "new": _new, "import": _import, "doctor": _doctor,
 }  # fmt: skip
 
 

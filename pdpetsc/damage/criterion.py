@@ -372,6 +372,11 @@ class Criterion(Declared, ABC):
     reads_stiffness: ClassVar[bool] = True
     reads_strain: ClassVar[bool] = False
 
+    @property
+    def assumes_share(self) -> bool:
+        """Return whether it follows from a fracture energy of which a crack is taken to take all."""
+        return False
+
     @abstractmethod
     def build(self, bonds: DrivenBonds) -> Drive:
         """Return the drive of the bonds of this rank (not collective).

@@ -99,6 +99,11 @@ class StoredFields:
             values = np.asarray(file[group][name][::stride])
         return values.reshape(-1, 3, 3) if values.ndim == 2 and values.shape[1] == 9 else values
 
+    def time(self, step: int | None = None) -> float:
+        """Return the step time of a step, the last one by default [-]."""
+        with self._open() as file:
+            return float(file[self._group(step)].attrs["t"])
+
     def of_particles(self, name: str, stride: int = 1) -> NDArray[Any]:
         """Return ``position`` (n, 3) [length], ``volume`` (n,) or ``id`` (n,) of the particles."""
         with self._open() as file:

@@ -88,6 +88,7 @@ from pdpetsc.post.quantities import (
     RelativeError,
     StrainEnergy,
 )
+from pdpetsc.post.sampling import grid, line
 from pdpetsc.post.solution import (
     Solution,
     deformation_gradient,
@@ -108,6 +109,7 @@ from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTang
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
+    from pdpetsc.running.comparison import Comparison, compare
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
@@ -134,6 +136,7 @@ __all__ = [
     "CellStrain",
     "CellStress",
     "CheckError",
+    "Comparison",
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
@@ -219,6 +222,7 @@ __all__ = [
     "Units",
     "VonMisesStrain",
     "choose",
+    "compare",
     "crack_faces",
     "crack_lines",
     "damage_dissipation",
@@ -226,8 +230,10 @@ __all__ = [
     "displacement",
     "energy_density",
     "first_piola_stress",
+    "grid",
     "heat_flux",
     "influence",
+    "line",
     "local_damage",
     "lost_bonds",
     "open",
@@ -253,6 +259,8 @@ __all__ += material.__all__
 # Imported on first use: they load PETSc, which must first see the command line.
 _LAZY = {
     "Case": ("pdpetsc.case", "Case"),
+    "Comparison": ("pdpetsc.running.comparison", "Comparison"),
+    "compare": ("pdpetsc.running.comparison", "compare"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),
     "Result": ("pdpetsc.running.result", "Result"),
     "open": ("pdpetsc.running.result", "open_run"),

@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from pdpetsc.errors import CaseError, OutputError, SolveError
+from pdpetsc.running.comparison import Outcome, columns_of, mebibytes, results_figure, working_seconds
 
 USAGE = """usage: python -m pdpetsc compare CASE.py NAME=A,B,C [NAME=...] [-o DIR] [-ranks N] [-PETSC_OPTION [VALUE]]
 
@@ -31,28 +31,10 @@ USAGE = """usage: python -m pdpetsc compare CASE.py NAME=A,B,C [NAME=...] [-o DI
 The seconds are those of set-up and solve. What DIR already holds is not run again: an interrupted comparison goes on
 where it was."""
 
-# Results that are drawn against the time they take.
-ERRORS = ("error", "w_error", "max_F_error")
-
-
 # File that marks a folder of a run as one that compare has made.
 MARK = ".pdpetsc-compare"
 # What compare takes out of such a folder before it runs there again, so that nothing of an earlier run is left to read.
 STALE = ("compare.json", "summary.json")
-
-# What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
-PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one combination gave."""
-
-    parameters: Mapping[str, str]
-    status: str
-    results: Mapping[str, float]
-    seconds: float
-    memory: float
 
 
 def compare(
@@ -116,11 +98,6 @@ def compare(
     return done
 
 
-def working_seconds(summary: Mapping[str, Any]) -> float:
-    """Return the seconds of set-up and solve of a run from its ``summary.json``."""
-    return sum(float(value) for phase, value in summary.get("timings", {}).items() if phase in PHASES)
-
-
 def refuse_failed(done: Sequence[Outcome], folder: Path) -> None:
     """Raise SolveError if runs did not reach their end."""
     failed = sum(outcome.status != "converged" for outcome in done)
@@ -162,8 +139,7 @@ def _one(
     if not isinstance(word, str) or word == "running" or status != (0 if word == "converged" else 1):
         word = f"ended with exit status {status}: {_sentence(said)}"
     results = summary.get("results", {}) if word == "converged" else {}
-    memory = sum(summary.get("peak_memory_bytes", [])) / 2**20
-    found = [word, results, working_seconds(summary), memory]
+    found: list[Any] = [word, results, working_seconds(summary), mebibytes(summary)]
     # A run that was stopped or crashed may end otherwise the next time.
     if word == "converged" or (word == summary.get("status") and summary.get("error") == "SolveError"):
         _save(finished, json.dumps({"asked": asked, "found": found}))
@@ -243,10 +219,6 @@ def _sentence(text: str) -> str:
     return lines[-1] if lines else (text.strip().splitlines() or ["no message."])[-1]
 
 
-def _columns(done: Sequence[Outcome]) -> list[str]:
-    return list(dict.fromkeys(name for outcome in done for name in outcome.results))
-
-
 def _grid(*parts: Any) -> Table:
     grid = Table.grid()
     for part in parts:
@@ -256,60 +228,34 @@ def _grid(*parts: Any) -> Table:
 
 def _table(done: Sequence[Outcome]) -> Table:
     table = Table()
-    names = _columns(done)
-    for name in (*(done[0].parameters if done else ()), *names, "seconds", "MiB", "status"):
+    columns = columns_of(done)
+    for name in columns:
         table.add_column(name, justify="right")
-    for outcome in done:
-        values = [f"{outcome.results[name]:.6g}" if name in outcome.results else "" for name in names]
-        status = "converged" if outcome.status == "converged" else "failed"
-        table.add_row(*outcome.parameters.values(), *values, f"{outcome.seconds:.1f}", f"{outcome.memory:.0f}", status)
+    for row in zip(*columns.values(), strict=True):
+        *values, seconds, memory, status = row
+        words = [
+            "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value) for value in values
+        ]
+        table.add_row(*words, f"{seconds:.1f}", f"{memory:.0f}", status if status == "converged" else "failed")
     return table
 
 
 def _write(folder: Path, done: Sequence[Outcome]) -> None:
-    names = _columns(done)
     text = io.StringIO()
     table = csv.writer(text)
-    table.writerow([*done[0].parameters, *names, "seconds", "peak_MiB", "status"])
-    for outcome in done:
-        values = [repr(outcome.results[name]) if name in outcome.results else "" for name in names]
-        costs = [f"{outcome.seconds:.3f}", f"{outcome.memory:.1f}", outcome.status]
-        table.writerow([*outcome.parameters.values(), *values, *costs])
+    columns = columns_of(done)
+    table.writerow(["peak_MiB" if name == "MiB" else name for name in columns])
+    for row in zip(*columns.values(), strict=True):
+        *values, seconds, memory, status = row
+        words = ["" if value is None else repr(value) if isinstance(value, float) else value for value in values]
+        table.writerow([*words, f"{seconds:.3f}", f"{memory:.1f}", status])
     _save(folder / "compare.csv", text.getvalue())
 
 
 def _draw(folder: Path, title: str, choices: Mapping[str, Sequence[str]], done: Sequence[Outcome]) -> None:
     """Draw every result against the last numeric parameter, and error against seconds where there is an error."""
-    from matplotlib.figure import Figure
-
     numeric = [name for name, values in choices.items() if len(values) > 1 and all(_is_number(v) for v in values)]
-    along = numeric[-1] if numeric else None
-    names = _columns(done)
-    error = next((name for name in ERRORS if name in names), None)
-    panels = len(names) + (error is not None)
-    figure = Figure(figsize=(7.0, 1.0 + 3.2 * max(panels, 1)), layout="constrained")
-    axes = list(figure.subplots(max(panels, 1), 1, squeeze=False)[:, 0])
-    groups: dict[str, list[Outcome]] = {}
-    for outcome in done:
-        rest = {name: value for name, value in outcome.parameters.items() if name != along}
-        groups.setdefault(_named(rest), []).append(outcome)
-    for label, outcomes in groups.items():
-        for axis, name in zip(axes, names, strict=False):
-            have = [o for o in outcomes if name in o.results]
-            x = [float(o.parameters[along]) for o in have] if along else list(range(len(have)))
-            axis.plot(x, [o.results[name] for o in have], "o-", markersize=4, label=label)
-            axis.set(xlabel=along or "run", ylabel=name)
-        if error is not None:
-            have = [o for o in outcomes if error in o.results]
-            axes[-1].loglog(
-                [o.seconds for o in have], [abs(o.results[error]) for o in have], "o-", markersize=4, label=label
-            )
-            axes[-1].set(xlabel="seconds", ylabel=f"|{error}|")
-    for axis in axes:
-        axis.grid(alpha=0.3)
-    axes[0].set_title(title)
-    if len(groups) > 1:
-        axes[0].legend(fontsize=7)
+    figure = results_figure(done, numeric[-1] if numeric else None, title)
     path = folder / "compare.png"
     try:
         figure.savefig(path, dpi=130)

@@ -108,6 +108,8 @@ if TYPE_CHECKING:
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
+    from pdpetsc.studies.fit import fit
+    from pdpetsc.studies.study import Refinement, study
 
     open = open_run
 
@@ -193,6 +195,7 @@ __all__ = [
     "Quantity",
     "Ramp",
     "Reaction",
+    "Refinement",
     "RelativeError",
     "Result",
     "RunError",
@@ -220,6 +223,7 @@ __all__ = [
     "displacement",
     "energy_density",
     "first_piola_stress",
+    "fit",
     "heat_flux",
     "influence",
     "local_damage",
@@ -234,6 +238,7 @@ __all__ = [
     "region",
     "run",
     "stress",
+    "study",
     "temperature",
     "triaxiality",
     "von_mises",
@@ -248,10 +253,13 @@ __all__ += material.__all__
 _LAZY = {
     "Case": ("pdpetsc.case", "Case"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),
+    "Refinement": ("pdpetsc.studies.study", "Refinement"),
     "Result": ("pdpetsc.running.result", "Result"),
     "open": ("pdpetsc.running.result", "open_run"),
     "prepare": ("pdpetsc.running.prepare", "prepare"),
     "run": ("pdpetsc.running.runner", "run"),
+    "fit": ("pdpetsc.studies.fit", "fit"),
+    "study": ("pdpetsc.studies.study", "study"),
 }
 
 

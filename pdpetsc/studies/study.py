@@ -295,6 +295,13 @@ class Refinement:
         Values of results from elsewhere, that errors are of; what the case expects counts as such where ``expected``.
     expected : bool
         Take what the case expects where ``exact`` has no value.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> by_number = pd.Refinement("1/n", exact={"tip": 7.4})
+    >>> by_number.name
+    'n'
     """
 
     of: str

@@ -77,7 +77,7 @@ SECTIONS = {
         Example("Twisted rubber column", "solids/twisting_column.py", "steps=2"),
         Example("Material of your own", "own/material.py", curve=("t", "force"), quick=True),
         Example("Elastic-plastic plate", "plasticity/plate.py", curve=("t", "force")),
-        Example("Necking bar", "solids/necking.py", "n=2 end=8 steps=16", ("t", "quarter_force")),
+        Example("Necking bar", "solids/yielding_neck.py", "n=6 steps=20", ("t", "pull")),
     ],
     "Heat": [
         Example("Bimetal strip", "thermal/bimetal.py"),

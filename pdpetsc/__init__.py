@@ -88,6 +88,7 @@ from pdpetsc.post.quantities import (
     RelativeError,
     StrainEnergy,
 )
+from pdpetsc.post.sampling import grid, line
 from pdpetsc.post.solution import (
     Solution,
     deformation_gradient,
@@ -108,9 +109,12 @@ from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTang
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
+    from pdpetsc.running.comparison import Comparison, compare
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
+    from pdpetsc.studies.fit import fit
+    from pdpetsc.studies.study import Refinement, study
 
     open = open_run
 
@@ -134,6 +138,7 @@ __all__ = [
     "CellStrain",
     "CellStress",
     "CheckError",
+    "Comparison",
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
@@ -198,6 +203,7 @@ __all__ = [
     "Quantity",
     "Ramp",
     "Reaction",
+    "Refinement",
     "RelativeError",
     "Result",
     "RunError",
@@ -219,6 +225,7 @@ __all__ = [
     "Units",
     "VonMisesStrain",
     "choose",
+    "compare",
     "crack_faces",
     "crack_lines",
     "damage_dissipation",
@@ -226,8 +233,11 @@ __all__ = [
     "displacement",
     "energy_density",
     "first_piola_stress",
+    "fit",
+    "grid",
     "heat_flux",
     "influence",
+    "line",
     "local_damage",
     "lost_bonds",
     "open",
@@ -240,6 +250,7 @@ __all__ = [
     "region",
     "run",
     "stress",
+    "study",
     "temperature",
     "triaxiality",
     "von_mises",
@@ -253,11 +264,16 @@ __all__ += material.__all__
 # Imported on first use: they load PETSc, which must first see the command line.
 _LAZY = {
     "Case": ("pdpetsc.case", "Case"),
+    "Comparison": ("pdpetsc.running.comparison", "Comparison"),
+    "compare": ("pdpetsc.running.comparison", "compare"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),
+    "Refinement": ("pdpetsc.studies.study", "Refinement"),
     "Result": ("pdpetsc.running.result", "Result"),
     "open": ("pdpetsc.running.result", "open_run"),
     "prepare": ("pdpetsc.running.prepare", "prepare"),
     "run": ("pdpetsc.running.runner", "run"),
+    "fit": ("pdpetsc.studies.fit", "fit"),
+    "study": ("pdpetsc.studies.study", "study"),
 }
 
 

@@ -68,7 +68,7 @@ VALID = [
     pd.LinearElastic(1.0), pd.J2(1.0, 0.3, yield_stress=0.1), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2),
     CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
     pd.BondEnergy(w=1.0), pd.BondEnergy(Gc=1.0), pd.MazarsStrain(0.1), pd.VonMisesStrain(0.1), pd.PrincipalStress(1.0),
-    pd.PlasticStrain(0.1), pd.JohnsonCookFailure(0.1, 1.0, -1.0),
+    pd.PlasticStrain(0.1), pd.JohnsonCookFailure(0.1, 1.0, -1.0, D4=0.1, D5=0.1, duration=1.0, melting=900.0),
     pd.DamageOf({"all": region.All()}, {"all": pd.Brittle(CRITICAL)}),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
     pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),

@@ -24,6 +24,7 @@ LAYERS = [
     {"output"},
     {"case"},
     {"running"},
+    {"studies"},
     {"command_line", "__init__", "__main__"},
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -95,8 +95,9 @@ def draw(name, result):
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.axis("off")
-    figure.colorbar(drawn, ax=axes, label=label, shrink=0.6)
-    figure.savefig(HERE / f"{name}.png", dpi=180)
+    tall = np.ptp(cells[..., 1]) > np.ptp(cells[..., 0])
+    figure.colorbar(drawn, ax=axes, label=label, shrink=0.6, location="right" if tall else "bottom", pad=0.03)
+    figure.savefig(HERE / f"{name}.png", dpi=180, bbox_inches="tight", pad_inches=0.03)
 
 
 if __name__ == "__main__":

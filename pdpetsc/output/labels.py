@@ -54,6 +54,10 @@ class Labels:
         words = _WORDS.get(name, name.replace("_", " "))
         return self._with(f"{words} {component}".strip(), self._unit(self._kind(name)))
 
+    def unit_of_field(self, name: str) -> str:
+        """Return the unit of a field; empty where there is none."""
+        return self._unit(self._kind(name))
+
     def axis(self, letter: str) -> str:
         """Return what stands at an axis of positions."""
         return self._with(letter, self._unit("length"))

@@ -113,6 +113,8 @@ if TYPE_CHECKING:
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
+    from pdpetsc.studies.fit import fit
+    from pdpetsc.studies.study import Refinement, study
 
     open = open_run
 
@@ -201,6 +203,7 @@ __all__ = [
     "Quantity",
     "Ramp",
     "Reaction",
+    "Refinement",
     "RelativeError",
     "Result",
     "RunError",
@@ -230,6 +233,7 @@ __all__ = [
     "displacement",
     "energy_density",
     "first_piola_stress",
+    "fit",
     "grid",
     "heat_flux",
     "influence",
@@ -246,6 +250,7 @@ __all__ = [
     "region",
     "run",
     "stress",
+    "study",
     "temperature",
     "triaxiality",
     "von_mises",
@@ -262,10 +267,13 @@ _LAZY = {
     "Comparison": ("pdpetsc.running.comparison", "Comparison"),
     "compare": ("pdpetsc.running.comparison", "compare"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),
+    "Refinement": ("pdpetsc.studies.study", "Refinement"),
     "Result": ("pdpetsc.running.result", "Result"),
     "open": ("pdpetsc.running.result", "open_run"),
     "prepare": ("pdpetsc.running.prepare", "prepare"),
     "run": ("pdpetsc.running.runner", "run"),
+    "fit": ("pdpetsc.studies.fit", "fit"),
+    "study": ("pdpetsc.studies.study", "study"),
 }
 
 

@@ -118,6 +118,16 @@ class DamageOf(Declared):
         return any(law.reads_strain for law in self._declared)
 
     @property
+    def reads_temperature(self) -> bool:
+        """Return whether a criterion reads the temperature of the body."""
+        return any(law.reads_temperature for law in self._declared)
+
+    @property
+    def times(self) -> Sequence[float]:
+        """Return the times that criteria take the load to last [time]."""
+        return [time for law in self._declared for time in law.times]
+
+    @property
     def places(self) -> list[tuple[str, Region]]:
         """Return its regions with what they are."""
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]
@@ -283,6 +293,11 @@ class SeveralDrives(Drive):
     def reads_flow(self) -> bool:
         """Return whether any reads how materials flow."""
         return any(drive.reads_flow for drive in self._drives)
+
+    @property
+    def timed(self) -> bool:
+        """Return whether any depends on time."""
+        return any(drive.timed for drive in self._drives)
 
     def take(self, solid: Solid) -> None:
         """Let all read these gradient points."""

@@ -111,6 +111,12 @@ class TextFile(Particles):
             raise CaseError(f"Column {name!r} of {self.path} has values that are not numbers.")
         return found
 
+    def has(self, name: str) -> bool:
+        """Return whether the file has such a column, by its names or, without names, as ``x y z block volume``."""
+        _, names, table = _read(Path(self.path))
+        have = names if names is not None else [*"xyz"[: table.shape[1] - 2], "block", "volume"]
+        return _COLUMNS.get(name.lower(), name.lower()) in have
+
     def function(self, name: str) -> Column:
         """Return a column of the file as a function of the positions of particles, as orientations and loads take it.
 
@@ -199,7 +205,7 @@ class Column:
 
 @lru_cache(maxsize=8)
 def _placed(column: Column, version: tuple[int, int]) -> tuple[Any, Float, float]:
-    """Return a search tree of the particles, the values of a column and the extent of the cloud, while it is so."""
+    """Return a search tree of the particles, a column and the extent of the cloud, as long as the file is the same."""
     x = np.asarray(column._cloud._arrays().x, dtype=float)
     return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -143,11 +143,47 @@ class ExpandedAtPoints(MaterialAtPoints):
 
     def energy(self, F: Float, psi: Float) -> None:
         """Write the energy density (all points,) at its points."""
+        psi[self.points] = self._energy(self._elastic(F[self.points]), self._by_law())
+
+    def _energy(self, elastic: Float, laws: Iterable[tuple[Law, Float]]) -> Float:
+        """Return the energy density of its points (n,) by laws with their histories, at what is left of F."""
         found = np.empty(len(self.points))
-        elastic = self._elastic(F[self.points])
-        for (rows, _, kernels, constants), history in self._by_law():
+        for (rows, _, kernels, constants), history in laws:
             kernels.energy(elastic, rows, constants, history, found)
-        psi[self.points] = self._times(found if self.material.linear else self._J * found)
+        return self._times(found if self.material.linear else self._J * found)
+
+    def energy_by_strain(self, F: Float) -> Float:
+        """Return the derivative of the energy density at its points by their strain without stress, F held (n, 3, 3).
+
+        ``S = psi F_theta^-1 - F_e^T P``, of the linear material ``-P`` [stress], where F (n, dim, dim) are theirs. What
+        a plane body or a bar does not show has the first part alone: it is free there.
+        """
+        P, elastic = self._stress(F), self._elastic(F)
+        inside, S = P.shape[-1], np.zeros((len(F), 3, 3))
+        if self.material.linear:
+            S[:, :inside, :inside] = -P
+            return S
+        S[:, :inside, :inside] = -np.einsum("pki,pkj->pij", elastic, P)
+        psi = self._energy(elastic, self._by_law())
+        S[:, :inside, :inside] += psi[:, None, None] * self._inverse
+        for axis in range(inside, 3):
+            S[:, axis, axis] += psi / self._hidden[:, axis - self.dim]
+        return S
+
+    def energy_by_temperature(self, F: Float, temperature: Float, step: float) -> Float:
+        """Return the derivative of the energy density of its law by temperature (n,), F and strains held.
+
+        By central differences with a step [temperature], at temperatures (n,), where F (n, dim, dim) are those of its
+        points; zeros where the law does not depend on it.
+        """
+        if self._law is None or not len(F):
+            return np.zeros(len(F))
+        elastic = self._elastic(F)
+        up, down = (
+            self._energy(elastic, ((law, self.history[law.rows]) for law in self._at_temperatures(temperature + by)))
+            for by in (step, -step)
+        )
+        return np.asarray((up - down) / (2.0 * step))
 
     def commit(self, F: Float) -> None:
         """Make the state at F (all points, dim, dim) the one that the next step starts from."""

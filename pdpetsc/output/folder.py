@@ -82,6 +82,14 @@ def holding(comm: Comm, folder: Path) -> Iterator[None]:
                     (folder / LOCK).unlink()
 
 
+def holder_of(folder: Path) -> Holder | None:
+    """Return the process that a run in a folder belongs to, also one that has ended; None where there is none."""
+    try:
+        return _holder(_read(folder / LOCK))
+    except OSError:
+        return None
+
+
 @contextlib.contextmanager
 def _one_at_a_time(folder: Path) -> Iterator[None]:
     """Let one process of this machine at a time look at the lock of a folder, where the file system has locks.

@@ -41,10 +41,11 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
             f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
             f"this body has a law that is not linear between failures, so take Newton."
         )
-    if declared.finds_load and problem.matter.timed:
+    timed = problem.matter.timed or (problem.damage is not None and problem.damage.drive.timed)
+    if declared.finds_load and timed:
         raise CaseError(
-            f"{declared.title} finds the load, which is no time; a material that depends on its rate needs load steps, "
-            f"so take Newton."
+            f"{declared.title} finds the load, which is no time; a material that depends on its rate, or fails by it, "
+            f"needs load steps, so take Newton."
         )
     if needs.symmetric:
         for term in problem.terms:

@@ -193,6 +193,18 @@ class MaterialPoints(Matter):
             at_points.energy(F, psi)
         return psi
 
+    def conjugates(self, state: State) -> tuple[Float, Float, Float]:
+        """Return F, the stress that forces have (n_points, dim, dim) and the energy density (n_points,) of the points.
+
+        The stress is the derivative of the energy by F.
+        """
+        F = self.deformation(state)
+        return F, self.stress(F), self.point_energy(F)
+
+    def energy_at(self, F: Float, volume: Float) -> Float:
+        """Return the energy density of all points (n_points,) at gradients F and volumes (n_points,) of one's own."""
+        return self.point_energy(F)
+
     def add_force(self, state: State, f: Float) -> None:
         """Add ``G^T (W P)``."""
         self.operator.divergence(self.stress(self.deformation(state)), f)

@@ -140,6 +140,12 @@ class Comparison:
     Notes
     -----
     Not collective: it reads folders.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> both = pd.compare(["out/coarse", "out/fine"])       # doctest: +SKIP
+    >>> print(both)                                         # doctest: +SKIP
     """
 
     def __init__(self, runs: Mapping[str, Result]) -> None:

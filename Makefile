@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 
 .PHONY: run test long lint types clean
 
-.venv/ready: pyproject.toml .ci/setup
+.venv/ready: pyproject.toml .ci/setup packaging/debian
 	.ci/setup
 
 run: .venv/ready

@@ -14,6 +14,7 @@ from pdpetsc.damage import BondDamage, DamageOf
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.horizon import AnyHorizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
 from pdpetsc.declare.particles import Particles
@@ -22,12 +23,14 @@ from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
+from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
 from pdpetsc.material import Graded, Material, Thermal
 from pdpetsc.output.picture import Picture
+from pdpetsc.post.invariants import von_mises
 from pdpetsc.post.quantities import Quantity, refuse_component
 from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm
@@ -108,8 +111,8 @@ class Case(Declared):
     results : callable, optional
         Gets the history as lists per name and returns the named scalar results of the run.
     fields : sequence of Field, or mapping of str to Field
-        What is written per step; empty for no file of fields. The names are those of the functions, or the mapping's:
-        different words of letters, digits and underscores.
+        What is written per step; displacement, stress and von Mises stress by default, empty for no file of fields. The
+        names are those of the functions, or the mapping's: different words of letters, digits and underscores.
     checkpoints : int
         A checkpoint every so many steps, and where the run ends, also by a signal or a failure; 0 for none.
     picture : Picture, optional
@@ -120,6 +123,10 @@ class Case(Declared):
         What adds forces besides material, control and conditions.
     heat : HeatConduction, optional
         Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
+    expect : mapping of str to Expected
+        What the named results should be, with these parameters; compared where the run is asked to (``--check``).
+    units : Units, optional
+        What the units of length and force are called in pictures, tables and the report; nothing is converted.
     """
 
     particles: Particles
@@ -138,12 +145,14 @@ class Case(Declared):
     solver: AnySolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
-    fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress)
+    fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress, von_mises)
     checkpoints: int = 1
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     terms: Sequence[ExtraTerm] = ()
     heat: HeatConduction | None = None
+    expect: Mapping[str, Expected] = field(default_factory=dict)
+    units: Units | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
@@ -258,6 +267,10 @@ class Case(Declared):
                     f"A quantity of the history cannot be named {shown(name)}: names are columns of a table, without "
                     f"commas, semicolons, quotes, line ends and outer blanks."
                 )
+        if self.expect and self.results is None:
+            raise CaseError(
+                f"The case expects a result {next(iter(self.expect))!r} and has none; give results=lambda h: {{...}}."
+            )
         for name, value in self.options.items():
             if not name or name.startswith("-") or len(name.split()) != 1:
                 raise CaseError(f"An option of PETSc is one word without dash in front, not {name!r}.")

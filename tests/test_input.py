@@ -36,7 +36,7 @@ def case(**changes):
 VALID = [
     case(),
     pd.AdaptiveSteps(), pd.Steps(), pd.Table([0.0, 1.0], [0.0, 1.0]), pd.Cell((0.0, 0.0), (4.0, 4.0)),
-    pd.Symmetry("x"), pd.Horizon(3.015),
+    pd.Symmetry("x"), pd.Horizon(3.015), pd.Expected(1.0, relative=0.1, source="here"), pd.Units("mm", "N"),
     pd.DynamicRelaxation(), pd.EventDriven(), pd.PathFollowing(), pd.BondStretch(),
     pd.Opening("x", region.All(), step=0.1, end=1.0),
     pd.Segment((0.0, 0.0), (1.0, 0.0)), pd.Polyline([(0.0, 0.0), (1.0, 0.0)]), pd.PlaneCrack((0.0,), (1.0,)),

@@ -12,6 +12,7 @@ LAYERS = [
     {"errors", "arrays", "declared"},
     {"kernels"},
     {"declare"},
+    {"decks"},
     {"discrete"},
     {"gradient", "material", "bond_based", "damage"},
     {"control"},
@@ -23,6 +24,7 @@ LAYERS = [
     {"output"},
     {"case"},
     {"running"},
+    {"studies"},
     {"command_line", "__init__", "__main__"},
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

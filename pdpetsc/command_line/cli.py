@@ -35,6 +35,7 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   --restart FILE  go on from a checkpoint, or from the one in a folder
   --restart-anyway  go on from it also where material, loads or cracks of the case have changed
   --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
+  --check         compare the results with what the case expects; exit status 1 where one is off
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
@@ -43,6 +44,9 @@ Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 python -m pdpetsc new FILE.py                    writes a commented case to begin with
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
 python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
+python -m pdpetsc study CASE.py NAME=A,B ...     the same, some side by side, with orders of convergence
+python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history is that of a measured curve
+python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
 python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
 
 # PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
@@ -62,6 +66,7 @@ class Arguments:
     output: Path | None = None
     restart: Path | None = None
     restart_anyway: bool = False
+    check: bool = False
     solver: str | None = None
     quiet: bool = False
     version: bool = False
@@ -92,13 +97,14 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version", "--restart-anyway"):
+        elif word in ("--quiet", "--version", "--restart-anyway", "--check"):
             setattr(found, word[2:].replace("-", "_"), True)
         elif word in ("-h", "--help"):
             found.help = True
         elif word.startswith("--"):
             raise CaseError(
-                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --quiet, --version, -h."
+                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --check, --quiet, "
+                f"--version, -h."
             )
         elif _OPTION.match(word):
             found.petsc.append(word)
@@ -317,7 +323,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             print(_described(arguments.path, function, parameters))
         return 0
     with agreed(comm):
-        case = _make_case(arguments.path, function, parameters)
+        case = make_case(arguments.path, function, parameters)
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
@@ -328,6 +334,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         parameters=parameters,
         restart_anyway=arguments.restart_anyway,
         report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
+        check=arguments.check,
     )
     return 0
 
@@ -356,6 +363,35 @@ def _new(argv: list[str]) -> int:
     return 0
 
 
+def _import(argv: list[str]) -> int:
+    from pdpetsc.command_line import import_deck
+
+    words, options = list(argv), dict[str, Any](ignore=[])
+    if "-h" in words or "--help" in words or not words:
+        print(import_deck.USAGE)
+        return 0 if words else 2
+    while words:
+        word = words.pop(0)
+        if word in ("-o", "--ignore"):
+            if not words:
+                raise CaseError(f"{word} needs a {'path' if word == '-o' else 'name'} after it.")
+            value = words.pop(0)
+            if word == "--ignore":
+                options["ignore"].append(value)
+            else:
+                options["output"] = Path(value)
+        elif word in ("--static", "--overwrite"):
+            options[word[2:]] = True
+        elif word.startswith("-") or "deck" in options:
+            raise CaseError(f"import does not know {word!r}; python -m pdpetsc import -h shows the usage.")
+        else:
+            options["deck"] = Path(word)
+    if "deck" not in options:
+        raise CaseError("No deck is given; python -m pdpetsc import -h shows the usage.")
+    print(import_deck.described(*import_deck.import_deck(**options)))
+    return 0
+
+
 def _doctor(argv: list[str]) -> int:
     petsc4py.init(PETSC)
     _take_signals()
@@ -373,15 +409,16 @@ def _doctor(argv: list[str]) -> int:
 def _plot(argv: list[str]) -> int:
     from pdpetsc.command_line import plot
 
-    arguments = split(argv)
+    animate = "--animate" in argv
+    arguments = split([word for word in argv if word != "--animate"])
     if arguments.help or not argv:
         print(plot.USAGE)
         return 0 if argv else 2
     if arguments.path is None:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
-    if arguments.petsc or arguments.output or arguments.restart or arguments.solver:
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
-    for path in plot.plot(arguments.path, arguments.parameters):
+    for path in plot.plot(arguments.path, arguments.parameters, animate):
         print(path)
     return 0
 
@@ -389,45 +426,32 @@ def _plot(argv: list[str]) -> int:
 def _compare(argv: list[str]) -> int:
     from pdpetsc.command_line import compare
 
-    arguments = split(argv)
-    if arguments.help or not argv:
-        print(compare.USAGE)
-        return 0 if argv else 2
-    if arguments.path is None:
-        raise CaseError("No case file is given; python -m pdpetsc compare -h shows the usage.")
-    if arguments.restart is not None:
-        raise CaseError("compare takes no --restart; every run starts from the beginning.")
-    ranks, petsc = 1, list(arguments.petsc)
-    if arguments.solver is not None:
-        petsc += ["--solver", arguments.solver]
-    if "-ranks" in petsc:
-        at = petsc.index("-ranks")
-        if at + 1 == len(petsc) or not petsc[at + 1].isdigit() or int(petsc[at + 1]) < 1:
-            raise CaseError("-ranks takes a positive number.")
-        ranks = int(petsc[at + 1])
-        del petsc[at : at + 2]
-    petsc4py.init(PETSC)
-    _take_signals()  # PETSc has taken some of them
-    choices = {name: text.split(",") for name, text in arguments.parameters.items()}
-    function = load_case(arguments.path)
-    for name, values in choices.items():
-        for value in values:
-            arguments_of(function, {name: value})
-    output = arguments.output or Path("out") / f"compare_{arguments.path.stem}"
-    try:
-        compare.refuse_failed(compare.compare(arguments.path, choices, output, ranks, petsc), output)
-    except KeyboardInterrupt:
-        raise Interrupted(f"Stopped; the same command goes on with what {output} holds.") from None
-    return 0
+    asked = compare.taken(argv)
+    return compare.main(asked, split(asked.words))
+
+
+def _study(argv: list[str]) -> int:
+    from pdpetsc.command_line import study
+
+    asked = study.taken(argv)
+    return study.main(asked, split(asked.words))
+
+
+def _fit(argv: list[str]) -> int:
+    from pdpetsc.command_line import fit
+
+    asked = fit.taken(argv)
+    return fit.main(asked, split(asked.words))
 
 
 # What the command line does besides running a case, by its first word.
 COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
-    "plot": _plot, "compare": _compare, "new": _new, "doctor": _doctor,
+    "plot": _plot, "compare": _compare, "study": _study, "fit": _fit, "new": _new, "import": _import, "doctor": _doctor,
 }  # fmt: skip
 
 
-def _make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
+def make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
+    """Return the case that the function of a case file makes; raises CaseError where it makes none."""
     from pdpetsc.case import Case
 
     case = _guarded(path, lambda: function(**parameters))

@@ -389,6 +389,11 @@ class Criterion(Declared, ABC):
     reads_strain: ClassVar[bool] = False
 
     @property
+    def assumes_share(self) -> bool:
+        """Return whether it follows from a fracture energy of which a crack is taken to take all."""
+        return False
+
+    @property
     def reads_temperature(self) -> bool:
         """Return whether it reads the temperature of the body."""
         return False

@@ -122,6 +122,11 @@ class BondDamage(Declared, ABC):
         return self.criterion.reads_stiffness
 
     @property
+    def assumes_share(self) -> bool:
+        """Return whether its criterion follows from a fracture energy of which a crack is taken to take all."""
+        return self.criterion.assumes_share
+
+    @property
     def reads_strain(self) -> bool:
         """Return whether the criterion reads the whole strain of the gradients."""
         return self.criterion.reads_strain

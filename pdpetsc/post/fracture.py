@@ -236,6 +236,8 @@ class JIntegral(_Release):
     >>> history = {f"J{n}": pd.JIntegral(tip, ahead, inner, 4.0) for n, inner in enumerate((1.0, 2.0))}
     """
 
+    dimension = "energy per area"
+
     def number(self, solution: Solution, domain: Domain) -> float:
         """Return J."""
         fields, share = continuum(solution), 0.0
@@ -278,6 +280,8 @@ class EnergyReleaseRate(_Release):
     >>> import pdpetsc as pd
     >>> G = pd.EnergyReleaseRate((5.0, 0.0), (1.0, 0.0), inner=1.0, outer=4.0)
     """
+
+    dimension = "energy per area"
 
     def number(self, solution: Solution, domain: Domain) -> float:
         """Return G."""
@@ -337,6 +341,8 @@ class StressIntensity(AtTip):
     >>> import pdpetsc as pd
     >>> K2 = pd.StressIntensity((5.0, 0.0), (1.0, 0.0), inner=1.0, outer=4.0, mode="II")
     """
+
+    dimension = "stress intensity"
 
     mode: Literal["I", "II"] = "I"
 

@@ -339,10 +339,12 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             check=arguments.check,
             asked=_asked(arguments.path, argv),
         )
-    finally:
-        # What a run that failed has left is worth a page too.
-        if arguments.report and is_root(comm):
-            _report_on(output)
+    except CaseError:  # nothing was run: what the folder holds is of another run
+        raise
+    except BaseException:  # what a run that failed has left is worth a page too
+        _report_on(output, arguments.report and is_root(comm))
+        raise
+    _report_on(output, arguments.report and is_root(comm))
     return 0
 
 
@@ -354,8 +356,10 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
     return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
 
 
-def _report_on(folder: Path) -> None:
-    """Write the report of a run that has ended; whatever fails here, its results and its exit status stand."""
+def _report_on(folder: Path, asked: bool) -> None:
+    """Write the report of a run that has ended, if asked; whatever fails here, results and exit status stand."""
+    if not asked:
+        return
     from pdpetsc.output.report import write_report
 
     try:

@@ -6,6 +6,7 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import pdpetsc.loading  # noqa: F401 - first: it says what cannot be loaded
 from pdpetsc import control, gradient, material
 from pdpetsc.bond_based import BondBased, LinearSolid
 from pdpetsc.control import *  # noqa: F403
@@ -61,6 +62,7 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
+from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
@@ -87,6 +89,7 @@ from pdpetsc.post.quantities import (
     RelativeError,
     StrainEnergy,
 )
+from pdpetsc.post.sampling import grid, line
 from pdpetsc.post.solution import (
     Solution,
     deformation_gradient,
@@ -107,9 +110,12 @@ from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTang
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
+    from pdpetsc.running.comparison import Comparison, compare
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
+    from pdpetsc.studies.fit import fit
+    from pdpetsc.studies.study import Refinement, study
 
     open = open_run
 
@@ -133,6 +139,7 @@ __all__ = [
     "CellStrain",
     "CellStress",
     "CheckError",
+    "Comparison",
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
@@ -197,6 +204,7 @@ __all__ = [
     "Quantity",
     "Ramp",
     "Reaction",
+    "Refinement",
     "RelativeError",
     "Result",
     "RunError",
@@ -215,8 +223,10 @@ __all__ = [
     "Term",
     "TextFile",
     "Traction",
+    "Units",
     "VonMisesStrain",
     "choose",
+    "compare",
     "crack_faces",
     "crack_lines",
     "damage_dissipation",
@@ -224,8 +234,11 @@ __all__ = [
     "displacement",
     "energy_density",
     "first_piola_stress",
+    "fit",
+    "grid",
     "heat_flux",
     "influence",
+    "line",
     "local_damage",
     "lost_bonds",
     "open",
@@ -238,6 +251,7 @@ __all__ = [
     "region",
     "run",
     "stress",
+    "study",
     "temperature",
     "triaxiality",
     "von_mises",
@@ -251,11 +265,16 @@ __all__ += material.__all__
 # Imported on first use: they load PETSc, which must first see the command line.
 _LAZY = {
     "Case": ("pdpetsc.case", "Case"),
+    "Comparison": ("pdpetsc.running.comparison", "Comparison"),
+    "compare": ("pdpetsc.running.comparison", "compare"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),
+    "Refinement": ("pdpetsc.studies.study", "Refinement"),
     "Result": ("pdpetsc.running.result", "Result"),
     "open": ("pdpetsc.running.result", "open_run"),
     "prepare": ("pdpetsc.running.prepare", "prepare"),
     "run": ("pdpetsc.running.runner", "run"),
+    "fit": ("pdpetsc.studies.fit", "fit"),
+    "study": ("pdpetsc.studies.study", "study"),
 }
 
 

@@ -23,6 +23,7 @@ from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
+from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
@@ -124,6 +125,8 @@ class Case(Declared):
         Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
     expect : mapping of str to Expected
         What the named results should be, with these parameters; compared where the run is asked to (``--check``).
+    units : Units, optional
+        What the units of length and force are called in pictures, tables and the report; nothing is converted.
     """
 
     particles: Particles
@@ -149,6 +152,7 @@ class Case(Declared):
     terms: Sequence[ExtraTerm] = ()
     heat: HeatConduction | None = None
     expect: Mapping[str, Expected] = field(default_factory=dict)
+    units: Units | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
@@ -215,6 +219,7 @@ class Case(Declared):
         self._check_symmetry()
         self._check_formulation()
         self._check_durations()
+        self._check_temperatures()
         self._check_names()
 
     def _check_symmetry(self) -> None:
@@ -233,12 +238,23 @@ class Case(Declared):
         laws = [(f"material {number}", ungraded(one)) for number, (_, one) in enumerate(self.materials, 1)]
         named = [(f"{type(law).__name__} of {name}", law.duration) for name, law in laws]
         named.append(("HeatConduction", None if self.heat is None else self.heat.duration))
+        named += [("the criterion of damage", time) for time in ([] if self.damage is None else self.damage.times)]
         given = [(name, duration) for name, duration in named if duration is not None]
         for name, duration in given[1:]:
             if duration != given[0][1]:
                 raise CaseError(
                     f"One time goes by from step time 0 to 1, and {given[0][0]} has a duration of {given[0][1]:g} "
                     f"where {name} has {duration:g}; give both the same."
+                )
+
+    def _check_temperatures(self) -> None:
+        """Raise CaseError where damage reads a temperature that not all of the body has."""
+        if self.damage is not None and self.damage.reads_temperature:
+            lacking = [number for number, one in enumerate(self.thermals, 1) if one is None]
+            if lacking:
+                raise CaseError(
+                    f"What drives damage reads the temperature, and material {lacking[0]} has none; wrap it in "
+                    f"Thermal, and give a Temperature or HeatConduction."
                 )
 
     def _check_names(self) -> None:

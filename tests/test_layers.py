@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "pdpetsc"
 # From bottom to top; a module may import from its own layer and from lower ones.
 LAYERS = [
-    {"errors", "arrays", "declared"},
+    {"errors", "arrays", "declared", "loading"},
     {"kernels"},
     {"declare"},
     {"decks"},
@@ -24,6 +24,7 @@ LAYERS = [
     {"output"},
     {"case"},
     {"running"},
+    {"studies"},
     {"command_line", "__init__", "__main__"},
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -1,6 +1,7 @@
 """What users do with a finished run: sampling, data frames, PyVista, a first case, the doctor."""
 
 import importlib
+import importlib.util
 import os
 import subprocess
 import sys
@@ -290,3 +291,120 @@ def test_what_a_killed_run_left_opens_and_a_restart_makes_it_whole(tmp_path):
         for name in ("stress_xx", "von_mises", "displacement"):
             exact = pd.open(whole).field(name, step)
             assert np.allclose(reader.read()[name], exact, atol=1e-9 * np.abs(exact).max(initial=1e-300))
+
+
+# Comparing, sampling on lines and grids, xarray, notebooks.
+
+
+def bar(folder, dx=0.5, steps=2, **given):
+    everywhere = pd.region.All()
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 3.0), dx), horizon=2.015 * dx, material=pd.BondBased(E=1000.0),
+        conditions=[pd.Displacement(everywhere, x=lambda x, t: t * 0.1 * x[:, 0], y=lambda x, t: t * 0.02 * x[:, 1])],
+        steps=pd.Steps(steps), history={"end": pd.Mean(pd.displacement, "x", pd.region.Slab("x", low=5.0))},
+        results=lambda h: {"end": h["end"][-1]}, **given,
+    )  # fmt: skip
+    return pd.run(case, folder, parameters={"dx": dx, "steps": steps, "name": "bar"})
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    place = tmp_path_factory.mktemp("two")
+    return bar(place / "coarse"), bar(place / "fine", dx=0.25, steps=4)
+
+
+def test_runs_stand_beside_each_other(two):
+    coarse, fine = two
+    both = pd.compare([coarse, str(fine.folder)])
+    table = both.table
+    # What both have in common tells nothing.
+    assert list(table) == ["run", "dx", "steps", "end", "seconds", "MiB", "status"]
+    assert table["run"] == ["coarse", "fine"] and table["dx"] == [0.5, 0.25] and table["steps"] == [2, 4]
+    assert table["end"] == [coarse["end"], fine["end"]] and table["status"] == ["converged"] * 2
+    assert all(seconds > 0.0 for seconds in table["seconds"])
+    first, second, third = str(both).splitlines()
+    assert first.split() == list(table) and second.split()[:3] == ["coarse", "0.5", "2"] and "fine" in third
+    assert both._repr_html_().count("<tr>") == 3
+    if importlib.util.find_spec("pandas"):
+        frame = both.frame()
+        assert frame.loc["fine", "end"] == fine["end"] and list(frame.index) == ["coarse", "fine"]
+    figure = both.figure()
+    assert [axis.get_ylabel() for axis in figure.axes] == ["end"] and len(figure.axes[0].lines) == 2
+    assert np.array_equal(figure.axes[0].lines[1].get_ydata(), fine.history["end"])
+
+
+def test_fields_of_runs_are_compared_at_the_same_points_and_step_times(two):
+    both = pd.compare({"a": two[0], "b": two[1]})
+    # A linear field is met exactly whatever the spacing.
+    found = both.difference("displacement")
+    assert list(found) == ["b"] and found["b"].shape == (72, 3) and np.allclose(found["b"], 0.0, atol=1e-12)
+    assert np.allclose(both.difference("displacement", t=0.5)["b"], 0.0, atol=1e-12)
+    line = pd.line((-1.0, 1.5), (5.0, 1.5), 7)
+    found = both.difference("displacement", points=line)["b"]
+    assert np.isnan(found[0]).all() and np.allclose(found[1:], 0.0, atol=1e-12)
+    with pytest.raises(pd.CaseError, match=r"a has no fields at step time 0\.25; it has some at 0, 0\.5, 1"):
+        both.difference("displacement", t=0.25)
+    with pytest.raises(pd.CaseError, match="no field 'nothing'"):
+        both.difference("nothing")
+
+
+def test_what_cannot_be_compared_is_refused(two, tmp_path):
+    with pytest.raises(pd.CaseError, match="two runs or more, not 1"):
+        pd.compare([two[0]])
+    with pytest.raises(pd.CaseError, match="put them into a list"):
+        pd.compare(two[0])
+    with pytest.raises(pd.CaseError, match="given twice"):
+        pd.compare([two[0], two[0].folder])
+    with pytest.raises(pd.CaseError, match=r"holds no summary\.json"):
+        pd.compare([two[0], tmp_path])
+    one, other = (bar(tmp_path / unit, units=pd.Units(unit, "N")) for unit in ("mm", "m"))
+    with pytest.raises(pd.CaseError, match="mm is in mm and N, m in m and N"):
+        pd.compare([one, other])
+    pd.compare([one, two[0]])
+    short = bar(tmp_path / "short", steps=2)
+    short.fields  # noqa: B018
+    (short.folder / "fields" / "step_00002.h5").unlink()
+    with pytest.raises(pd.CaseError):
+        pd.compare([short, two[1]]).difference("displacement")
+
+
+def test_lines_and_grids_are_points(two):
+    points = pd.grid((0.5, 0.5), (5.5, 2.5), (11, 5))
+    u = two[1].sample(points).reshape(11, 5, 3)
+    assert np.allclose(u[:, :, 0], 0.1 * np.linspace(0.5, 5.5, 11)[:, None], atol=1e-12)
+    assert np.allclose(u[:, :, 1], 0.02 * np.linspace(0.5, 2.5, 5), atol=1e-12)
+    u = two[0].sample(pd.line((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), 5))
+    assert np.allclose(u[:, 0], 0.1 * np.arange(1.0, 6.0), atol=1e-12)
+    assert pd.line((0.0,), (1.0,), 3).shape == (3, 1) and pd.grid([0.0], [1.0], [4]).shape == (4, 1)
+    for wrong in (((0.0, 0.0), (1.0,), 3), ((0.0,), (np.nan,), 3), ((0.0,), (1.0,), 1), ((0.0,), (1.0,), 2.5)):
+        with pytest.raises(pd.CaseError, match="A line"):
+            pd.line(*wrong)
+    for wrong in (((0.0, 0.0), (1.0, 1.0), 3), ((0.0,), (1.0,), [0]), ((0.0,), (1.0,), [2.5])):
+        with pytest.raises(pd.CaseError, match="A grid"):
+            pd.grid(*wrong)
+
+
+def test_all_steps_come_as_an_xarray_data_set(two):
+    if importlib.util.find_spec("xarray") is None:
+        with pytest.raises(pd.CaseError, match="pip install xarray"):
+            two[0].to_xarray()
+        pytest.skip("xarray is not installed")
+    data = two[1].to_xarray()
+    assert data["displacement"].dims == ("step", "particle", "component") and data.sizes["step"] == 5
+    assert data["stress"].dims == ("step", "particle", "component", "along") and "stress_xx" not in data
+    assert list(data["t"].values) == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert np.array_equal(data["X"], two[1].x)
+    sigma = data["stress"].sel(step=3, component="x", along="y")
+    assert np.array_equal(sigma, two[1].field("stress", 3)[:, 0, 1])
+
+
+def test_a_notebook_shows_a_table_and_a_picture(two, tmp_path):
+    shown = two[0]._repr_html_()
+    assert "converged" in shown and f"{two[0]['end']:.8g}" in shown and "data:image/png;base64," in shown
+    # Also without fields, and where a later run has taken the folder.
+    bare = bar(tmp_path / "bare", fields=[])
+    assert "<img" not in bare._repr_html_() and "converged" in bare._repr_html_()
+    first = bar(tmp_path / "taken", picture=pd.Picture(pd.displacement, "x"))
+    assert "<img" in first._repr_html_()
+    bar(tmp_path / "taken", steps=1, picture=pd.Picture(pd.displacement, "x"))
+    assert "<img" not in first._repr_html_()

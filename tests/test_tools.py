@@ -87,7 +87,7 @@ def test_compare_runs_every_combination_once(tmp_path):
         ("correspondence", "3"), ("correspondence", "5"), ("sub_horizons", "3"), ("sub_horizons", "5"),
     ]  # fmt: skip
     assert float(rows[0]["error"]) == pytest.approx(0.0668, abs=1e-3)
-    assert all(row["status"] == "converged" and float(row["seconds"]) > 0.0 for row in rows)
+    assert all(row["status"] == "finished" and float(row["seconds"]) > 0.0 for row in rows)
     assert (tmp_path / "compare.png").stat().st_size > 10_000
     times = {path: path.stat().st_mtime for path in tmp_path.glob("*/summary.json")}
     assert len(times) == 4
@@ -99,31 +99,33 @@ def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
     words = [sys.executable, "-m", "pdpetsc", "compare", CLAMPED, "ny=3,5,7", "steps=1", "-o", str(tmp_path)]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, start_new_session=True, **pipes)
-    while not list(tmp_path.glob("ny=3*/compare.json")):
+    while not list(tmp_path.glob("ny=3*/outcome.json")):
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     _, message = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "the same command goes on" in message
     assert "Traceback" not in message
-    first = next(tmp_path.glob("ny=3*/compare.json")).stat().st_mtime
+    first = next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime
     assert tool(*words[3:]).returncode == 0
     assert len(table(tmp_path)) == 3
-    assert next(tmp_path.glob("ny=3*/compare.json")).stat().st_mtime == first
+    assert next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime == first
 
 
 def test_compare_on_two_ranks_and_with_petsc_options(tmp_path):
-    words = ("compare", CLAMPED, "ny=3", "steps=1", "-ranks", "2", "-pc_type", "lu", "-o", tmp_path)
+    words = ("compare", CLAMPED, "ny=3", "steps=1", "--ranks", "2", "-pc_type", "lu", "-o", tmp_path)
     finished = tool(*words)
     assert finished.returncode == 0, finished.stderr
     assert '"ranks": 2' in next(tmp_path.glob("*/summary.json")).read_text()
 
 
+@pytest.mark.long
 def test_compare_keeps_what_failed_and_says_so(tmp_path):
     finished = tool("compare", CLAMPED, "ny=3", "steps=1,2", "-snes_max_it", "1", "-o", tmp_path)
     assert finished.returncode == 1
-    assert "2 of 2 runs did not converge" in finished.stderr
-    assert all("No convergence" in row["status"] for row in table(tmp_path))
+    assert "2 of 2 runs failed" in finished.stderr
+    assert all(row["status"] == "failed" and row["exit_status"] == "1" for row in table(tmp_path))
+    assert all("No convergence" in row["said"] for row in table(tmp_path))
 
 
 def test_compare_refuses_unknown_parameters_before_running(tmp_path):
@@ -156,26 +158,28 @@ def case(n=4, end="right"):
 """
 
 
+@pytest.mark.long
 def test_compare_judges_a_run_by_its_exit_status_and_its_own_summary(tmp_path):
     case, folder = tmp_path / "case.py", tmp_path / "out"
     case.write_text(CRASHING)
     words = ("compare", case, "n=8", "end=right,killed,left,wrong", "-o", folder)
     finished = tool(*words)
     assert finished.returncode == 1
-    assert "3 of 4 runs did not converge" in finished.stderr
-    status = {row["end"]: row["status"] for row in table(folder)}
-    assert status["right"] == "converged"
-    assert status["killed"].startswith("ended with exit status -9")
-    assert status["left"].startswith("ended with exit status 0")
-    assert "ValueError: no number" in status["wrong"]
+    assert "3 of 4 runs failed" in finished.stderr
+    found = {row["end"]: row for row in table(folder)}
+    assert [found[end]["status"] for end in ("right", "killed", "left", "wrong")] == ["finished", *["failed"] * 3]
+    assert found["killed"]["exit_status"] == "-9"
+    assert found["left"]["said"].startswith("exit status 0 without a finished run")
+    assert "ValueError: no number" in found["wrong"]["said"]
+    assert all(found[end]["t"] == "" for end in ("killed", "left", "wrong"))
     # What an earlier run left does not count, not even where a run ends before it writes anything.
-    place = folder / "n=8,end=early"
-    shutil.copytree(folder / "n=8,end=right", place)
-    (place / "compare.json").write_text("{ cut off")
+    place = folder / "end=early,n=8"
+    shutil.copytree(folder / "end=right,n=8", place)
+    (place / "outcome.json").write_text("{ cut off")
     (place / "note.txt").write_text("mine")
     finished = tool("compare", case, "n=8", "end=right,early", "-o", folder)
     assert finished.returncode == 1
-    assert [row["status"][:25] for row in table(folder)] == ["converged", "ended with exit status -9"]
+    assert [row["exit_status"] for row in table(folder)] == ["0", "-9"]
     assert not (place / "summary.json").exists()
     assert (place / "note.txt").read_text() == "mine"
 
@@ -187,12 +191,12 @@ def test_compare_never_touches_a_folder_that_it_did_not_make(tmp_path):
     (tmp_path / "run" / "thesis.tex").write_text("years of work")
     finished = tool("compare", case, "-o", tmp_path)
     assert finished.returncode == 2
-    assert "run holds files that compare has not written" in finished.stderr
+    assert "run holds files that no study has written" in finished.stderr
     assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
     other = tmp_path / "other"
     other.mkdir()
     (other / "run").symlink_to(tmp_path / "run")
-    assert "run is not a folder that compare has made" in tool("compare", case, "-o", other).stderr
+    assert "run is not a folder that a study has made" in tool("compare", case, "-o", other).stderr
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["thesis.tex"]
 
 
@@ -224,5 +228,9 @@ def test_a_comparison_that_is_ended_ends_its_run(tmp_path):
     _, message = process.communicate(timeout=30)
     assert process.returncode == 1
     assert "the same command goes on" in message
+    pid = int((tmp_path / "pid").read_text())
     with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / "pid").read_text()), 0)
+        # What was orphaned is there until the first process of the machine has looked at it.
+        for _ in range(200):
+            os.kill(pid, 0)
+            time.sleep(0.05)

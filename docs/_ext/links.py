@@ -8,6 +8,9 @@ from sphinx.util.nodes import make_refnode
 REFERENCES = "reference/references"
 KEY = re.compile(r"\b(?:[A-Z][a-z]+|de[A-Z][a-z]+)[A-Za-z]*(?:19|20)\d\d\b")
 NAME = re.compile(r"^(?:pd\.|pdpetsc\.)?((?:[a-z]\w*\.)?[A-Za-z]\w*)(?=$|[(. ])")
+NUMBERS = re.compile(r"^[-\d.e+<>=/%,; ]*\d[-\d.e+<>=/%,; ]*(?: ?(?:s|ms|us|MiB|GiB|KiB|kN|N|mm))?$")
+# Where a name of the docstrings may be public.
+ROOMS = ("", "region.", "influence.")
 NO_LINKS = (nodes.reference, nodes.title, nodes.literal_block, nodes.math, nodes.math_block, nodes.raw)
 
 
@@ -65,10 +68,36 @@ def link_names(app, doctree, docname):
         literal.parent.replace(literal, link)
 
 
+def link_types(app, doctree, docname):
+    """Make public names in the types of parameters and among the errors, as ``Region or CaseError``, links."""
+    objects = app.env.domains["py"].objects
+    for node in [*doctree.findall(nodes.classifier), *doctree.findall(nodes.term)]:
+        for text in list(node.findall(nodes.Text)):
+            parts = []
+            for word in re.split(r"(\b[A-Z]\w+\b)", text):
+                names = (f"pdpetsc.{room}{word}" for room in ROOMS) if word[:1].isupper() else ()
+                found = next((objects[name] for name in names if name in objects), None)
+                if found is None or found.docname == docname or inside(text.parent, NO_LINKS):
+                    parts.append(nodes.Text(word))
+                else:
+                    parts.append(make_refnode(app.builder, docname, found.docname, found.node_id, nodes.Text(word)))
+            if len(parts) > 1 or isinstance(parts[0], nodes.reference):
+                text.parent.replace(text, parts)
+
+
+def keep_numbers_whole(doctree):
+    """Mark the cells of tables that are numbers: ``1.2e-3 / 4e-5`` is not broken at its signs."""
+    for entry in doctree.findall(nodes.entry):
+        if len(entry.astext()) < 30 and NUMBERS.match(entry.astext()):
+            entry["classes"].append("numbers")
+
+
 def resolve(app, doctree, docname):
     """Put in the links of a page."""
     link_keys(app, doctree, docname)
     link_names(app, doctree, docname)
+    link_types(app, doctree, docname)
+    keep_numbers_whole(doctree)
 
 
 def setup(app):

@@ -22,7 +22,9 @@ from pdpetsc.declare.files import Mesh
 from pdpetsc.declare.text_file import Column, TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
-MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect"}
+MAY_DIFFER = {
+    "steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect", "units"
+}  # fmt: skip
 _PACKAGE = f"{Path(__file__).parent.parent}{os.sep}"
 _PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
 _LIBRARIES = (_PACKAGE, *(f"{sysconfig.get_path(name)}{os.sep}" for name in _PLACES))
@@ -169,13 +171,13 @@ class _Walk:
         if id(kind) in self._open[:-1]:
             return _hash("class", name)
         module = sys.modules.get(kind.__module__)
-        written = module is None or not _of_library(getattr(module, "__file__", None) or _PACKAGE)
+        written = module is None or not of_library(getattr(module, "__file__", None) or _PACKAGE)
         members = {}
         for key, member in vars(kind).items():
             plain = getattr(member, "__func__", None) or getattr(member, "fget", None) or member
             # What dataclasses make has no file; it follows from the fields.
             if isinstance(plain, FunctionType):
-                if plain.__code__.co_filename != "<string>" and not _of_library(plain.__code__.co_filename):
+                if plain.__code__.co_filename != "<string>" and not of_library(plain.__code__.co_filename):
                     members[key] = plain
             elif written and not key.startswith("_") and _counts(plain) and not isinstance(plain, type):
                 members[key] = plain
@@ -195,7 +197,7 @@ class _Walk:
             except ValueError:  # not yet filled
                 cells.append(b"")
         own = [function.__qualname__.encode(), self.of(function.__defaults__), self.of(function.__kwdefaults__), *cells]
-        if _of_library(function.__code__.co_filename):
+        if of_library(function.__code__.co_filename):
             return _hash("function", *own)
         named = _names(function.__code__)
         known = {name: function.__globals__[name] for name in sorted(named) if name in function.__globals__}
@@ -221,7 +223,7 @@ def _counts(value: Any) -> bool:
     return value is None or isinstance(value, _COUNTS) or dataclasses.is_dataclass(value)
 
 
-def _of_library(file: str) -> bool:
+def of_library(file: str) -> bool:
     """Return whether code in a file is of Python, pdpetsc or an installed package, not of the user."""
     return file.startswith(_LIBRARIES) or "site-packages" in file or "dist-packages" in file
 

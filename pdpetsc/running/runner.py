@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import platform
 import resource
@@ -32,6 +33,7 @@ from pdpetsc.output.records import plain, write_summary
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
+from pdpetsc.post.quantities import dimension_of
 from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
@@ -53,6 +55,7 @@ def run(
     comm: Any = None,
     report: Callable[[Comm], Report] = LogReport,
     check: bool = False,
+    asked: Mapping[str, Any] | None = None,
 ) -> Result:
     """Run a case and return what came out.
 
@@ -76,6 +79,8 @@ def run(
         Makes what takes the words of the run from its ranks: the logger ``pdpetsc`` by default.
     check : bool
         Compare the results with ``Case.expect``, and say and record how they compare.
+    asked : mapping, optional
+        Written to the summary too, for the report: the command and the text of the case file.
 
     Returns
     -------
@@ -115,6 +120,7 @@ def run(
     with messages_apart(ranks), holding(ranks, folder), report(ranks) as said:
         given = dict(options or {}), restart, restart_anyway, said, dict(parameters or {})
         one = _Run(case, ranks, folder, *given, check)
+        one.summary = {**(asked or {}), **one.summary}
         result = one()
         if (wrong := failure(one.checks)) is not None:
             wrong.agreed = ranks.size
@@ -485,6 +491,7 @@ class _Run:
         if cloud.varies:
             self.summary["least_horizon"] = cloud.least_horizon
             self.report.say(f"horizons from {cloud.least_horizon:.6g} to {cloud.horizon:.6g}")
+        self.summary |= _labels(self.case, self._fields())
         self.summary["allocated"] = list(problem.parts)
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
@@ -497,6 +504,12 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:
             self.report.say(f"scheme: {matter.note}")
+        if self.case.damage is not None and self.case.damage.assumes_share and not self.case.of_bonds:
+            self.report.warn(
+                "The fracture energy is that of a body of bonds with the same modulus, and a crack through deformation "
+                "gradients takes another one, a third of it or more; give the share that it takes, "
+                "FractureEnergy(Gc, share=...), from the table in the page on fracture."
+            )
 
     def _report_loads(self, problem: Problem) -> None:
         resultants = [found for term in problem.terms for found in term.resultants]
@@ -512,6 +525,18 @@ class _Run:
                 f"note: {cut} particles are held at a face that cuts their families; stresses within two horizons of "
                 f"it are those of no continuum, hold a layer two horizons deep where they matter"
             )
+
+
+def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
+    """Return what pictures and tables need to say of numbers: units, kinds of number, cracks of a plane body."""
+    return {
+        "units": {} if case.units is None else dataclasses.asdict(case.units),
+        "dimensions": {
+            "history": {name: quantity.dimension for name, quantity in case.history.items()},
+            "fields": {field.__name__: dimension_of(field) for field in fields},
+        },
+        "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
+    }
 
 
 def _start(solution: Solution) -> Start:

@@ -15,7 +15,6 @@ import study
 words = study.start("beams")
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.command_line.compare import compare  # noqa: E402
 
 CONTROLLED = [name for name in pd.CONTROLS if name != "none"]
 HORIZONS = ("1.015", "2.015", "3.015")
@@ -31,7 +30,7 @@ FIXED = {"plate": {"part": ["quarter_cut"]}}
 
 def outcomes(folder, case, choices, words=()):
     """Run all combinations and return them, failed ones included."""
-    return compare(study.RUNS / case, choices, folder, 1, list(words))
+    return pd.study(study.RUNS / case, choices, folder, options=words).outcomes
 
 
 def save(folder, name, title, done, error, label):

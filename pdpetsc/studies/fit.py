@@ -1,0 +1,510 @@
+"""Parameters of a case for which a run gives a measured curve."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.output.files import write_whole
+from pdpetsc.output.reading import read_history
+from pdpetsc.studies.measured import Curve, read_curve, read_off, scaled_norm
+from pdpetsc.studies.place import Outcome
+from pdpetsc.studies.sets import Set, text_of
+from pdpetsc.studies.study import How, Progress, Runs
+
+# Step of the differences that make the Jacobian, over the range of a parameter [-]: far above what solvers leave of a
+# curve, far below what bends it.
+STEP = 1e-3
+# A curve that changes by less than this over the whole range of a parameter does not depend on it [-].
+NOTHING = 1e-6
+# Smallest singular value of the Jacobian with columns of length 1 below which parameters cannot be told apart [-].
+SINGULAR = 1e-3
+# A parameter this near to the end of its range, over the range, has ended there [-].
+AT_END = 1e-3
+# Digits of the parameters that are run: more are below what a curve can tell.
+DIGITS = 12
+FILES = ("fit.json", "fit.csv", "fit.png")
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where a parameter is sought.
+
+    Parameters
+    ----------
+    low, high : float
+        Its ends.
+    start : float, optional
+        Where the search begins, the middle by default.
+    log : bool
+        Seek its logarithm: for what is known to a power of ten only.
+
+    Raises
+    ------
+    CaseError
+        The ends are not finite numbers low < high, the start is not between them, or there is no logarithm.
+    """
+
+    low: float
+    high: float
+    start: float | None = None
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise CaseError(f"A parameter is sought between finite numbers low < high, not {self.low} and {self.high}.")
+        if self.log and self.low <= 0.0:
+            raise CaseError(f"There is no logarithm from {self.low:g} on.")
+        if self.start is not None and not self.low < self.start < self.high:
+            raise CaseError(f"The start {self.start:g} is not between {self.low:g} and {self.high:g}.")
+
+    def at(self, share: float) -> float:
+        """Return the value at a share in [0, 1] of the range."""
+        width = self.high - self.low
+        value = self.low * (self.high / self.low) ** share if self.log else self.low + share * width
+        return float(f"{min(max(value, self.low), self.high):.{DIGITS}g}")
+
+    def slope(self, share: float) -> float:
+        """Return the derivative of the value by the share."""
+        return self.at(share) * math.log(self.high / self.low) if self.log else self.high - self.low
+
+    @property
+    def first(self) -> float:
+        """Return the share at which the search begins."""
+        if self.start is None:
+            return 0.5
+        if self.log:
+            return math.log(self.start / self.low) / math.log(self.high / self.low)
+        return (self.start - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit has found.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        The parameters.
+    errors : dict of str to float
+        Their standard errors: of measured values with independent errors, of the given standard deviations or, where
+        there are none, of that of the residuals.
+    correlation : (n, n) float64
+        Of the errors of the parameters, in their order.
+    fitted : (m,) float64
+        The curve of the run at the measured places.
+    curve : Curve
+        The measured one.
+    rms : float
+        Root of the mean square of the residuals, in the unit of the values.
+    explained : float
+        Share of the variance of the measured values that is explained: 1 - residual / total.
+    chi2 : float or None
+        Squares of residuals over their standard deviations, per degree of freedom, where deviations are given: 1 is
+        right, far more means that the model is not that of the measurement.
+    interpolation : float
+        What reading off between the steps of the run may be wrong, in the unit of the values.
+    runs, failed : int
+        Runs that were evaluated, and how many of them failed or ended too early.
+    best : Path
+        The folder of the run with these parameters.
+    notes : list of str
+        What is to be known.
+    """
+
+    values: dict[str, float]
+    errors: dict[str, float]
+    correlation: Float
+    fitted: Float
+    curve: Curve
+    rms: float
+    explained: float
+    chi2: float | None
+    interpolation: float
+    runs: int
+    failed: int
+    best: Path
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Point:
+    """One evaluated parameter set: the history of its run, or why it has none."""
+
+    folder: Path
+    history: Mapping[str, Any] | None = None
+    failure: str = ""
+
+
+Evaluate = Callable[[Sequence[Mapping[str, float]]], "list[Point]"]
+
+
+class _Search:
+    """Residuals and their Jacobian from runs, each evaluated once."""
+
+    def __init__(self, evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: int) -> None:
+        self._evaluate, self._most = evaluate, most
+        self.ranges, self.curve = dict(ranges), curve
+        self._known: dict[tuple[float, ...], tuple[Point, Float | None, str]] = {}
+
+    @property
+    def runs(self) -> int:
+        """Return how many parameter sets have been evaluated."""
+        return len(self._known)
+
+    @property
+    def failed(self) -> int:
+        """Return how many of them have no curve."""
+        return sum(values is None for _, values, _ in self._known.values())
+
+    def values(self, x: Float) -> dict[str, float]:
+        """Return the parameters at shares of their ranges."""
+        return {name: one.at(float(share)) for (name, one), share in zip(self.ranges.items(), x, strict=True)}
+
+    def at(self, places: Sequence[Float]) -> list[tuple[Point, Float | None, str]]:
+        """Return run, curve and why there is none at each place; those that are not known are run side by side."""
+        sets = [self.values(x) for x in places]
+        keys = [tuple(one.values()) for one in sets]
+        new = {key: one for key, one in zip(keys, sets, strict=True) if key not in self._known}
+        if new and self.runs + len(new) > self._most:
+            raise SolveError(
+                f"The fit has not ended within {self._most} runs; allow more with --runs, which goes on from here."
+            )
+        for key, point in zip(new, self._evaluate(list(new.values())) if new else [], strict=True):
+            values, why = None, point.failure
+            if point.history is not None:
+                try:
+                    values = read_off(point.history, self.curve)
+                except CaseError as error:
+                    why = str(error)
+            self._known[key] = point, values, why
+        return [self._known[key] for key in keys]
+
+    def residual(self, x: Float) -> Float:
+        """Return the residuals over their scale; without finite numbers where the run has no curve."""
+        _, values, _ = self.at([x])[0]
+        if values is None:
+            # SciPy takes a shorter step then.
+            return np.full(len(self.curve.x), np.nan)
+        return np.asarray((values - self.curve.y) / self.curve.scale)
+
+    def jacobian(self, x: Float, central: bool = False) -> Float:
+        """Return the derivatives of the residuals by the shares (m, n)."""
+        here = self.at([x])[0][1]
+        assert here is not None
+        n = len(x)
+        steps = np.where(x + STEP <= 1.0, STEP, -STEP)
+        moved = [self._moved(x, j, steps[j]) for j in range(n)]
+        back = [self._moved(x, j, -steps[j]) for j in range(n)]
+        ahead = self.at(moved)
+        wanted = [j for j in range(n) if ahead[j][1] is None or (central and 0.0 <= x[j] - steps[j] <= 1.0)]
+        behind = dict(zip(wanted, self.at([back[j] for j in wanted]), strict=True))
+        J = np.empty((len(self.curve.x), n))
+        for j, name in enumerate(self.ranges):
+            found = [(moved[j][j], ahead[j][1]), (back[j][j], behind[j][1] if j in behind else None)]
+            sides = [(place, values) for place, values in found if values is not None]
+            if not sides:
+                raise SolveError(
+                    f"Runs on both sides of {name} = {self.values(x)[name]:g} give no curve, so it has no derivative "
+                    f"there: {ahead[j][2]}"
+                )
+            if len(sides) == 1:
+                sides.append((x[j], here))
+            (a, of_a), (b, of_b) = sides
+            J[:, j] = (of_a - of_b) / (a - b) / self.curve.scale
+        return J
+
+    @staticmethod
+    def _moved(x: Float, j: int, step: float) -> Float:
+        moved = np.array(x)
+        moved[j] += step
+        return moved
+
+
+def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: int = 500) -> Fit:
+    """Return the parameters whose curve is nearest to the measured one, by least squares.
+
+    The sum of squares of ``(f(x_k; p) - y_k) / s`` is made least within the ranges by SciPy's trust region reflective
+    method (Branch1999) over shares of the ranges, with differences of ``STEP`` for the Jacobian ``J``. A parameter set
+    whose run fails, or does not reach the measured places, is no number: a shorter step is taken. Standard errors are
+    the roots of the diagonal of ``s^2 (J^T J)^-1`` by central differences.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Runs parameter sets and returns a ``Point`` for each.
+    ranges : mapping of str to Range
+        Where each parameter is sought.
+    curve : Curve
+        What was measured.
+    most : int
+        Runs after which it is given up.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    CaseError
+        There are fewer measured points than parameters and one.
+    SolveError
+        The first run gives no curve, the search has not ended, parameters cannot be told apart by this curve, or one
+        of them has ended at an end of its range. All runs stay.
+    """
+    from scipy.optimize import least_squares
+
+    n, m = len(ranges), len(curve.x)
+    if n == 0:
+        raise CaseError("A fit needs a parameter with a range, NAME=LOW:HIGH.")
+    if m <= n:
+        raise CaseError(f"{m} measured points are too few for {n} parameters: at least {n + 1} are needed.")
+    search = _Search(evaluate, ranges, curve, most)
+    x = np.array([one.first for one in ranges.values()])
+    point, values, why = search.at([x])[0]
+    if values is None:
+        raise SolveError(
+            f"The run that the fit starts from, {_words(search.values(x))}, gives no curve: {why.rstrip('.')}; start "
+            f"elsewhere with NAME=LOW:START:HIGH."
+        )
+    found = least_squares(
+        search.residual, x, jac=search.jacobian, bounds=(0.0, 1.0), method="trf",
+        ftol=1e-10, xtol=1e-7, gtol=1e-10, max_nfev=max(most, 1),
+    )  # fmt: skip
+    if found.status <= 0:
+        raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
+    x = np.asarray(found.x)
+    point, values, _ = search.at([x])[0]
+    assert values is not None
+    J = search.jacobian(x, central=True)
+    _refuse_unidentified(J * (curve.scale / np.abs(curve.y).max())[:, None], list(ranges))
+    at_end = [name for (name, one), share in zip(ranges.items(), x, strict=True) if min(share, 1 - share) < AT_END]
+    if at_end:
+        raise SolveError(
+            f"{' and '.join(f'{name} = {search.values(x)[name]:g}' for name in at_end)} ended at an end of "
+            f"{'its range' if len(at_end) == 1 else 'their ranges'}; the least square lies beyond: widen it, or fix it."
+        )
+    r = (values - curve.y) / curve.scale
+    square = float(r @ r) / (m - n)
+    covariance = np.linalg.inv(J.T @ J) * (1.0 if curve.sigma is not None else square)
+    deviation = np.sqrt(np.diag(covariance))
+    slopes = np.array([one.slope(float(share)) for one, share in zip(ranges.values(), x, strict=True)])
+    total = float(np.sum((curve.y - curve.y.mean()) ** 2))
+    rms = scaled_norm(values - curve.y)
+    between = _between_steps(point.history or {}, curve)
+    fit = Fit(
+        search.values(x), dict(zip(ranges, (deviation * slopes).tolist(), strict=True)),
+        covariance / np.outer(deviation, deviation), values, curve, rms,
+        1.0 - float(np.sum((values - curve.y) ** 2)) / total if total > 0.0 else math.nan,
+        square if curve.sigma is not None else None, between, search.runs, search.failed, point.folder,
+    )  # fmt: skip
+    fit.notes.extend(_notes(fit, ranges, deviation))
+    return fit
+
+
+def _notes(fit: Fit, ranges: Mapping[str, Range], deviation: Float) -> list[str]:
+    found = []
+    for name, share in zip(ranges, deviation, strict=True):
+        if share > 0.5:
+            found.append(f"{name} is hardly determined: its standard error is {share:.1g} of its range")
+    if fit.interpolation > max(0.3 * fit.rms, 1e-4 * float(np.abs(fit.curve.y).max())):
+        found.append(
+            f"between the steps of the run {fit.curve.y_name} may be wrong by {fit.interpolation:.2g}, against "
+            f"residuals of {fit.rms:.2g}: take more load steps"
+        )
+    if fit.chi2 is not None and not 0.3 < fit.chi2 < 3.0:
+        found.append(
+            f"chi squared per degree of freedom is {fit.chi2:.2g}, not about 1: the deviations are not those of the "
+            f"measurement, or the case is not"
+        )
+    return found
+
+
+def _between_steps(history: Mapping[str, Any], curve: Curve) -> float:
+    """Return a third of what every second step alone would change: the error of lines between the steps."""
+    kept = {name: np.asarray(history[name], dtype=float) for name in (curve.x_name, curve.y_name)}
+    n = len(kept[curve.x_name])
+    if n < 4:
+        return math.inf
+    coarse = {name: values[[*range(0, n - 1, 2), n - 1]] for name, values in kept.items()}
+    return float(np.abs(read_off(kept, curve) - read_off(coarse, curve)).max()) / 3.0
+
+
+def _refuse_unidentified(J: Float, names: Sequence[str]) -> None:
+    """Raise SolveError where the curve does not tell the parameters."""
+    length = np.linalg.norm(J, axis=0) / math.sqrt(len(J))
+    for name, size in zip(names, length, strict=True):
+        if size < NOTHING:
+            raise SolveError(f"The curve does not depend on {name}, so it cannot be found from it; fix it.")
+    _, values, directions = np.linalg.svd(J / np.linalg.norm(J, axis=0))
+    if values[-1] < SINGULAR:
+        last = directions[-1]
+        together = [name for name, share in zip(names, last, strict=True) if abs(share) > 0.1]
+        raise SolveError(
+            f"The curve does not tell {' and '.join(together)} apart: they change it in the same way (smallest "
+            f"singular value {values[-1]:.1e} of the Jacobian); fix one of them, or measure something else besides."
+        )
+
+
+def _words(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items())
+
+
+def fit(
+    case: str | Path,
+    ranges: Mapping[str, Range | Sequence[float]],
+    to: str | Path | tuple[Any, Any],
+    columns: tuple[str, str],
+    folder: str | Path | None = None,
+    *,
+    fixed: Mapping[str, Any] | None = None,
+    sigma: Any = None,
+    within: tuple[float, float] | None = None,
+    ranks: int = 1,
+    jobs: int = 1,
+    options: Sequence[str] = (),
+    retry: bool = False,
+    launcher: str | None = None,
+    most: int = 500,
+    progress: Progress | None = None,
+) -> Fit:
+    """Find parameters of a case whose history is that of a measured curve.
+
+    Every parameter set is a run in the folder, which is a study: what is there is not run again, so that a fit that
+    was stopped goes on when it is called again. See ``fitted`` for the method.
+
+    Parameters
+    ----------
+    case : str or Path
+        The case file.
+    ranges : mapping of str to Range, or to (low, high) or (low, start, high)
+        Where each parameter is sought.
+    to : str, Path or (x, y)
+        A CSV with a header, or places and values.
+    columns : tuple of str
+        The columns of the history that are places and values; ``"u:displacement"`` where the CSV names it otherwise.
+        The places of a run must go one way; they must reach all measured ones.
+    folder : str or Path, optional
+        ``out/fit_CASE`` by default; gets ``fit.json``, ``fit.csv`` and a folder for each run.
+    fixed : mapping, optional
+        Other parameters of the case.
+    sigma : str or (m,) array, optional
+        Standard deviations of the measured values: a column, or numbers.
+    within : (low, high), optional
+        Places outside of which nothing is compared.
+    ranks, jobs, options, retry, launcher
+        As for ``study``.
+    most : int
+        Runs after which it is given up.
+    progress : Progress, optional
+        Is told of every run.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    CaseError
+        The case, a parameter, the curve or the folder is wrong.
+    SolveError
+        As ``fitted`` does; all runs stay in the folder.
+
+    Notes
+    -----
+    Not collective: it is called by one process, without mpirun.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> found = pd.fit("bar.py", {"E": (500.0, 2000.0)}, "measured.csv", ("u", "F"), jobs=2)  # doctest: +SKIP
+    >>> found.values["E"], found.errors["E"]                                                  # doctest: +SKIP
+    """
+    path = Path(case)
+    place = Path(folder) if folder is not None else Path("out") / f"fit_{path.stem}"
+    sought = {name: one if isinstance(one, Range) else _range(name, one) for name, one in ranges.items()}
+    others = {name: text_of(value) for name, value in (fixed or {}).items()}
+    if both := sought.keys() & others.keys():
+        raise CaseError(f"Parameter {min(both)} has a range and a value.")
+    curve = _curve(to, columns, sigma)
+    curve = curve if within is None else curve.within(*within)
+    with Runs(path, place, How(ranks, jobs, options, retry, launcher), FILES) as runs:
+        for name in sought:
+            if name not in runs.file.kinds:
+                known = ", ".join(runs.file.kinds) or "none"
+                raise CaseError(f"The case has no parameter {name!r}; it has {known}.")
+            if runs.file.kinds[name] != "float":
+                raise CaseError(
+                    f"Parameter {name} is not a number with a decimal point ({runs.file.kinds[name]}): least squares "
+                    f"cannot vary it."
+                )
+        runs.file.ask([others | {name: text_of(one.at(one.first)) for name, one in sought.items()}])
+        runs.hold()
+
+        def evaluate(sets: Sequence[Mapping[str, float]]) -> list[Point]:
+            asked: list[Set] = [others | {name: text_of(value) for name, value in one.items()} for one in sets]
+            return [_point(one) for one in runs.outcomes(runs.file.ask(asked), progress)]
+
+        found = fitted(evaluate, sought, curve, most)
+        _write(place, found)
+    return found
+
+
+def _point(outcome: Outcome) -> Point:
+    if not outcome.finished:
+        return Point(outcome.folder, None, f"exit status {outcome.exit_status}: {outcome.said}")
+    return Point(outcome.folder, read_history(outcome.folder))
+
+
+def _range(name: str, ends: Sequence[float]) -> Range:
+    try:
+        numbers = [float(value) for value in ends]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in (2, 3):
+        raise CaseError(f"The range of {name} is (low, high) or (low, start, high), not {ends!r}.")
+    return Range(numbers[0], numbers[-1], numbers[1] if len(numbers) == 3 else None)
+
+
+def _curve(to: Any, columns: tuple[str, str], sigma: Any) -> Curve:
+    if isinstance(to, str | Path):
+        if sigma is not None and not isinstance(sigma, str):
+            raise CaseError("The standard deviations of a measured file are one of its columns, by name.")
+        return read_curve(Path(to), columns, sigma)
+    x, y = (np.asarray(values, dtype=float) for values in to)
+    deviations = None if sigma is None else np.broadcast_to(np.asarray(sigma, dtype=float), y.shape).copy()
+    return Curve(columns[0], columns[1], x, y, deviations)
+
+
+def _write(folder: Path, found: Fit) -> None:
+    names = list(found.values)
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow([found.curve.x_name, found.curve.y_name, "fitted", "residual"])
+    for x, y, value in zip(found.curve.x.tolist(), found.curve.y.tolist(), found.fitted.tolist(), strict=True):
+        table.writerow([repr(x), repr(y), repr(value), repr(value - y)])
+    write_whole(folder / "fit.csv", text.getvalue())
+    rows = found.correlation.tolist()
+    correlation = {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
+    whole = {
+        "parameters": {n: {"value": found.values[n], "standard_error": found.errors[n]} for n in names},
+        "correlation": correlation,
+        "rms": found.rms, "explained": _finite(found.explained), "chi2": found.chi2,
+        "interpolation": _finite(found.interpolation), "points": len(found.curve.x), "runs": found.runs,
+        "failed": found.failed, "best": found.best.name, "notes": found.notes,
+    }  # fmt: skip
+    write_whole(folder / "fit.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

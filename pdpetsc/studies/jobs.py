@@ -1,0 +1,141 @@
+"""Runs as processes of their own, several at a time, that end with the process that started them."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from pdpetsc.errors import CaseError
+from pdpetsc.studies.asking import environment
+
+# What starts ranks, unless the user says otherwise.
+LAUNCHER = "mpirun -n {ranks}"
+# Between two looks at the runs that go on [s].
+LOOK = 0.02
+# What a run may take to end that was asked to [s].
+ENDING = 10.0
+# Linux: the signal that a process gets when the one that started it has ended.
+_PR_SET_PDEATHSIG = 1
+
+
+class Job:
+    """One run in a process of its own.
+
+    Parameters
+    ----------
+    words : sequence of str
+        The command.
+    log : Path
+        Where its output goes.
+    """
+
+    def __init__(self, words: Sequence[str], log: Path) -> None:
+        self.log = log
+        parent = os.getpid()
+        libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+        def with_its_parent() -> None:
+            if libc is not None:
+                libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+                if os.getppid() != parent:
+                    os._exit(1)
+
+        try:
+            with log.open("w") as stream:
+                # A session of its own: Ctrl-C is for the study, which ends its runs.
+                self._process = subprocess.Popen(
+                    list(words), stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT,
+                    env=_unbound(environment()), start_new_session=True, preexec_fn=with_its_parent,
+                )  # fmt: skip
+        except OSError as error:
+            raise CaseError(f"Cannot start {words[0]}: {error.strerror or error}.") from None
+
+    @property
+    def ended(self) -> int | None:
+        """Return its exit status, negative after a signal; None while it goes on."""
+        return self._process.poll()
+
+    @property
+    def said(self) -> str:
+        """Return the sentence that it ended with."""
+        try:
+            text = self.log.read_text(errors="replace")
+        except OSError:
+            return "no message."
+        lines = [line.removeprefix("pdpetsc: ") for line in text.splitlines() if line.startswith("pdpetsc: ")]
+        return lines[-1] if lines else (text.strip().splitlines() or ["no message."])[-1]
+
+    def ask_to_end(self) -> None:
+        """Send it the signal to end."""
+        with contextlib.suppress(OSError):
+            self._process.terminate()
+
+    def end(self, within: float) -> None:
+        """Wait until it has ended, and kill it and what it started where that takes longer [s]."""
+        try:
+            self._process.wait(timeout=within)
+        except subprocess.TimeoutExpired:
+            with contextlib.suppress(OSError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+
+def end_all(jobs: Sequence[Job]) -> None:
+    """End runs that go on."""
+    for job in jobs:
+        job.ask_to_end()
+    until = time.monotonic() + ENDING
+    for job in jobs:
+        job.end(max(0.1, until - time.monotonic()))
+
+
+def command(case: Path, parameters: Sequence[str], folder: Path, options: Sequence[str]) -> list[str]:
+    """Return the command of a run on one rank."""
+    return [sys.executable, "-m", "pdpetsc", str(case), *parameters, "-o", str(folder), *options]
+
+
+def launched(words: Sequence[str], ranks: int, launcher: str | None) -> list[str]:
+    """Return a command on some ranks.
+
+    Raises
+    ------
+    CaseError
+        The launcher does not say where the number of ranks goes.
+    """
+    if launcher is None and ranks == 1:
+        return list(words)
+    first = shlex.split(LAUNCHER if launcher is None else launcher)
+    if not any("{ranks}" in word for word in first):
+        raise CaseError(f'--launcher needs {{ranks}} where their number goes, as in "{LAUNCHER}".')
+    return [*(word.replace("{ranks}", str(ranks)) for word in first), *words]
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def too_many(jobs: int, ranks: int) -> str:
+    """Return a warning where runs side by side take more cores than there are; empty otherwise."""
+    text = os.environ.get("OMP_NUM_THREADS", "1")
+    threads = int(text) if text.isdigit() and int(text) > 0 else 1
+    wanted, there = jobs * ranks * threads, cores()
+    if wanted <= there:
+        return ""
+    of_threads = f" x {threads} threads" if threads > 1 else ""
+    return f"{jobs} jobs x {ranks} ranks{of_threads} want {wanted} cores, and there are {there}: runs slow each other."
+
+
+def _unbound(found: dict[str, str]) -> dict[str, str]:
+    """Let Open MPI bind no ranks to cores: every mpirun of its own would take the first ones."""
+    found.setdefault("OMPI_MCA_hwloc_base_binding_policy", "none")
+    found.setdefault("PRTE_MCA_hwloc_default_binding_policy", "none")
+    return found

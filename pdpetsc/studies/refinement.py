@@ -1,0 +1,194 @@
+"""Orders of convergence, extrapolated values and their error bars from results at several sizes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pdpetsc.errors import CaseError
+
+# Differences of results below this share of them are of the solvers that found them, not of the size [-].
+NOISE = 1e-8
+# Orders of different sizes that are apart by more than this share are not those of small sizes [-].
+APART = 0.25
+# Roache's factors of safety on the estimated error: where other sizes confirm the order, and where none is left to.
+CONFIRMED, ALONE = 1.25, 3.0
+# An observed order above this is not trusted to make an error bar small.
+TRUSTED = 2.0
+HIGHEST = 20.0
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How one result converges as one parameter gets small.
+
+    Attributes
+    ----------
+    result : str
+        Its name.
+    group : mapping of str to str
+        The other parameters.
+    sizes, values : tuple of float
+        From the largest size to the smallest.
+    order : float or None
+        Observed order; None where ``note`` says why there is none.
+    orders : tuple of float
+        Those of three neighbouring sizes, or of two where the exact value is given, which the note judges.
+    extrapolated : float or None
+        What the result goes to.
+    error_bar : float or None
+        Grid Convergence Index of the smallest size, in the unit of the result: the limit is expected within
+        ``values[-1]`` plus and minus this.
+    exact : float or None
+        The value that the order is of, where it was given.
+    note : str
+        What is to be known of it.
+    """
+
+    result: str
+    sizes: tuple[float, ...]
+    values: tuple[float, ...]
+    group: Mapping[str, str] = field(default_factory=dict)
+    order: float | None = None
+    orders: tuple[float, ...] = ()
+    extrapolated: float | None = None
+    error_bar: float | None = None
+    exact: float | None = None
+    note: str = ""
+
+
+def converging(
+    result: str, sizes: Sequence[float], values: Sequence[float], exact: float | None = None,
+    group: Mapping[str, str] | None = None,
+) -> Convergence:  # fmt: skip
+    """Return how a result converges with its size.
+
+    ``f(h) = f_0 + C h^p`` is put through the three smallest sizes. The error bar of the smallest one is the Grid
+    Convergence Index ``F_s |f_2 - f_1| / (r^p - 1)`` (Roache1998) with ``r = h_2 / h_1``, and ``p`` of at most 2:
+    ``F_s`` is 1.25 where a fourth size gives the same order to a quarter, and 3 where there are three sizes only. With
+    an exact value ``p`` is the slope of the line that fits the logarithms of the errors best.
+
+    Parameters
+    ----------
+    result : str
+        Its name.
+    sizes, values : sequences of float
+        Positive sizes, in any order, and the result at each.
+    exact : float, optional
+        The value of the limit, from elsewhere.
+    group : mapping, optional
+        The other parameters.
+
+    Returns
+    -------
+    Convergence
+        Without an order, and with a note why, where there are fewer than three sizes (two with an exact value), where
+        the results do not approach a limit monotonically, where they differ by what solvers leave only, or where the
+        orders of different sizes are apart: the sizes are not small enough then.
+
+    Raises
+    ------
+    CaseError
+        A size is not positive, or there twice, or a value is not finite.
+
+    Examples
+    --------
+    >>> sizes = [0.4, 0.2, 0.1, 0.05]
+    >>> found = converging("u", sizes, [1.0 + 3.0 * h**2 for h in sizes])
+    >>> round(found.order, 6), round(found.extrapolated, 6), round(found.error_bar, 6)
+    (2.0, 1.0, 0.009375)
+    """
+    pairs = sorted(zip(map(float, sizes), map(float, values), strict=True), reverse=True)
+    if any(not (size > 0.0 and math.isfinite(size)) for size, _ in pairs):
+        raise CaseError(f"Sizes are positive numbers, not {', '.join(f'{size:g}' for size, _ in pairs)}.")
+    if len({size for size, _ in pairs}) < len(pairs):
+        raise CaseError(f"{result} is given twice for the same size.")
+    if any(not math.isfinite(value) for _, value in pairs) or (exact is not None and not math.isfinite(exact)):
+        raise CaseError(f"{result} is not finite at every size.")
+    h, f = tuple(size for size, _ in pairs), tuple(value for _, value in pairs)
+    found: dict[str, Any] = _extrapolated(h, f) if exact is None else _against(h, f, exact)
+    return Convergence(result, h, f, dict(group or {}), exact=exact, **found)
+
+
+def _against(h: Sequence[float], f: Sequence[float], exact: float) -> dict[str, Any]:
+    if len(h) < 2:
+        return {"note": "an order against an exact value needs two sizes or more"}
+    errors = [value - exact for value in f]
+    scale = max(abs(exact), *map(abs, f))
+    if min(map(abs, errors)) <= NOISE * scale:
+        return {"note": "a result is exact up to what its solver leaves"}
+    if min(errors) < 0.0 < max(errors):
+        return {"note": "the error changes its sign"}
+    logs = [(math.log(size), math.log(abs(error))) for size, error in zip(h, errors, strict=True)]
+    orders = tuple((b[1] - a[1]) / (b[0] - a[0]) for a, b in itertools.pairwise(logs))
+    if min(orders) <= 0.0:
+        return {"orders": orders, "note": "the error does not fall with the size"}
+    x, y = (sum(column) / len(logs) for column in zip(*logs, strict=True))
+    slope = sum((a - x) * (b - y) for a, b in logs) / sum((a - x) ** 2 for a, _ in logs)
+    if len(orders) == 1:
+        note = "two sizes cannot tell whether they are small enough"
+    elif _apart(orders[-2], orders[-1]):
+        note = f"not in the asymptotic range: orders {_words(orders)} from size to size"
+        return {"orders": orders, "note": note}
+    else:
+        note = ""
+    return {"order": slope, "orders": orders, "note": note}
+
+
+def _extrapolated(h: Sequence[float], f: Sequence[float]) -> dict[str, Any]:
+    if len(h) < 3:
+        return {"note": f"an observed order needs three sizes or more, not {len(h)}"}
+    steps = [after - before for before, after in itertools.pairwise(f)]
+    scale = max(map(abs, f))
+    if min(map(abs, steps[-3:])) <= NOISE * scale:
+        return {"note": "neighbouring sizes differ by what solvers leave only"}
+    if min(steps[-3:]) < 0.0 < max(steps[-3:]):
+        return {"note": "the results are not monotone in the size"}
+    orders = tuple(
+        order for k in range(max(0, len(h) - 4), len(h) - 2) if (order := _order(h[k : k + 3], steps[k : k + 2]))
+    )
+    if len(orders) < min(2, len(h) - 2):
+        return {"orders": orders, "note": "the results do not approach a limit at these sizes"}
+    if len(orders) > 1 and _apart(*orders):
+        return {
+            "orders": orders,
+            "note": f"not in the asymptotic range: orders {_words(orders)} from one three sizes to the next",
+        }
+    order, r = orders[-1], h[-2] / h[-1]
+    safety = CONFIRMED if len(orders) > 1 else ALONE
+    note = "" if len(orders) > 1 else "three sizes cannot tell whether they are small enough"
+    return {
+        "order": order,
+        "orders": orders,
+        "extrapolated": f[-1] + steps[-1] / (r**order - 1.0),
+        "error_bar": safety * abs(steps[-1]) / (r ** min(order, TRUSTED) - 1.0),
+        "note": note,
+    }
+
+
+def _order(h: Sequence[float], steps: Sequence[float]) -> float | None:
+    """Return p of ``f_0 + C h^p`` through three sizes from its two differences; None where no p > 0 gives them."""
+    asked = steps[0] / steps[1]
+
+    def ratio(p: float) -> float:
+        """Return the first difference over the second one, which grows with p."""
+        a, b = h[0] / h[1], h[1] / h[2]
+        return float((a**p - 1.0) / (1.0 - b**-p))
+
+    from scipy.optimize import brentq
+
+    low, high = 1e-6, HIGHEST
+    if not ratio(low) < asked < ratio(high):
+        return None
+    return float(brentq(lambda p: ratio(p) - asked, low, high, xtol=1e-12))
+
+
+def _apart(a: float, b: float) -> bool:
+    return abs(a - b) > APART * max(abs(a), abs(b))
+
+
+def _words(orders: Sequence[float]) -> str:
+    return ", ".join(f"{order:.2f}" for order in orders)

@@ -133,8 +133,12 @@ def test_a_run_that_fails_or_is_off_has_a_report_too(reported, tmp_path):
     assert finished.returncode == 1
     _, text = read(tmp_path / "off")
     assert "FAILED" in text and 'class="status"' in (tmp_path / "off" / "report.html").read_text()
-    # Nothing was run: no page.
-    assert run(case, "-pc_type", "nothing", "--report", output=tmp_path / "none").returncode == 2
+    # Nothing was run: no page, also not on what an earlier run has left in the folder.
+    (tmp_path / "off" / "report.html").unlink()
+    for place in ("none", "off"):
+        refused = run(case, "-pc_type", "nothing", "--report", output=tmp_path / place)
+        assert refused.returncode == 2 and "report in" not in refused.stdout
+        assert not (tmp_path / place / "report.html").exists()
 
 
 def test_a_report_of_what_a_killed_run_left(reported, tmp_path):

@@ -21,8 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import petsc4py
-
+from pdpetsc.command_line.start import start_petsc
 from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 
 if TYPE_CHECKING:
@@ -52,8 +51,6 @@ python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history 
 python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
 python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
 
-# PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
-PETSC = ["pdpetsc", "-skip_petscrc"]
 # How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
 LONGEST_END = 120
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
@@ -286,7 +283,7 @@ def _run(argv: list[str]) -> int:
     if argv and argv[0] in COMMANDS:
         return COMMANDS[argv[0]](argv[1:])
     arguments = split(argv)
-    petsc4py.init([*PETSC, *arguments.petsc])
+    start_petsc(arguments.petsc)
     from pdpetsc.discrete.communicator import world
     from pdpetsc.running.signals import watched
 
@@ -342,10 +339,12 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             check=arguments.check,
             asked=_asked(arguments.path, argv),
         )
-    finally:
-        # What a run that failed has left is worth a page too.
-        if arguments.report and is_root(comm):
-            _report_on(output)
+    except CaseError:  # nothing was run: what the folder holds is of another run
+        raise
+    except BaseException:  # what a run that failed has left is worth a page too
+        _report_on(output, arguments.report and is_root(comm))
+        raise
+    _report_on(output, arguments.report and is_root(comm))
     return 0
 
 
@@ -357,8 +356,10 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
     return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
 
 
-def _report_on(folder: Path) -> None:
-    """Write the report of a run that has ended; whatever fails here, its results and its exit status stand."""
+def _report_on(folder: Path, asked: bool) -> None:
+    """Write the report of a run that has ended, if asked; whatever fails here, results and exit status stand."""
+    if not asked:
+        return
     from pdpetsc.output.report import write_report
 
     try:
@@ -422,17 +423,20 @@ def _import(argv: list[str]) -> int:
 
 
 def _doctor(argv: list[str]) -> int:
-    petsc4py.init(PETSC)
-    _take_signals()
     from pdpetsc.command_line import doctor
-    from pdpetsc.discrete.communicator import is_root, world
 
-    comm = world()
     if argv:
-        if is_root(comm):
-            print(doctor.USAGE)
+        print(doctor.USAGE)
         return 0 if argv in (["-h"], ["--help"]) else 2
-    return doctor.doctor(comm)
+    # Without MPI or PETSc there is nothing to start; saying so is what this is for.
+    if told := doctor.unloadable():
+        doctor.tell(told)
+        return 1
+    start_petsc()
+    _take_signals()
+    from pdpetsc.discrete.communicator import world
+
+    return doctor.doctor(world())
 
 
 def _plot(argv: list[str]) -> int:

@@ -170,6 +170,44 @@ class ExpandedAtPoints(MaterialAtPoints):
             S[:, axis, axis] += psi / self._hidden[:, axis - self.dim]
         return S
 
+    def stress_along(self, F: Float, strain: Float, factor: Float, temperature: Float | None, step: float) -> Float:
+        """Return how P (n, dim, dim) at its points changes with strain without stress, moduli and law, F held [stress].
+
+        ``dP = tr(F_theta^-1 d) P - A : (F_e d) - P d F_theta^-T + c P`` with the change ``d`` of the strain (n, 3, 3)
+        and that ``c`` of the logarithm of the factor of the moduli (n,); of the linear material ``-A : d + c P``. A law
+        that depends on temperature (n,) otherwise changes by a central difference with a step [temperature].
+
+        Parameters
+        ----------
+        F : (n, dim, dim) float64
+            At its points [-].
+        """
+        d, elastic, P = self.dim, self._elastic(F), self._stress(F)
+        inside = P.shape[-1]
+        A, made = np.empty((len(elastic), *(inside,) * 4)), np.empty((len(elastic), *(inside,) * 4))
+        for (rows, _, kernels, constants), history in self._by_law():
+            kernels.tangent(elastic, rows, constants, history, made)
+        shown = strain[:, :inside, :inside]
+        if self.material.linear:
+            change = -np.einsum("pimkn,pkn->pim", self._times(made), shown)
+        else:
+            pull_back_kernel(inside, inside)(made, self._inverse, self._times(self._J), np.arange(len(F)), A)
+            change = -np.einsum("pimkn,pka,pan->pim", A, elastic, shown)
+            change -= np.einsum("pia,pab,pmb->pim", P, shown, self._inverse)
+            grown = np.einsum("pab,pba->p", self._inverse, shown)
+            hidden = strain[:, range(inside, 3), range(inside, 3)]
+            grown += (hidden / self._hidden[:, inside - d :]).sum(axis=1) if inside < 3 else 0.0
+            change += grown[:, None, None] * P
+        change += factor[:, None, None] * P
+        if self._law is not None and temperature is not None and len(F):
+            kept, ends = self._groups, []
+            for by in (step, -step):
+                self._groups = self._at_temperatures(temperature + by)
+                ends.append(self._stress(F))
+            self._groups = kept
+            change += (ends[0] - ends[1]) / (2.0 * step)
+        return np.asarray(change[:, :d, :d])
+
     def energy_by_temperature(self, F: Float, temperature: Float, step: float) -> Float:
         """Return the derivative of the energy density of its law by temperature (n,), F and strains held.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,6 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import open_hdf5
 
-# What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
-PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
-
 
 def read_summary(folder: Path) -> dict[str, Any]:
     """Return ``summary.json``; raises CaseError where there is none."""
@@ -30,11 +27,6 @@ def read_summary(folder: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise CaseError(f"{folder} holds a summary.json that is not of a run.")
     return found
-
-
-def working_seconds(summary: Mapping[str, Any]) -> float:
-    """Return the seconds of set-up and solve of a run from its ``summary.json``."""
-    return sum(float(value) for phase, value in (summary.get("timings") or {}).items() if phase in PHASES)
 
 
 def read_history(folder: Path) -> dict[str, Float]:

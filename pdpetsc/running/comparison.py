@@ -5,8 +5,9 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,9 +15,118 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.curves import curve, panels
 from pdpetsc.output.labels import Labels
-from pdpetsc.output.reading import working_seconds
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.result import Result, open_run, optional_module
+
+# What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
+PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
+# Results that are drawn against the time they take.
+ERRORS = ("error", "w_error", "max_F_error")
+
+
+class Ran(Protocol):
+    """A run as the figure reads it: what tells it from the others, its named results, and its seconds."""
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Return what tells it from the others."""
+
+    @property
+    def results(self) -> Mapping[str, float]:
+        """Return its named results."""
+
+    @property
+    def seconds(self) -> float:
+        """Return the seconds of set-up and solve."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run gave.
+
+    Attributes
+    ----------
+    parameters : mapping of str to object
+        What tells it from the others.
+    status : str
+        ``"converged"``, or why it ended.
+    results : mapping of str to float
+        Its named results.
+    seconds, memory : float
+        Of set-up and solve [s], and of all ranks [MiB].
+    """
+
+    parameters: Mapping[str, Any]
+    status: str
+    results: Mapping[str, float]
+    seconds: float
+    memory: float
+
+
+def working_seconds(summary: Mapping[str, Any]) -> float:
+    """Return the seconds of set-up and solve of a run from its ``summary.json``."""
+    return sum(float(value) for phase, value in (summary.get("timings") or {}).items() if phase in PHASES)
+
+
+def mebibytes(summary: Mapping[str, Any]) -> float:
+    """Return the memory of all ranks of a run from its ``summary.json``."""
+    return float(sum(summary.get("peak_memory_bytes") or [])) / 2**20
+
+
+def names_of_results(done: Sequence[Ran]) -> list[str]:
+    """Return the names of the results of all runs, each once."""
+    return list(dict.fromkeys(name for outcome in done for name in outcome.results))
+
+
+def columns_of(done: Sequence[Outcome]) -> dict[str, list[Any]]:
+    """Return the table of runs by columns: parameters, results (None where a run has none), time, memory, status."""
+    parameters = list(dict.fromkeys(name for outcome in done for name in outcome.parameters))
+    columns = {name: [outcome.parameters.get(name) for outcome in done] for name in parameters}
+    for name in names_of_results(done):
+        # A result that is named as a parameter does not take its column.
+        columns[f"{name} (result)" if name in columns else name] = [outcome.results.get(name) for outcome in done]
+    return {
+        **columns,
+        "seconds": [outcome.seconds for outcome in done],
+        "MiB": [outcome.memory for outcome in done],
+        "status": [outcome.status for outcome in done],
+    }
+
+
+def results_figure(done: Sequence[Ran], along: str | None, title: str = "") -> Any:
+    """Return a figure of every result against a parameter, and of error against seconds where there is an error.
+
+    Parameters
+    ----------
+    along : str or None
+        A parameter that is a number; the number of the run where None.
+    """
+    names = names_of_results(done)
+    error = next((name for name in ERRORS if name in names), None)
+    figure, axes = panels(max(len(names) + (error is not None), 1))
+    groups: dict[str, list[Ran]] = {}
+    for outcome in done:
+        rest = {name: value for name, value in outcome.parameters.items() if name != along}
+        groups.setdefault(",".join(f"{name}={value}" for name, value in rest.items()), []).append(outcome)
+    for label, outcomes in groups.items():
+        for axis, name in zip(axes, names, strict=False):
+            have = [outcome for outcome in outcomes if name in outcome.results]
+            if along:
+                have.sort(key=lambda one: float(one.parameters[along]))
+            x = [float(one.parameters[along]) for one in have] if along else list(range(len(have)))
+            axis.plot(x, [one.results[name] for one in have], "o-", markersize=4, label=label)
+            axis.set(xlabel=along or "run", ylabel=name)
+        if error is not None:
+            have = [outcome for outcome in outcomes if error in outcome.results]
+            errors = [abs(one.results[error]) for one in have]
+            axes[-1].loglog([one.seconds for one in have], errors, "o-", markersize=4, label=label)
+            axes[-1].set(xlabel="seconds", ylabel=f"|{error}|")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].set_title(title)
+    if len(groups) > 1:
+        axes[0].legend(fontsize=7)
+    return figure
 
 
 class Comparison:
@@ -51,26 +161,24 @@ class Comparison:
                 )
 
     @property
-    def table(self) -> dict[str, list[Any]]:
-        """Return the table by columns: run, parameters that differ, results, seconds, MiB, status.
-
-        A result that a run lacks is None, and so is a parameter.
-        """
-        runs = list(self.runs.values())
-        given = [dict(run.summary.get("parameters") or {}) for run in runs]
+    def outcomes(self) -> list[Outcome]:
+        """Return what each run gave, told from the others by its name and the parameters in which they differ."""
+        given = {name: dict(run.summary.get("parameters") or {}) for name, run in self.runs.items()}
+        known = list(dict.fromkeys(key for parameters in given.values() for key in parameters))
         missing = object()
-        known = dict.fromkeys(name for parameters in given for name in parameters)
-        differ = [name for name in known if len({repr(one.get(name, missing)) for one in given}) > 1]
-        columns: dict[str, list[Any]] = {"run": list(self.runs)}
-        columns |= {name: [one.get(name) for one in given] for name in differ}
-        for name in dict.fromkeys(name for run in runs for name in run):
-            # A result that is named as a parameter does not take its column.
-            columns[f"{name} (result)" if name in columns else name] = [run.results.get(name) for run in runs]
-        return columns | {
-            "seconds": [working_seconds(run.summary) for run in runs],
-            "MiB": [sum(run.summary.get("peak_memory_bytes") or []) / 2**20 for run in runs],
-            "status": [str(run.summary.get("status")) for run in runs],
-        }
+        differ = [key for key in known if len({repr(one.get(key, missing)) for one in given.values()}) > 1]
+        return [
+            Outcome(
+                {"run": name, **{key: given[name].get(key) for key in differ}}, str(run.summary.get("status")),
+                run.results, working_seconds(run.summary), mebibytes(run.summary),
+            )
+            for name, run in self.runs.items()
+        ]  # fmt: skip
+
+    @property
+    def table(self) -> dict[str, list[Any]]:
+        """Return the table by columns: run, parameters that differ, results, seconds, MiB, status."""
+        return columns_of(self.outcomes)
 
     def frame(self) -> Any:
         """Return the table as a pandas data frame, a row a run.

@@ -16,7 +16,7 @@ from typing import Any
 from pdpetsc.discrete.communicator import alone
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.folder import holder_of, holding, set_aside
-from pdpetsc.output.reading import working_seconds
+from pdpetsc.running.comparison import working_seconds
 from pdpetsc.studies import table
 from pdpetsc.studies.asking import CaseFile, Question
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched

@@ -201,6 +201,20 @@ class MaterialPoints(Matter):
         F = self.deformation(state)
         return F, self.stress(F), self.point_energy(F)
 
+    def stress_by_temperature(self, state: State) -> Float:
+        """Return the derivative of the stress of the points by their temperature (n_points, dim, dim) (collective)."""
+        F, expansion, owner = self.deformation(state), self.body.expansion, self.operator.owner
+        assert expansion is not None
+        strain, factor, step = expansion.by_temperature(state.t)
+        temperature, found = expansion.temperature(state.t), np.zeros_like(F)
+        with agreed(self.body.cloud.comm):
+            for one in self.materials:
+                assert isinstance(one, ExpandedAtPoints)
+                at = owner[one.points]
+                T = None if temperature is None else temperature[at]
+                found[one.points] = one.stress_along(F[one.points], strain[at], factor[at], T, step)
+        return found
+
     def energy_at(self, F: Float, volume: Float) -> Float:
         """Return the energy density of all points (n_points,) at gradients F and volumes (n_points,) of one's own."""
         return self.point_energy(F)

@@ -24,7 +24,7 @@ import numpy as np  # noqa: E402
 import square_opening  # noqa: E402
 
 import pdpetsc as pd  # noqa: E402
-from pdpetsc.output.reading import working_seconds  # noqa: E402
+from pdpetsc.studies.study import working_seconds  # noqa: E402
 
 PLATES = {
     "square_opening": (square_opening.case, (1.015, 2.015)),

@@ -155,8 +155,8 @@ class Runs:
                 tell.again(question, why)
             waiting.append(number)
         self.count["kept"] += len(found)
-        for outcome in found.values():
-            tell.ended(outcome, True)
+        for number, outcome in found.items():
+            tell.ended(outcome, not questions[number].refused)
         running: dict[int, Job] = {}
         try:
             for number, outcome in self._ended(questions, waiting, running, tell):
@@ -287,6 +287,9 @@ class Study:
 class Refinement:
     """Which parameter makes a study finer.
 
+    ``study`` puts ``f_0 + C h^p`` through each result, with ``h`` this parameter or one over it, for each set of the
+    other parameters.
+
     Parameters
     ----------
     of : str
@@ -295,6 +298,12 @@ class Refinement:
         Values of results from elsewhere, that errors are of; what the case expects counts as such where ``expected``.
     expected : bool
         Take what the case expects where ``exact`` has no value.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.Refinement("1/n", exact={"tip": 7.4}).name
+    'n'
     """
 
     of: str

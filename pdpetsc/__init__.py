@@ -44,7 +44,8 @@ from pdpetsc.declare.conditions import (
     Traction,
 )
 from pdpetsc.declare.cracks import Disc, PlaneCrack, PolygonCrack, Polyline, Segment
-from pdpetsc.declare.files import Mesh, MeshNodes, TextFile
+from pdpetsc.declare.expected import Expected
+from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.schedule import Hold, Ramp, Table
@@ -52,6 +53,7 @@ from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, Eve
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
+from pdpetsc.declare.text_file import TextFile
 from pdpetsc.declare.thermal import (
     Convection,
     Eigenstrain,
@@ -60,7 +62,8 @@ from pdpetsc.declare.thermal import (
     HeatSource,
     Temperature,
 )
-from pdpetsc.errors import CaseError, Interrupted, OutputError, RunError, SolveError
+from pdpetsc.declare.units import Units
+from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
 from pdpetsc.output.picture import Picture
@@ -86,6 +89,7 @@ from pdpetsc.post.quantities import (
     RelativeError,
     StrainEnergy,
 )
+from pdpetsc.post.sampling import grid, line
 from pdpetsc.post.solution import (
     Solution,
     deformation_gradient,
@@ -106,6 +110,7 @@ from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTang
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
+    from pdpetsc.running.comparison import Comparison, compare
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
     from pdpetsc.running.runner import run
@@ -133,6 +138,8 @@ __all__ = [
     "Cell",
     "CellStrain",
     "CellStress",
+    "CheckError",
+    "Comparison",
     "ConstantCritical",
     "ControlEnergy",
     "Convection",
@@ -148,6 +155,7 @@ __all__ = [
     "Eigenstrain",
     "EnergyReleaseRate",
     "EventDriven",
+    "Expected",
     "ExponentialSoftening",
     "ExternalWork",
     "ExtraTerm",
@@ -215,8 +223,10 @@ __all__ = [
     "Term",
     "TextFile",
     "Traction",
+    "Units",
     "VonMisesStrain",
     "choose",
+    "compare",
     "crack_faces",
     "crack_lines",
     "damage_dissipation",
@@ -225,8 +235,10 @@ __all__ = [
     "energy_density",
     "first_piola_stress",
     "fit",
+    "grid",
     "heat_flux",
     "influence",
+    "line",
     "local_damage",
     "lost_bonds",
     "open",
@@ -253,6 +265,8 @@ __all__ += material.__all__
 # Imported on first use: they load PETSc, which must first see the command line.
 _LAZY = {
     "Case": ("pdpetsc.case", "Case"),
+    "Comparison": ("pdpetsc.running.comparison", "Comparison"),
+    "compare": ("pdpetsc.running.comparison", "compare"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),
     "Refinement": ("pdpetsc.studies.study", "Refinement"),
     "Result": ("pdpetsc.running.result", "Result"),

@@ -14,6 +14,7 @@ from pdpetsc.damage import BondDamage, DamageOf
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.expected import Expected
 from pdpetsc.declare.horizon import AnyHorizon, check_horizon
 from pdpetsc.declare.influence import Constant, Influence
 from pdpetsc.declare.particles import Particles
@@ -22,12 +23,14 @@ from pdpetsc.declare.solvers import AnySolver, Newton
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
+from pdpetsc.declare.units import Units
 from pdpetsc.declared import Declared, name_of, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
 from pdpetsc.material import Graded, Material, Thermal
 from pdpetsc.output.picture import Picture
+from pdpetsc.post.invariants import von_mises
 from pdpetsc.post.quantities import Quantity, refuse_component
 from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm
@@ -108,8 +111,8 @@ class Case(Declared):
     results : callable, optional
         Gets the history as lists per name and returns the named scalar results of the run.
     fields : sequence of Field, or mapping of str to Field
-        What is written per step; empty for no file of fields. The names are those of the functions, or the mapping's:
-        different words of letters, digits and underscores.
+        What is written per step; displacement, stress and von Mises stress by default, empty for no file of fields. The
+        names are those of the functions, or the mapping's: different words of letters, digits and underscores.
     checkpoints : int
         A checkpoint every so many steps, and where the run ends, also by a signal or a failure; 0 for none.
     picture : Picture, optional
@@ -120,6 +123,10 @@ class Case(Declared):
         What adds forces besides material, control and conditions.
     heat : HeatConduction, optional
         Temperature from heat conduction; where absent it is what ``Temperature`` conditions prescribe.
+    expect : mapping of str to Expected
+        What the named results should be, with these parameters; compared where the run is asked to (``--check``).
+    units : Units, optional
+        What the units of length and force are called in pictures, tables and the report; nothing is converted.
     """
 
     particles: Particles
@@ -138,12 +145,14 @@ class Case(Declared):
     solver: AnySolver = field(default_factory=Newton)
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
-    fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress)
+    fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress, von_mises)
     checkpoints: int = 1
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     terms: Sequence[ExtraTerm] = ()
     heat: HeatConduction | None = None
+    expect: Mapping[str, Expected] = field(default_factory=dict)
+    units: Units | None = None
 
     @property
     def materials(self) -> list[tuple[Region, AnyMaterial]]:
@@ -210,6 +219,7 @@ class Case(Declared):
         self._check_symmetry()
         self._check_formulation()
         self._check_durations()
+        self._check_temperatures()
         self._check_names()
 
     def _check_symmetry(self) -> None:
@@ -228,12 +238,23 @@ class Case(Declared):
         laws = [(f"material {number}", ungraded(one)) for number, (_, one) in enumerate(self.materials, 1)]
         named = [(f"{type(law).__name__} of {name}", law.duration) for name, law in laws]
         named.append(("HeatConduction", None if self.heat is None else self.heat.duration))
+        named += [("the criterion of damage", time) for time in ([] if self.damage is None else self.damage.times)]
         given = [(name, duration) for name, duration in named if duration is not None]
         for name, duration in given[1:]:
             if duration != given[0][1]:
                 raise CaseError(
                     f"One time goes by from step time 0 to 1, and {given[0][0]} has a duration of {given[0][1]:g} "
                     f"where {name} has {duration:g}; give both the same."
+                )
+
+    def _check_temperatures(self) -> None:
+        """Raise CaseError where damage reads a temperature that not all of the body has."""
+        if self.damage is not None and self.damage.reads_temperature:
+            lacking = [number for number, one in enumerate(self.thermals, 1) if one is None]
+            if lacking:
+                raise CaseError(
+                    f"What drives damage reads the temperature, and material {lacking[0]} has none; wrap it in "
+                    f"Thermal, and give a Temperature or HeatConduction."
                 )
 
     def _check_names(self) -> None:
@@ -246,6 +267,10 @@ class Case(Declared):
                     f"A quantity of the history cannot be named {shown(name)}: names are columns of a table, without "
                     f"commas, semicolons, quotes, line ends and outer blanks."
                 )
+        if self.expect and self.results is None:
+            raise CaseError(
+                f"The case expects a result {next(iter(self.expect))!r} and has none; give results=lambda h: {{...}}."
+            )
         for name, value in self.options.items():
             if not name or name.startswith("-") or len(name.split()) != 1:
                 raise CaseError(f"An option of PETSc is one word without dash in front, not {name!r}.")

@@ -61,6 +61,10 @@ class SolveError(PdpetscError, RuntimeError):
     """A load step did not converge; everything up to the last converged step is on disk."""
 
 
+class CheckError(PdpetscError, AssertionError):
+    """A run has ended and its results are on disk, but they are not what its case expects."""
+
+
 class OutputError(PdpetscError, OSError):
     """A result could not be written; the files hold the last step that could."""
 
@@ -114,7 +118,7 @@ class RunError(PdpetscError, RuntimeError):
 # What every rank can make anew from a few words; an error class of a case file is not known on other ranks.
 KINDS: dict[str, type[PdpetscError]] = {
     kind.__name__: kind
-    for kind in (PdpetscError, CaseError, FlatFamilies, SolveError, OutputError, Interrupted, RunError)
+    for kind in (PdpetscError, CaseError, FlatFamilies, SolveError, CheckError, OutputError, Interrupted, RunError)
 }
 
 

@@ -1,7 +1,7 @@
 """The list of all examples, with a number or a picture each: python runs/index.py writes runs/README.md.
 
-Descriptions are the first sentences of the files, numbers those of ``docs/papers.md``: the first one that the paper
-prints and this file gives.
+Descriptions are the first sentences of the files, numbers those of ``docs/reference/papers.md``: the first one that
+the paper prints and this file gives.
 """
 
 import ast
@@ -26,6 +26,7 @@ FOLDERS = {
     "bonds": "Bond-based and state-based materials against closed forms",
     "fracture": "Cracks, softening, complete separation",
     "localisation": "Where damage localises: periodic cells, event by event",
+    "own": "A material and a force of one's own",
     "dog_bone": "A body from a mesh",
     "bench": "Timings, memory, scaling: `python runs/bench/all.py --quick`",
     "papers": "What the papers show and what comes out here",
@@ -37,7 +38,7 @@ PICTURES = {
     "fracture/plate_figures.py": "plate_published.png",
     "localisation/figures.py": "localisation_constant.png",
     "fracture/figures.py": "fracture_path.png",
-    "plates/pages.py": "methods/sub_horizons.png",
+    "plates/pages.py": "sub_horizons.png",
 }
 
 
@@ -65,13 +66,13 @@ def page():
         "# Examples",
         "",
         "Files with a `case` run by `python -m pdpetsc FILE name=value`; the others by `python FILE`. The numbers are "
-        "rows of [docs/papers.md](../docs/papers.md). This page is written by `python runs/index.py`.",
+        "rows of [what the papers show](../docs/reference/papers.md). This page is written by `python runs/index.py`.",
     ]
     for folder, title in FOLDERS.items():
         lines += ["", f"## {title}", "", "| | what | number or picture |", "|---|---|---|"]
         for path in sorted((HERE / folder).glob("*.py")):
             name = f"{folder}/{path.name}"
-            picture = f"[picture](../docs/{PICTURES[name]})" if name in PICTURES else ""
+            picture = f"[picture](../docs/pictures/{PICTURES[name]})" if name in PICTURES else ""
             shown = " ".join(part for part in (known.get(name, ""), picture) if part)
             lines.append(f"| [{path.name}]({name}) | {sentence(path)} | {shown.replace('|', '/')} |")
     lines += ["", "Scripts for queues are in [hpc](hpc).", ""]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pdpetsc as pd
 from tests.commands import Stop
 
-PAGE = Path(__file__).parent.parent / "docs/plasticity.md"
+PAGE = Path(__file__).parent.parent / "docs/theory/materials.md"
 hard, rates = pd.hardening, pd.rate
 E, NU, Y = 10.0, 0.3, 0.3
 DURATION = 4.0
@@ -32,7 +32,7 @@ LAWS["kinematic"] = pd.KinematicJ2(E, NU, yield_stress=Y, kinematic=0.8, hardeni
 LAWS["kinematic_perzyna"] = dataclasses.replace(LAWS["kinematic"], rate=LAWS["perzyna"].rate)
 LAWS["maxwell"] = pd.Maxwell(E, NU, shear=[3.0, 1.0], times=[0.5, 5.0], duration=DURATION)
 OWN: dict = {}
-exec(re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL).group(1), OWN)
+exec(re.search(r"```python\n(from dataclasses.*?)```", PAGE.read_text(), re.DOTALL).group(1), OWN)
 LAWS["own"] = OWN["Norton"](E, NU, q_0=0.5, rate_0=0.2, n=3.0, duration=DURATION)
 
 

@@ -548,6 +548,7 @@ DAMAGED = """
 """
 
 
+@pytest.mark.long
 def test_damage_goes_on_from_conforming_weights(tmp_path):
     """The body breaks, the same on two ranks; intact families keep their weights."""
     case = tmp_path / "notch.py"
@@ -577,6 +578,7 @@ SPREAD = """
 """
 
 
+@pytest.mark.long
 def test_loads_on_facets_are_the_same_on_any_ranks(tmp_path):
     found = []
     for ranks in (1, 3):

@@ -46,6 +46,7 @@ def order(sizes, values):
     return -np.polyfit(np.log(sizes), np.log(values), 1)[0]
 
 
+@pytest.mark.long
 @SQUARES
 @BOTH
 def test_conforming_weights_are_of_second_order_on_shaken_clouds_and_standard_ones_are_not(name, method, tmp_path):
@@ -67,6 +68,7 @@ def test_conforming_weights_are_of_second_order_on_lattices(name, method, tmp_pa
     assert order(sizes, errors(tmp_path, name, sizes, *method)) > 1.9
 
 
+@pytest.mark.long
 @SQUARES
 def test_the_stress_of_shaken_clouds_is_of_first_order(name, tmp_path):
     sizes = (8, 16, 32)
@@ -210,6 +212,7 @@ def test_bending_in_space_is_of_second_order(cloud, tmp_path):
     assert order(sizes, errors(tmp_path, "bending", sizes, *words)) > 1.8
 
 
+@pytest.mark.long
 def test_the_stress_at_surfaces_is_of_first_order(tmp_path):
     """At the top of a bent beam, inside a ring, at a hole and on a clamped side; on the finest by one in a hundred."""
     for name, sizes, *words in (

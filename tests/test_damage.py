@@ -233,16 +233,28 @@ def test_a_fracture_energy_is_what_breaking_the_bonds_across_a_plane_takes(dim, 
     assert np.mean(found) == pytest.approx(Gc, rel=1e-12)
 
 
-def test_a_fracture_energy_serves_gradients_too(tmp_path):
+@pytest.mark.parametrize("energy", [pd.FractureEnergy, lambda Gc, share=None: pd.BondEnergy(Gc=Gc, share=share)])
+def test_a_fracture_energy_serves_gradients_too(energy, tmp_path, caplog):
+    """They take a share of it, which a case gives or a warning asks for."""
     import dataclasses
 
     from tests.test_fracture import strip
 
-    law = pd.Brittle(pd.FractureEnergy(0.01))
-    found = pd.run(dataclasses.replace(strip(), damage=law), output=tmp_path)
-    assert found["broken"] > 0
-    with pytest.raises(pd.CaseError, match="must be positive"):
-        pd.FractureEnergy(0.0)
+    def warned(share):
+        caplog.clear()
+        law = pd.Brittle(energy(0.01, share))
+        found = pd.run(dataclasses.replace(strip(), damage=law), output=tmp_path / str(share))
+        assert found["broken"] > 0
+        return any("gradients takes another one" in one.message for one in caplog.records)
+
+    assert warned(None)
+    assert not warned(0.5)
+    limit, half = (pd.prepare(dataclasses.replace(strip(), damage=pd.Brittle(energy(0.01, share)))).problem.damage.limit
+                   for share in (None, 0.5))  # fmt: skip
+    np.testing.assert_allclose(half, np.sqrt(2.0) * limit)
+    for wrong in (lambda: energy(0.0), lambda: energy(1.0, 0.0), lambda: energy(1.0, -1.0)):
+        with pytest.raises(pd.CaseError, match="positive"):
+            wrong()
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,9 @@ from pdpetsc.discrete.families import find_families
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import make_damage
 from pdpetsc.problem.state import State
+from pdpetsc.solvers.table import refuse_unmet
 from pdpetsc.terms.bond_forces import BondForces
-from tests.commands import ROOT, field, jacobian_ratios, results
+from tests.commands import ROOT, Stop, field, jacobian_ratios, results
 from tests.scenes import DIMS, LAWS, MATERIALS, SCHEMES, bond_body, damaged_body, small_points
 from tests.test_criterion import K, bar, check_tangent, pulled
 from tests.test_events import history
@@ -451,3 +452,109 @@ def test_a_rate_law_flows_in_the_step_that_damage_reads(heated, tmp_path):
     used = flow / (D[0] + D[1] * np.exp(D[2] * s))
     assert used == pytest.approx(0.540, abs=5e-4)
     assert np.allclose(solution.problem.damage.drive.arrays()["grown"], used, rtol=1e-9)
+
+
+FAST = {
+    "D1": 0.02, "D2": 0.03, "D3": -1.5, "D4": 0.05, "D5": 0.6, "rate_0": 2e-3, "duration": 2.0, "room": 300.0,
+    "melting": 1500.0,
+}  # fmt: skip
+
+
+def pulled_bar(criterion, steps=6, **changes):
+    """Return a bar that is pulled uniformly at a growing rate, and gets hot meanwhile."""
+    bar_law = pd.J2(E=10.0, nu=0.3, yield_stress=0.1, hardening=1.0)
+    everywhere = pd.region.All()
+    return pd.Case(
+        **{
+            "particles": pd.Lattice((0.0,), (6.0,), 1.0),
+            "horizon": 2.015,
+            "material": pd.Thermal(bar_law, 0.0, reference=300.0),
+            "scheme": pd.Correspondence(),
+            "conditions": [
+                pd.Displacement(everywhere, x=lambda x, t: 0.05 * t**2 * x[:, 0]),
+                pd.Temperature(everywhere, 900.0),
+            ],
+            "damage": pd.Brittle(criterion),
+            "steps": pd.Steps(steps),
+            "fields": [],
+        }
+        | changes
+    )
+
+
+def used_up(criterion, steps=6, T=lambda t: 300.0 + 600.0 * t):
+    """Return what the steps of that bar use up: uniaxial stress has a triaxiality of 1/3."""
+    used, before = 0.0, 0.0
+    for step in range(1, steps + 1):
+        t = step / steps
+        alpha = max(0.0, (10.0 * np.log(1.0 + 0.05 * t**2) - 0.1) / 11.0)
+        rate = (alpha - before) * steps / criterion.duration
+        of_rate = 1.0 + criterion.D4 * np.log(max(rate / criterion.rate_0, 1.0))
+        failure = (criterion.D1 + criterion.D2 * np.exp(criterion.D3 / 3.0)) * of_rate
+        used += (alpha - before) / (failure * (1.0 + criterion.D5 * (T(t) - 300.0) / 1200.0))
+        before = alpha
+    return used
+
+
+def test_what_fast_and_hot_flow_uses_up_follows_the_failure_strain_of_each_step(tmp_path):
+    """Below and above the rate of the tests; a run that goes on, on other ranks too, uses up the same."""
+    criterion = pd.JohnsonCookFailure(**FAST)
+    exact = used_up(criterion)
+    assert 0.9 > exact > 0.5
+    slow = pd.JohnsonCookFailure(**(FAST | {"D4": 0.0, "D5": 0.0}))
+    assert abs(used_up(slow) / exact - 1.0) > 0.3  # both factors count
+    solution = pd.run(pulled_bar(criterion), tmp_path / "whole").solution
+    kept = solution.problem.damage.drive.arrays()
+    assert np.allclose(kept["grown"], exact, rtol=1e-9)
+    assert np.all(kept["since"] == 1.0)
+    hours = pd.JohnsonCookFailure(**(FAST | {"rate_0": 7.2, "duration": 2.0 / 3600.0}))
+    solution = pd.run(pulled_bar(hours), tmp_path / "hours").solution
+    assert np.allclose(solution.problem.damage.drive.arrays()["grown"], exact, rtol=1e-9)
+
+
+def test_a_run_that_goes_on_knows_when_its_last_step_ended(tmp_path):
+    criterion = pd.JohnsonCookFailure(**FAST)
+    with pytest.raises(pd.Interrupted):
+        pd.run(pulled_bar(criterion, history={"stop": Stop(0.6)}), tmp_path / "part")
+    whole = pulled_bar(criterion, history={"stop": Stop(2.0)})
+    solution = pd.run(whole, tmp_path / "rest", restart=tmp_path / "part" / "checkpoint.h5").solution
+    assert np.allclose(solution.problem.damage.drive.arrays()["grown"], used_up(criterion), rtol=1e-9)
+
+
+def test_rate_and_temperature_that_are_not_there_are_refused():
+    criterion = pd.JohnsonCookFailure(**FAST)
+    for changes, message in (
+        ({"duration": None}, "step times are no times"),
+        ({"melting": None}, "give melting"),
+        ({"melting": 200.0}, "below that of melting"),
+        ({"D4": -0.1}, "D4 >= 0"),
+        ({"D5": -1.0}, "D5 > -1"),
+        ({"rate_0": 0.0}, "positive rate_0"),
+        ({"duration": -1.0}, "positive duration"),
+    ):
+        with pytest.raises(pd.CaseError, match=message):
+            pd.JohnsonCookFailure(**(FAST | changes))
+    cold = pd.J2(E=10.0, nu=0.3, yield_stress=0.1, hardening=1.0)
+    with pytest.raises(pd.CaseError, match="reads the temperature, and material 1 has none"):
+        pulled_bar(criterion, material=cold, conditions=[])
+    other = dataclasses.replace(cold, rate=pd.rate.Perzyna(duration=3.0, rate_0=1.0, drag=0.1))
+    with pytest.raises(pd.CaseError, match="criterion of damage has 2; give both the same"):
+        pulled_bar(criterion, material=pd.Thermal(other, 0.0))
+    regions = {"all": pd.region.All()}
+    for damage in (pd.Brittle(criterion), pd.DamageOf(regions, {"all": pd.Brittle(criterion)})):
+        prepared = pd.prepare(pulled_bar(criterion, damage=damage))
+        with pytest.raises(pd.CaseError, match="fails by it, needs load steps"):
+            refuse_unmet(prepared.problem, pd.PathFollowing(until=0.1))
+
+
+def test_the_tangent_knows_that_faster_flow_fails_later(rng):
+    """By differences, within a step whose rate changes with the displacement."""
+    fast = pd.JohnsonCookFailure(**(FAST | {"D5": 0.0, "D1": 0.004, "D2": 0.008}))
+    flowing = pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0)
+    model = damaged_body(2, pd.LinearSoftening(fast, 3.0), material=flowing, rng=rng)
+    slow = model.driven(u := uneven(model, rng))
+    model.problem.damage.drive.arrays()["since"][:] = -0.5
+    fast = model.driven(u * (1.0 + 1e-12))
+    assert np.all(fast <= slow)
+    assert np.median(fast) < 0.97 * np.median(slow)
+    check_tangent(model, uneven(model, rng), rng, least=2)

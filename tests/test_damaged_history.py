@@ -159,6 +159,7 @@ def case(scheme="sub_horizons", law="linear", steps=8, stop=2.0):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "law", "steps"),
     [("sub_horizons", "linear", 8), pytest.param("correspondence", "brittle", 16, marks=pytest.mark.long)],

@@ -16,9 +16,9 @@ import pdpetsc as pd
 # What a user meets but does not compose: what a run returns or raises, and what a new term is built of. The examples of
 # a ``Case`` are the files under ``runs/``.
 NOT_COMPOSED = {
-    "Case", "CaseError", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray", "LinearisedTerm",
-    "OutputError", "PointKernels", "PointTangent", "Prepared", "Response", "RunError", "Solution", "SolveError",
-    "State", "TensorResponse", "region.View",
+    "Case", "CaseError", "CheckError", "Comparison", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray",
+    "LinearisedTerm", "OutputError", "PointKernels", "PointTangent", "Prepared", "Response", "RunError", "Solution",
+    "SolveError", "State", "TensorResponse", "region.View",
 }  # fmt: skip
 
 
@@ -57,7 +57,7 @@ def test_examples_give_what_they_say() -> None:
 def test_every_key_that_is_cited_is_in_the_list_of_references() -> None:
     """Keys are an author and a year, as ``Silling2017``, in docstrings and on the pages of the docs."""
     root = Path(__file__).parent.parent
-    known = set(re.findall(r"^- \*\*(\w+)\*\*", (root / "docs/references.md").read_text(), re.MULTILINE))
+    known = set(re.findall(r"^- \*\*(\w+)\*\*", (root / "docs/reference/references.md").read_text(), re.MULTILINE))
     pages = [*(root / "pdpetsc").rglob("*.py"), *(root / "docs").rglob("*.md")]
     cited = {key for path in pages for key in re.findall(r"\b[A-Z][a-z]+[A-Za-z]*(?:19|20)\d\d\b", path.read_text())}
     assert len(known) > 20

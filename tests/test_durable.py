@@ -721,6 +721,7 @@ def test_a_path_that_is_no_checkpoint(words, message, saved, tmp_path):
 # What a continued run computes.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("after", [0.05, 0.15])
 def test_a_restart_before_damage_goes_the_same_way_to_the_last_digit(after, tmp_path):
     """Bonds that soften in many sweeps magnify whatever differs where they begin, to 1e-5 of the fields."""

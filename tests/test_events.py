@@ -155,6 +155,7 @@ def test_decreasing_critical_stretch_breaks_layers_before_it_localises(tmp_path)
     assert found["final_displacement"] == pytest.approx(max(0.01 * k * (0.01 - 0.00099 * k) for k in range(1, 7)))
 
 
+@pytest.mark.long
 def test_increasing_critical_stretch_leaves_no_section_cut(tmp_path):
     """Fig. 7: the force vanishes though no section has lost all of its bonds; parts of the cell overlap and slide."""
     segments, peaks = [], []
@@ -239,6 +240,7 @@ def test_realisations_are_averaged(tmp_path):
         assert value == pytest.approx(0.5 * (one[0][name] + one[1][name]), rel=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", [(CELL, "n=50", "critical=increasing"), ("runs/localisation/cell_2d.py", "n=8")])
 def test_the_order_of_events_is_the_same_on_any_number_of_ranks_and_again(case, tmp_path):
     order = {}

@@ -37,6 +37,7 @@ def test_one_bond_in_series_with_another_is_followed_back(ratio, tmp_path):
     assert h["dissipated"][-1] == pytest.approx(0.5 * k * limit * ratio * limit, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("measure", ["stretch", "opening"])
 def test_the_peak_of_a_crack_is_that_of_the_event_driven_solver(measure, tmp_path):
     pd.run(crack(), output=tmp_path / "events")
@@ -85,6 +86,7 @@ class Stop(pd.Quantity):
         return 0.0
 
 
+@pytest.mark.long
 def test_a_restart_goes_on_along_the_path(tmp_path):
     case = crack(solver=pd.PathFollowing(pd.BondStretch(0.2), until=0.5), checkpoints=4)
     pd.run(case, output=tmp_path / "whole")
@@ -166,6 +168,7 @@ def test_a_schedule_that_ends_with_the_load_steps_is_refused(tmp_path):
         pd.run(dataclasses.replace(case, conditions=ending), output=tmp_path)
 
 
+@pytest.mark.long
 def test_a_path_never_gives_back_what_was_dissipated(tmp_path):
     """Edge crack, sub-horizons without control: breaking bonds there can set more stress free than they carried.
 

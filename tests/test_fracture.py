@@ -69,6 +69,7 @@ def test_a_plate_with_a_hole_separates_symmetrically(law, scheme, tmp_path):
     assert np.abs(places[:, 1]).min() < 20.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "nx", "horizon", "steps"),
     [
@@ -101,6 +102,7 @@ SNAPPING = ("law=brittle", "scheme=sub_horizons", "G=0", "nx=18", "horizon=2.015
 HEALING = ("effect=present", "steps=8", "pull=0.1")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "several", "least"),
     [
@@ -336,6 +338,7 @@ def test_a_double_cantilever_opens_as_beams_do(tmp_path):
     assert found["first_load"] == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.long
 def test_energy_balances_while_bonds_soften(tmp_path):
     """One softening bond: what is not stored is dissipated, to 1e-6 of the work with small steps."""
     case = dataclasses.replace(one_bond(4.0), solver=pd.Newton(), steps=pd.Steps(400))

@@ -267,6 +267,7 @@ def test_half_a_plate_before_a_mirror_is_half_a_plate(tmp_path):
         assert np.abs(a - b).max() < 1e-9 * np.abs(a).max()
 
 
+@pytest.mark.long
 def test_slab_against_the_series_and_on_two_ranks(tmp_path):
     words = "runs/thermal/slab.py", "n=20", "steps=40"
     found = results(*words, "dim=2", output=tmp_path / "one")["results"]

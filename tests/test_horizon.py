@@ -381,6 +381,7 @@ def answers(path, kinds):
 SLOW = ("relaxation", "events", "damage")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("ranks", "kinds"),
     [

@@ -202,7 +202,8 @@ for name in ("turn", "together"):
         print("parallel", h5py.get_config().mpi, flush=True)
     writer.together = name == "together" and h5py.get_config().mpi
     for step in range(2):
-        writer.put(step, 0.5, {"y": cloud.x[: cloud.n_owned] + step, "n": cloud.gid[: cloud.n_owned]})
+        x = cloud.x[: cloud.n_owned] + step
+        writer.put(step, 0.5, {"y": x, "n": cloud.gid[: cloud.n_owned], "T": x[:, :, None] * x[:, None]})
 """
 
 
@@ -217,6 +218,6 @@ def test_fields_are_the_same_written_together_or_in_turn(tmp_path):
     with h5py.File(tmp_path / "turn/fields.h5", "r") as one, h5py.File(tmp_path / "together/fields.h5", "r") as two:
         for step in ("step_00000", "step_00001"):
             assert one[step].attrs["t"] == two[step].attrs["t"] == 0.5
-            for name in ("y", "n"):
+            for name in ("y", "n", "T", "T_xy"):
                 assert np.array_equal(one[f"{step}/{name}"], two[f"{step}/{name}"])
         assert np.array_equal(two["step_00001/n"], np.arange(63))

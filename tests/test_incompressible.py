@@ -252,6 +252,7 @@ def test_iterations_without_a_matrix_do_not_know_the_bulk_modulus(monkeypatch, t
     assert found[1] < 1.7 * found[0]
 
 
+@pytest.mark.long
 def test_two_ranks_find_what_one_does(tmp_path):
     for law, nu, jacobian in (("neo_hookean", 0.3, "assembled"), ("linear", 0.4999, "matfree")):
         words = "n=6", f"law={law}", f"nu={nu}", "method=patches_control", "steps=1"

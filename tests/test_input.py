@@ -36,7 +36,7 @@ def case(**changes):
 VALID = [
     case(),
     pd.AdaptiveSteps(), pd.Steps(), pd.Table([0.0, 1.0], [0.0, 1.0]), pd.Cell((0.0, 0.0), (4.0, 4.0)),
-    pd.Symmetry("x"), pd.Horizon(3.015),
+    pd.Symmetry("x"), pd.Horizon(3.015), pd.Expected(1.0, relative=0.1, source="here"), pd.Units("mm", "N"),
     pd.DynamicRelaxation(), pd.EventDriven(), pd.PathFollowing(), pd.BondStretch(),
     pd.Opening("x", region.All(), step=0.1, end=1.0),
     pd.Segment((0.0, 0.0), (1.0, 0.0)), pd.Polyline([(0.0, 0.0), (1.0, 0.0)]), pd.PlaneCrack((0.0,), (1.0,)),
@@ -68,7 +68,7 @@ VALID = [
     pd.LinearElastic(1.0), pd.J2(1.0, 0.3, yield_stress=0.1), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2),
     CRITICAL, pd.LinearCritical(0.1, 0.2, 1.0), pd.CriticalFunction(ones), pd.FractureEnergy(1.0),
     pd.BondEnergy(w=1.0), pd.BondEnergy(Gc=1.0), pd.MazarsStrain(0.1), pd.VonMisesStrain(0.1), pd.PrincipalStress(1.0),
-    pd.PlasticStrain(0.1), pd.JohnsonCookFailure(0.1, 1.0, -1.0),
+    pd.PlasticStrain(0.1), pd.JohnsonCookFailure(0.1, 1.0, -1.0, D4=0.1, D5=0.1, duration=1.0, melting=900.0),
     pd.DamageOf({"all": region.All()}, {"all": pd.Brittle(CRITICAL)}),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
     pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),

@@ -12,6 +12,7 @@ LAYERS = [
     {"errors", "arrays", "declared", "loading"},
     {"kernels"},
     {"declare"},
+    {"decks"},
     {"discrete"},
     {"gradient", "material", "bond_based", "damage"},
     {"control"},

@@ -120,6 +120,7 @@ def test_the_choice_follows_size_and_option():
         choose(model.problem, {"pd_jacobian": "matfree"}, EventDriven())
 
 
+@pytest.mark.long
 def test_any_preconditioner_can_be_made_of_the_nearest_neighbours(tmp_path):
     for options in (
         ["-pc_type", "cholesky"],

@@ -78,5 +78,5 @@ def test_the_index_of_examples_lists_all_of_them():
     spec.loader.exec_module(index)
     folders = {path.parent.name for path in (ROOT / "runs").glob("*/*.py")}
     assert folders == set(index.FOLDERS)
-    assert all((ROOT / "docs" / name).exists() for name in index.PICTURES.values())
+    assert all((ROOT / "docs" / "pictures" / name).exists() for name in index.PICTURES.values())
     assert index.PAGE.read_text() == index.page(), "run python runs/index.py"

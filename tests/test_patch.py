@@ -33,6 +33,7 @@ def test_consistent_traction_gives_a_uniform_gradient(dim, scheme, tmp_path):
         assert found["max_F_error"] < 1e-10
 
 
+@pytest.mark.long
 def test_consistent_traction_is_exact_on_more_ranks(tmp_path):
     for ranks in (2, 3):
         found = results("runs/patch/tension.py", "horizon=3.015", output=tmp_path, ranks=ranks)["results"]

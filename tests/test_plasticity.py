@@ -238,6 +238,7 @@ def test_a_patch_follows_the_law_of_its_fibres(dim, tmp_path):
     assert found == pytest.approx(patch_force(dim) * 4.0 ** (dim - 1), rel=1e-8)
 
 
+@pytest.mark.long
 def test_the_beam_in_bending_iterates_and_converges_to_the_moment_of_fibres(tmp_path):
     coarse, fine = (results(BEAM, f"ny={ny}", output=tmp_path / str(ny)) for ny in (5, 10))
     for name in ("error", "error_back"):
@@ -265,6 +266,7 @@ def test_the_plate_is_near_finite_elements_and_nearer_with_one_gradient_per_part
         assert values["oscillation"] < 0.02
 
 
+@pytest.mark.long
 def test_higher_order_weights_calm_the_plate_at_the_horizon_that_makes_it_oscillate(tmp_path):
     found = {
         scheme: results(PLATE, f"scheme={scheme}", "horizon=2.015", "steps=3", output=tmp_path)["results"]
@@ -274,6 +276,7 @@ def test_higher_order_weights_calm_the_plate_at_the_horizon_that_makes_it_oscill
     assert found["correspondence"]["stress_error"] > 5.0 * found["higher_order"]["stress_error"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("scheme", ["sub_horizons", "correspondence"])
 def test_a_restart_goes_on_with_the_history_of_the_material(scheme, ranks, tmp_path):

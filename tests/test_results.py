@@ -1,6 +1,7 @@
 """What users do with a finished run: sampling, data frames, PyVista, a first case, the doctor."""
 
 import importlib
+import importlib.util
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.post.sampling import sampled
-from tests.commands import ROOT, TIMEOUT, run
+from tests.commands import ROOT, TIMEOUT, results, run
 
 
 @pytest.fixture(scope="module")
@@ -192,3 +193,218 @@ def test_words_that_are_nearly_right_are_named(tmp_path):
     assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
     said = run(tmp_path / "bar.py", "-h").stdout
     assert "A bar that is pulled" in said and "strain=0.01  float" in said
+
+
+# Files that other programs open.
+
+
+def test_pyvista_opens_the_fields_with_time_steps_and_tensors_by_component(result):
+    pyvista = pytest.importorskip("pyvista")
+    reader = pyvista.get_reader(result.folder / "fields.xdmf")
+    assert list(reader.time_values) == [0.0, 0.5, 1.0]
+    for step, t in enumerate(reader.time_values):
+        reader.set_active_time_value(t)
+        mesh = reader.read()
+        assert mesh.n_points == 72 and np.array_equal(mesh.points, result.x.astype(mesh.points.dtype))
+        stress = result.field("stress", step)
+        assert np.array_equal(mesh["stress"], stress.reshape(-1, 9))
+        assert np.array_equal(mesh["displacement"], result.field("displacement", step))
+        for name, i, j in (("xx", 0, 0), ("xy", 0, 1), ("yx", 1, 0), ("yy", 1, 1), ("zz", 2, 2)):
+            assert np.array_equal(mesh[f"stress_{name}"], stress[:, i, j])
+            assert np.array_equal(result.field(f"stress_{name}", step), stress[:, i, j])
+
+
+NAMES = """
+import pdpetsc as pd
+
+def case(dim=2, end=""):
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=5.0)
+
+    class Ends(pd.Quantity):
+        def evaluate(self, solution):
+            if end == "killed" and solution.t > 0.6:
+                import os, signal
+                os.kill(os.getpid(), signal.SIGKILL)
+            return 0.0
+
+    return pd.Case(
+        particles=pd.Lattice((0.0,) * dim, (6.0, 2.0, 2.0)[:dim], 0.5), horizon=1.0075, material=pd.LinearElastic(1.0),
+        scheme=pd.SubHorizons(), steps=pd.Steps(4), history={"ends": Ends()},
+        conditions=[pd.Displacement(left, **dict.fromkeys("xyz"[:dim], 0.0)), pd.Displacement(right, x=0.1)],
+    )
+"""
+
+
+@pytest.mark.parametrize(("dim", "n"), [(1, 3), (2, 5), (3, 9)])
+def test_a_tensor_has_the_entries_that_its_body_may_have(dim, n, tmp_path):
+    (tmp_path / "case.py").write_text(NAMES)
+    results(tmp_path / "case.py", f"dim={dim}", output=tmp_path / "out")
+    opened = pd.open(tmp_path / "out")
+    named = [name for name in opened.fields.names() if name.startswith("stress_")]
+    assert len(named) == n
+    stress = opened.field("stress")
+    for name in named:
+        i, j = ("xyz".index(letter) for letter in name[-2:])
+        assert np.array_equal(opened.field(name), stress[:, i, j])
+    other = np.ones((3, 3), dtype=bool)
+    other[tuple(np.transpose([["xyz".index(letter) for letter in name[-2:]] for name in named]))] = False
+    assert not stress[:, other].any()
+    # Of the stress: s = sqrt(3/2 dev : dev), in the words of the axes.
+    s = 0.5 * (stress + stress.transpose(0, 2, 1))
+    spread = (s[:, 0, 0] - s[:, 1, 1]) ** 2 + (s[:, 1, 1] - s[:, 2, 2]) ** 2 + (s[:, 2, 2] - s[:, 0, 0]) ** 2
+    shear = s[:, 0, 1] ** 2 + s[:, 1, 2] ** 2 + s[:, 2, 0] ** 2
+    assert np.allclose(opened.field("von_mises"), np.sqrt(0.5 * spread + 3.0 * shear), atol=1e-12)
+
+
+def test_a_field_of_the_case_keeps_the_name_of_a_component(tmp_path):
+    def stress_xx(solution):
+        return solution.x[:, 0]
+
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (4.0,), 0.5), horizon=1.0075, material=pd.LinearElastic(1.0),
+        conditions=[pd.Displacement(pd.region.All(), x=0.0)], fields=[pd.stress, stress_xx],
+    )  # fmt: skip
+    result = pd.run(case, tmp_path)
+    assert np.array_equal(result.field("stress_xx"), result.x[:, 0])
+    assert result.fields.names() == ["stress", "stress_xx", "stress_yy", "stress_zz"]
+    text = (tmp_path / "fields.xdmf").read_text()
+    assert text.count('Name="stress_xx"') == 2  # once in each of two steps
+
+
+def test_what_a_killed_run_left_opens_and_a_restart_makes_it_whole(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    (tmp_path / "case.py").write_text(NAMES)
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    results(tmp_path / "case.py", output=whole)
+    assert run(tmp_path / "case.py", "end=killed", output=out).returncode == -9
+    reader = pyvista.get_reader(out / "fields.xdmf")
+    assert list(reader.time_values)[:3] == [0.0, 0.25, 0.5]
+    for t in reader.time_values:
+        reader.set_active_time_value(t)
+        assert np.isfinite(reader.read()["stress_xx"]).all()
+    assert run(tmp_path / "case.py", "--restart", out, "--restart-anyway", output=out, ranks=2).returncode == 0
+    assert (out / "fields.xdmf").read_text() == (whole / "fields.xdmf").read_text()
+    reader = pyvista.get_reader(out / "fields.xdmf")
+    assert list(reader.time_values) == [0.0, 0.25, 0.5, 0.75, 1.0]
+    for step, t in enumerate(reader.time_values):
+        reader.set_active_time_value(t)
+        for name in ("stress_xx", "von_mises", "displacement"):
+            exact = pd.open(whole).field(name, step)
+            assert np.allclose(reader.read()[name], exact, atol=1e-9 * np.abs(exact).max(initial=1e-300))
+
+
+# Comparing, sampling on lines and grids, xarray, notebooks.
+
+
+def bar(folder, dx=0.5, steps=2, **given):
+    everywhere = pd.region.All()
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 3.0), dx), horizon=2.015 * dx, material=pd.BondBased(E=1000.0),
+        conditions=[pd.Displacement(everywhere, x=lambda x, t: t * 0.1 * x[:, 0], y=lambda x, t: t * 0.02 * x[:, 1])],
+        steps=pd.Steps(steps), history={"end": pd.Mean(pd.displacement, "x", pd.region.Slab("x", low=5.0))},
+        results=lambda h: {"end": h["end"][-1]}, **given,
+    )  # fmt: skip
+    return pd.run(case, folder, parameters={"dx": dx, "steps": steps, "name": "bar"})
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    place = tmp_path_factory.mktemp("two")
+    return bar(place / "coarse"), bar(place / "fine", dx=0.25, steps=4)
+
+
+def test_runs_stand_beside_each_other(two):
+    coarse, fine = two
+    both = pd.compare([coarse, str(fine.folder)])
+    table = both.table
+    # What both have in common tells nothing.
+    assert list(table) == ["run", "dx", "steps", "end", "seconds", "MiB", "status"]
+    assert table["run"] == ["coarse", "fine"] and table["dx"] == [0.5, 0.25] and table["steps"] == [2, 4]
+    assert table["end"] == [coarse["end"], fine["end"]] and table["status"] == ["converged"] * 2
+    assert all(seconds > 0.0 for seconds in table["seconds"])
+    first, second, third = str(both).splitlines()
+    assert first.split() == list(table) and second.split()[:3] == ["coarse", "0.5", "2"] and "fine" in third
+    assert both._repr_html_().count("<tr>") == 3
+    if importlib.util.find_spec("pandas"):
+        frame = both.frame()
+        assert frame.loc["fine", "end"] == fine["end"] and list(frame.index) == ["coarse", "fine"]
+    figure = both.figure()
+    assert [axis.get_ylabel() for axis in figure.axes] == ["end"] and len(figure.axes[0].lines) == 2
+    assert np.array_equal(figure.axes[0].lines[1].get_ydata(), fine.history["end"])
+
+
+def test_fields_of_runs_are_compared_at_the_same_points_and_step_times(two):
+    both = pd.compare({"a": two[0], "b": two[1]})
+    # A linear field is met exactly whatever the spacing.
+    found = both.difference("displacement")
+    assert list(found) == ["b"] and found["b"].shape == (72, 3) and np.allclose(found["b"], 0.0, atol=1e-12)
+    assert np.allclose(both.difference("displacement", t=0.5)["b"], 0.0, atol=1e-12)
+    line = pd.line((-1.0, 1.5), (5.0, 1.5), 7)
+    found = both.difference("displacement", points=line)["b"]
+    assert np.isnan(found[0]).all() and np.allclose(found[1:], 0.0, atol=1e-12)
+    with pytest.raises(pd.CaseError, match=r"a has no fields at step time 0\.25; it has some at 0, 0\.5, 1"):
+        both.difference("displacement", t=0.25)
+    with pytest.raises(pd.CaseError, match="no field 'nothing'"):
+        both.difference("nothing")
+
+
+def test_what_cannot_be_compared_is_refused(two, tmp_path):
+    with pytest.raises(pd.CaseError, match="two runs or more, not 1"):
+        pd.compare([two[0]])
+    with pytest.raises(pd.CaseError, match="put them into a list"):
+        pd.compare(two[0])
+    with pytest.raises(pd.CaseError, match="given twice"):
+        pd.compare([two[0], two[0].folder])
+    with pytest.raises(pd.CaseError, match=r"holds no summary\.json"):
+        pd.compare([two[0], tmp_path])
+    one, other = (bar(tmp_path / unit, units=pd.Units(unit, "N")) for unit in ("mm", "m"))
+    with pytest.raises(pd.CaseError, match="mm is in mm and N, m in m and N"):
+        pd.compare([one, other])
+    pd.compare([one, two[0]])
+    short = bar(tmp_path / "short", steps=2)
+    short.fields  # noqa: B018
+    (short.folder / "fields" / "step_00002.h5").unlink()
+    with pytest.raises(pd.CaseError):
+        pd.compare([short, two[1]]).difference("displacement")
+
+
+def test_lines_and_grids_are_points(two):
+    points = pd.grid((0.5, 0.5), (5.5, 2.5), (11, 5))
+    u = two[1].sample(points).reshape(11, 5, 3)
+    assert np.allclose(u[:, :, 0], 0.1 * np.linspace(0.5, 5.5, 11)[:, None], atol=1e-12)
+    assert np.allclose(u[:, :, 1], 0.02 * np.linspace(0.5, 2.5, 5), atol=1e-12)
+    u = two[0].sample(pd.line((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), 5))
+    assert np.allclose(u[:, 0], 0.1 * np.arange(1.0, 6.0), atol=1e-12)
+    assert pd.line((0.0,), (1.0,), 3).shape == (3, 1) and pd.grid([0.0], [1.0], [4]).shape == (4, 1)
+    for wrong in (((0.0, 0.0), (1.0,), 3), ((0.0,), (np.nan,), 3), ((0.0,), (1.0,), 1), ((0.0,), (1.0,), 2.5)):
+        with pytest.raises(pd.CaseError, match="A line"):
+            pd.line(*wrong)
+    for wrong in (((0.0, 0.0), (1.0, 1.0), 3), ((0.0,), (1.0,), [0]), ((0.0,), (1.0,), [2.5])):
+        with pytest.raises(pd.CaseError, match="A grid"):
+            pd.grid(*wrong)
+
+
+def test_all_steps_come_as_an_xarray_data_set(two):
+    if importlib.util.find_spec("xarray") is None:
+        with pytest.raises(pd.CaseError, match="pip install xarray"):
+            two[0].to_xarray()
+        pytest.skip("xarray is not installed")
+    data = two[1].to_xarray()
+    assert data["displacement"].dims == ("step", "particle", "component") and data.sizes["step"] == 5
+    assert data["stress"].dims == ("step", "particle", "component", "along") and "stress_xx" not in data
+    assert list(data["t"].values) == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert np.array_equal(data["X"], two[1].x)
+    sigma = data["stress"].sel(step=3, component="x", along="y")
+    assert np.array_equal(sigma, two[1].field("stress", 3)[:, 0, 1])
+
+
+def test_a_notebook_shows_a_table_and_a_picture(two, tmp_path):
+    shown = two[0]._repr_html_()
+    assert "converged" in shown and f"{two[0]['end']:.8g}" in shown and "data:image/png;base64," in shown
+    # Also without fields, and where a later run has taken the folder.
+    bare = bar(tmp_path / "bare", fields=[])
+    assert "<img" not in bare._repr_html_() and "converged" in bare._repr_html_()
+    first = bar(tmp_path / "taken", picture=pd.Picture(pd.displacement, "x"))
+    assert "<img" in first._repr_html_()
+    bar(tmp_path / "taken", steps=1, picture=pd.Picture(pd.displacement, "x"))
+    assert "<img" not in first._repr_html_()

@@ -153,7 +153,8 @@ def test_fields_are_what_xdmf_says(tmp_path):
     with h5py.File(tmp_path / "fields.h5") as file:
         for grid in grids:
             names = [attribute.get("Name") for attribute in grid.findall("Attribute")]
-            assert names == ["volume", "displacement", "stress"]
+            entries = [f"stress_{entry}" for entry in ("xx", "xy", "yx", "yy", "zz")]
+            assert names == ["volume", "displacement", "stress", *entries, "von_mises"]
             for item in grid.iter("DataItem"):
                 name, path = item.text.split(":")
                 assert name.startswith("fields/")

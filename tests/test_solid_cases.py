@@ -12,7 +12,9 @@ from scipy.optimize import brentq
 import pdpetsc as pd
 from tests.commands import ROOT, results
 
-NECKING, COOK, CYLINDER = (f"runs/solids/{name}.py" for name in ("necking", "cook_plastic", "cylinder_expansion"))
+NECKING, COOK, CYLINDER, NOTCHED = (
+    f"runs/solids/{name}.py" for name in ("necking", "cook_plastic", "cylinder_expansion", "notched_plate")
+)
 
 
 def module_of(path):
@@ -89,3 +91,40 @@ def test_the_bar_necks_at_the_force_of_finite_elements(tmp_path):
     assert abs(found["elongation_at_peak_error"]) < 0.05
     # The neck is as wide as a horizon allows, and less deep than that of elements.
     assert 0.0 < found["neck_radius_error"] < 0.1
+
+
+def test_a_notched_plate_in_plane_stress_pulls_as_finite_elements_do(tmp_path):
+    """Elements half as large change the force by 0.7 %."""
+    stored = json.loads((ROOT / "runs/solids/notched_plate_elements.json").read_text())
+    assert abs(stored["change_from_twice_the_mesh_size"]) < 0.01
+    assert np.all(np.diff(stored["force"]) > 0.0)
+    found = results(NOTCHED, "n=10", output=tmp_path)["results"]
+    assert 0.0 < found["force_error"] < 0.025
+
+
+@pytest.mark.long
+def test_a_notched_plate_converges_to_finite_elements(tmp_path):
+    coarse, fine = (results(NOTCHED, f"n={n}", output=tmp_path / str(n))["results"] for n in (10, 20))
+    assert 0.0 < fine["force_error"] < min(0.01, 0.6 * coarse["force_error"])
+    assert 0.0 < fine["half_error"] < min(0.015, 0.6 * coarse["half_error"])
+
+
+def test_both_codes_have_the_same_law_in_plane_stress(rng):
+    """That of the finite elements and ours, each with its own search for the stretch across the plane."""
+    module_of(NOTCHED)  # makes its folder importable
+    import elements
+
+    law = pd.J2(E=206.9, nu=0.29, plane="stress", yield_stress=0.45, hardening=2.0)
+    other = elements.PlaneStress(206.9, 0.29, lambda alpha: (0.45 + 2.0 * alpha, np.full_like(alpha, 2.0)), 20)
+    loops, constants, history = law.history_kernels(2), law.constants(2), law.history_at(2, np.zeros((20, 2)))
+    F, every = np.tile(np.eye(2), (20, 1, 1)), np.arange(20)
+    for _ in range(2):
+        F = F + 0.02 * rng.standard_normal(F.shape)
+        P, whole = np.empty_like(F), np.tile(np.eye(3), (20, 1, 1))
+        loops.stress(F, every, constants, history, P)
+        whole[:, :2, :2] = F
+        assert np.abs(other.respond(whole)[0][:, :2, :2] - P).max() < 1e-7 * np.abs(P).max()
+        loops.commit(F, every, constants, history)
+        other.keep(whole)
+        assert other.alpha == pytest.approx(law.plastic_strain(history), abs=1e-9)
+    assert other.alpha.min() > 0.0

@@ -119,6 +119,7 @@ def test_compare_on_two_ranks_and_with_petsc_options(tmp_path):
     assert '"ranks": 2' in next(tmp_path.glob("*/summary.json")).read_text()
 
 
+@pytest.mark.long
 def test_compare_keeps_what_failed_and_says_so(tmp_path):
     finished = tool("compare", CLAMPED, "ny=3", "steps=1,2", "-snes_max_it", "1", "-o", tmp_path)
     assert finished.returncode == 1
@@ -157,6 +158,7 @@ def case(n=4, end="right"):
 """
 
 
+@pytest.mark.long
 def test_compare_judges_a_run_by_its_exit_status_and_its_own_summary(tmp_path):
     case, folder = tmp_path / "case.py", tmp_path / "out"
     case.write_text(CRASHING)

@@ -332,6 +332,7 @@ for name, case in cases.items():
 """
 
 
+@pytest.mark.long
 def test_any_number_of_ranks_gives_the_same(tmp_path):
     """Cells, pieces and nodes that ranks share are the same as on one."""
     script = tmp_path / "ranks.py"

@@ -12,6 +12,7 @@ import inspect
 import io
 import os
 import re
+import shlex
 import signal
 import sys
 import traceback
@@ -34,6 +35,8 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   --restart FILE  go on from a checkpoint, or from the one in a folder
   --restart-anyway  go on from it also where material, loads or cracks of the case have changed
   --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
+  --check         compare the results with what the case expects; exit status 1 where one is off
+  --report        write report.html at the end: what was asked, what came out, convergence, timing, pictures
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
@@ -42,8 +45,10 @@ Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 python -m pdpetsc new FILE.py                    writes a commented case to begin with
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
 python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
+python -m pdpetsc report DIR                     writes report.html of a run, one page with all of it
 python -m pdpetsc study CASE.py NAME=A,B ...     the same, some side by side, with orders of convergence
 python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history is that of a measured curve
+python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
 python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
 
 # How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
@@ -61,6 +66,8 @@ class Arguments:
     output: Path | None = None
     restart: Path | None = None
     restart_anyway: bool = False
+    check: bool = False
+    report: bool = False
     solver: str | None = None
     quiet: bool = False
     version: bool = False
@@ -91,13 +98,14 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version", "--restart-anyway"):
+        elif word in ("--quiet", "--version", "--restart-anyway", "--check", "--report"):
             setattr(found, word[2:].replace("-", "_"), True)
         elif word in ("-h", "--help"):
             found.help = True
         elif word.startswith("--"):
             raise CaseError(
-                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --quiet, --version, -h."
+                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --check, --report, "
+                f"--quiet, --version, -h."
             )
         elif _OPTION.match(word):
             found.petsc.append(word)
@@ -320,15 +328,45 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
-    run(
-        case,
-        output,
-        restart=arguments.restart,
-        parameters=parameters,
-        restart_anyway=arguments.restart_anyway,
-        report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
-    )
+    try:
+        run(
+            case,
+            output,
+            restart=arguments.restart,
+            parameters=parameters,
+            restart_anyway=arguments.restart_anyway,
+            report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
+            check=arguments.check,
+            asked=_asked(arguments.path, argv),
+        )
+    except CaseError:  # nothing was run: what the folder holds is of another run
+        raise
+    except BaseException:  # what a run that failed has left is worth a page too
+        _report_on(output, arguments.report and is_root(comm))
+        raise
+    _report_on(output, arguments.report and is_root(comm))
     return 0
+
+
+def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
+    """Return what the summary keeps of the command: its words and the text of the case file."""
+    text = ""
+    with contextlib.suppress(OSError):
+        text = path.read_text(errors="replace")
+    return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
+
+
+def _report_on(folder: Path, asked: bool) -> None:
+    """Write the report of a run that has ended, if asked; whatever fails here, results and exit status stand."""
+    if not asked:
+        return
+    from pdpetsc.output.report import write_report
+
+    try:
+        print(f"report in {write_report(folder)}", flush=True)
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            print(f"pdpetsc: The report could not be written: {described(error)}", file=sys.stderr, flush=True)
 
 
 def _described(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> str:
@@ -355,6 +393,35 @@ def _new(argv: list[str]) -> int:
     return 0
 
 
+def _import(argv: list[str]) -> int:
+    from pdpetsc.command_line import import_deck
+
+    words, options = list(argv), dict[str, Any](ignore=[])
+    if "-h" in words or "--help" in words or not words:
+        print(import_deck.USAGE)
+        return 0 if words else 2
+    while words:
+        word = words.pop(0)
+        if word in ("-o", "--ignore"):
+            if not words:
+                raise CaseError(f"{word} needs a {'path' if word == '-o' else 'name'} after it.")
+            value = words.pop(0)
+            if word == "--ignore":
+                options["ignore"].append(value)
+            else:
+                options["output"] = Path(value)
+        elif word in ("--static", "--overwrite"):
+            options[word[2:]] = True
+        elif word.startswith("-") or "deck" in options:
+            raise CaseError(f"import does not know {word!r}; python -m pdpetsc import -h shows the usage.")
+        else:
+            options["deck"] = Path(word)
+    if "deck" not in options:
+        raise CaseError("No deck is given; python -m pdpetsc import -h shows the usage.")
+    print(import_deck.described(*import_deck.import_deck(**options)))
+    return 0
+
+
 def _doctor(argv: list[str]) -> int:
     from pdpetsc.command_line import doctor
 
@@ -375,16 +442,35 @@ def _doctor(argv: list[str]) -> int:
 def _plot(argv: list[str]) -> int:
     from pdpetsc.command_line import plot
 
-    arguments = split(argv)
+    animate = "--animate" in argv
+    arguments = split([word for word in argv if word != "--animate"])
     if arguments.help or not argv:
         print(plot.USAGE)
         return 0 if argv else 2
     if arguments.path is None:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
-    if arguments.petsc or arguments.output or arguments.restart or arguments.solver:
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
-    for path in plot.plot(arguments.path, arguments.parameters):
+    for path in plot.plot(arguments.path, arguments.parameters, animate):
         print(path)
+    return 0
+
+
+def _report(argv: list[str]) -> int:
+    usage = "usage: python -m pdpetsc report DIR [field=NAME] [component=xx] [scale=1]"
+    arguments = split(argv)
+    if arguments.help or not argv:
+        print(f"{usage}\n\nWrites DIR/report.html: what was asked, what came out, convergence, timing, pictures.")
+        return 0 if argv else 2
+    unknown = [name for name in arguments.parameters if name not in ("field", "component", "scale")]
+    others = arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check
+    if arguments.path is None or unknown or others:
+        raise CaseError(f"report takes a folder, field, component and scale; {usage}.")
+    from pdpetsc.output.report import write_report
+
+    given = arguments.parameters
+    scale = _convert("scale", given.get("scale", "1"), 1.0)
+    print(write_report(arguments.path, given.get("field"), given.get("component", ""), scale))
     return 0
 
 
@@ -411,7 +497,8 @@ def _fit(argv: list[str]) -> int:
 
 # What the command line does besides running a case, by its first word.
 COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
-    "plot": _plot, "compare": _compare, "study": _study, "fit": _fit, "new": _new, "doctor": _doctor,
+    "plot": _plot, "report": _report, "compare": _compare, "study": _study, "fit": _fit, "new": _new,
+    "import": _import, "doctor": _doctor,
 }  # fmt: skip
 
 

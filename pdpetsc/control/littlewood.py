@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -29,6 +30,14 @@ class Littlewood(ZeroEnergyControl):
     ----------
     C : float
         Strength [-], not negative.
+    micromodulus : {"family", "ball"}
+        Where the micromodulus is from. ``"family"`` is that above. ``"ball"`` is the hourglass coefficient of Peridigm,
+        ``T_h = C (18 kappa / pi horizon^4) (n . z) n / |xi|``: of a whole ball, without influence, in 3D only.
+
+    Raises
+    ------
+    CaseError
+        C is negative or not finite, or the micromodulus neither of them; when built, a ball in 1D or 2D.
 
     References
     ----------
@@ -38,13 +47,16 @@ class Littlewood(ZeroEnergyControl):
     --------
     >>> import pdpetsc as pd
     >>> pd.Littlewood(C=0.05)
-    Littlewood(C=0.05)
+    Littlewood(C=0.05, micromodulus='family')
     """
 
     C: float = 0.1
+    micromodulus: Literal["family", "ball"] = "family"
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.micromodulus not in ("family", "ball"):
+            raise CaseError(f'Littlewood takes micromodulus="family" or "ball", not {self.micromodulus!r}.')
         if not (math.isfinite(self.C) and self.C >= 0.0):
             raise CaseError(f"Littlewood's penalty needs C >= 0, not {self.C}.")
 
@@ -54,7 +66,13 @@ class Littlewood(ZeroEnergyControl):
         xi = families.bonds(cloud.x)
         length = np.linalg.norm(xi, axis=1)
         n = xi / length[:, None]
-        centres, volume = families.centres, omega * cloud.volume[families.neighbours]
-        c = 2.0 * cloud.dim**2 * stiffness.kappa / np.bincount(centres, volume * length, minlength=cloud.n_owned)
+        centres, volume = families.centres, cloud.volume[families.neighbours]
+        if self.micromodulus == "ball":
+            if cloud.dim != 3:
+                raise CaseError('Littlewood(micromodulus="ball") is for bodies in 3D; take "family" elsewhere.')
+            c = 18.0 * stiffness.kappa / (math.pi * cloud.reach[: cloud.n_owned] ** 4)
+        else:
+            volume = omega * volume
+            c = 2.0 * cloud.dim**2 * stiffness.kappa / np.bincount(centres, volume * length, minlength=cloud.n_owned)
         s = self.C * c[centres] * volume * cloud.volume[centres] / length
         return Directed(cloud, families, s[:, None, None] * n[:, :, None] * n[:, None, :], g)

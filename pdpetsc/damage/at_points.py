@@ -31,6 +31,15 @@ class Measure(ABC):
     def by(self, solid: Solid, F: Float) -> Float:
         """Return its derivative by F (n_points, dim, dim) [-]."""
 
+    def at_moment(self, solid: Solid, state: Displaced, since: Float) -> None:  # noqa: B027
+        """Take what else it reads of a state, before it is evaluated there (collective).
+
+        Parameters
+        ----------
+        since : (n_owned,) float64
+            Step time of the last converged state, the same for all.
+        """
+
 
 class PointDrive(Drive):
     """``x_ij = (x_i + x_j) / 2`` with the mean ``x_i`` of a measure over the gradient points of a particle.
@@ -45,12 +54,18 @@ class PointDrive(Drive):
         Whether it takes materials that flow.
     adds_up : bool
         Whether what the measure gives is the growth since the last converged state, which is kept.
+    timed : bool
+        Whether the measure reads how long ago that state was, whose step time is kept too.
     """
 
-    def __init__(self, bonds: DrivenBonds, measure: Measure, reads_flow: bool = False, adds_up: bool = False) -> None:
+    def __init__(
+        self, bonds: DrivenBonds, measure: Measure, reads_flow: bool = False, adds_up: bool = False, timed: bool = False
+    ) -> None:
         self._bonds, self._measure, self._reads_flow, self._adds_up = bonds, measure, reads_flow, adds_up
+        self._timed = timed
         self._solid: Solid | None = None
         self._grown = np.zeros(bonds.cloud.n_owned)
+        self._since = np.zeros(bonds.cloud.n_owned)
 
     @property
     def reaches(self) -> bool:
@@ -66,6 +81,11 @@ class PointDrive(Drive):
     def reads_flow(self) -> bool:
         """Return whether it takes materials that flow."""
         return self._reads_flow
+
+    @property
+    def timed(self) -> bool:
+        """Return whether it depends on time."""
+        return self._timed
 
     def take(self, solid: Solid) -> None:
         """Read these gradient points."""
@@ -89,6 +109,7 @@ class PointDrive(Drive):
         """Return the derivative over the families of the ends (collective)."""
         solid, families, n = self.solid, self._bonds.families, self._bonds.cloud.n_owned
         operator, F = solid.gradients, solid.deformation(state)
+        self._measure.at_moment(solid, state, self._since)
         # Points of particles whose bonds do not change need no derivative.
         D = np.where(solid.lost[:, None, None], 0.0, self._measure.by(solid, F))
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
@@ -101,14 +122,17 @@ class PointDrive(Drive):
         """Remember how far the measure has grown (collective)."""
         if self._adds_up:
             self._grown[:] = self._of_particles(state)
+        self._since[:] = state.t
 
     def arrays(self) -> Mapping[str, Float]:
-        """Return how far the measure has grown, where it adds up."""
-        return {"grown": self._grown} if self._adds_up else {}
+        """Return how far the measure has grown, where it adds up, and when that was, where it counts."""
+        return ({"grown": self._grown} if self._adds_up else {}) | ({"since": self._since} if self._timed else {})
 
     def _of_particles(self, state: Displaced) -> Float:
         solid, n = self.solid, self._bonds.cloud.n_owned
-        x = np.where(solid.lost, 0.0, self._measure.at(solid, solid.deformation(state)))
+        F = solid.deformation(state)
+        self._measure.at_moment(solid, state, self._since)
+        x = np.where(solid.lost, 0.0, self._measure.at(solid, F))
         return self._grown + solid.gradients.mean_over_points(x, n)
 
 
@@ -431,17 +455,33 @@ class PlasticStrain(Criterion):
 
 
 class _JohnsonCook(Measure):
-    """The growth of the plastic strain since the last converged step over the failure strain at the present stress."""
+    """The growth of the plastic strain since the last converged step over the present failure strain."""
 
     def __init__(self, declared: JohnsonCookFailure) -> None:
         self._declared = declared
+        self._factor = np.ones(0)
+        self._time = np.zeros(0)
+
+    def at_moment(self, solid: Solid, state: Displaced, since: Float) -> None:
+        """Take the time since the last converged state, and the temperature."""
+        declared, owner = self._declared, solid.gradients.owner
+        self._time = declared.time * (state.t - since)[owner]
+        self._factor = np.ones(len(owner))
+        if declared.D5:
+            temperature = solid.temperature(state)
+            if temperature is None:
+                raise CaseError(NO_TEMPERATURE)
+            self._factor = declared.of_temperature(temperature)
 
     def at(self, solid: Solid, F: Float) -> Float:
         x, sigma = np.zeros(len(F)), solid.cauchy(F)
         for one in solid.materials:
             if one.has_history and len(one.points):
                 grown = _flow(one, F) - one.plastic_strain()
-                x[one.points] = grown / self._declared.failure_strain(_triaxiality(one, F, sigma))
+                failure = self._declared.failure_strain(_triaxiality(one, F, sigma)) * self._factor[one.points]
+                time = self._time[one.points]
+                rate = np.divide(grown, time, out=np.zeros_like(grown), where=time > 0.0)
+                x[one.points] = grown / (failure * self._declared.of_rate(rate))
         return x
 
     def by(self, solid: Solid, F: Float) -> Float:
@@ -462,17 +502,42 @@ def _triaxiality(one: MaterialAtPoints, F: Float, sigma: Float) -> Float:
     return np.asarray(np.divide(mean, q, out=np.zeros_like(q), where=q > 0.0))
 
 
+NO_TEMPERATURE = (
+    "JohnsonCookFailure with D5 reads the temperature, and the body has none; wrap its materials in Thermal and give a "
+    "Temperature or HeatConduction, or leave D5 out."
+)
+
+
 @dataclass(frozen=True)
 class JohnsonCookFailure(Criterion):
     """Bonds fail as plastic strain uses up the failure strain of Johnson and Cook, ``D = sum d_alpha / e_f``.
 
-    ``e_f = D1 + D2 exp(D3 s)`` with the triaxiality ``s``, mean stress over von Mises stress; the drive of a bond is
-    the mean of D at both ends. What converged steps have used up is kept. Rate and temperature have no part in it.
+    ``e_f = (D1 + D2 exp(D3 s)) (1 + D4 ln(r / rate_0)) (1 + D5 T*)`` with the triaxiality ``s``, mean stress over von
+    Mises stress, the rate ``r`` of the plastic strain in the step, counted from ``rate_0`` on, and ``T* = (T - room) /
+    (melting - room)`` between 0 and 1 at the temperature of the body. The drive of a bond is the mean of D at both
+    ends. What converged steps have used up is kept.
 
     Parameters
     ----------
     D1, D2, D3 : float
         [-]; failure strains must be positive.
+    D4 : float
+        Logarithmic sensitivity to the rate [-], not negative; it needs ``duration``.
+    D5 : float
+        Sensitivity to the temperature [-], above -1; it needs ``melting`` and a body with a temperature.
+    rate_0 : float
+        Rate of the tests that D1 to D3 are from [1 / time].
+    duration : float, optional
+        Time from step time 0 to 1 [time], that of all laws of the case; with it step times are times, and a solver that
+        looks for the load is refused.
+    room, melting : float
+        Temperature of these tests, and of melting [temperature].
+
+    Raises
+    ------
+    CaseError
+        A constant is out of range or missing; of a case, its laws have another duration, or not all of its materials
+        have a temperature.
 
     References
     ----------
@@ -482,11 +547,20 @@ class JohnsonCookFailure(Criterion):
     --------
     >>> import pdpetsc as pd
     >>> steel_4340 = pd.Brittle(pd.JohnsonCookFailure(D1=0.05, D2=3.44, D3=-2.12))
+    >>> fast_and_hot = pd.JohnsonCookFailure(
+    ...     D1=0.05, D2=3.44, D3=-2.12, D4=0.002, D5=0.61, rate_0=1.0, duration=1e-3, room=293.0, melting=1793.0
+    ... )
     """
 
     D1: float
     D2: float
     D3: float
+    D4: float = 0.0
+    D5: float = 0.0
+    rate_0: float = 1.0
+    duration: float | None = None
+    room: float = 293.0
+    melting: float | None = None
 
     reads_stiffness: ClassVar[bool] = False
 
@@ -498,11 +572,48 @@ class JohnsonCookFailure(Criterion):
                 f"JohnsonCookFailure needs D1 >= 0 and D2 >= 0, not both 0, and a number D3, not {self.D1}, {self.D2} "
                 f"and {self.D3}."
             )
+        if not (math.isfinite(self.D4 + self.D5) and self.D4 >= 0.0 and self.D5 > -1.0):
+            raise CaseError(f"JohnsonCookFailure needs D4 >= 0 and D5 > -1, not {self.D4} and {self.D5}.")
+        if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
+            raise CaseError(f"JohnsonCookFailure takes a positive duration, not {self.duration}.")
+        if not (math.isfinite(self.rate_0) and self.rate_0 > 0.0):
+            raise CaseError(f"JohnsonCookFailure takes a positive rate_0, not {self.rate_0}.")
+        if self.D4 and self.duration is None:
+            raise CaseError(
+                "JohnsonCookFailure with D4 reads the rate of flow, and step times are no times; give the duration of "
+                "the load from step time 0 to 1."
+            )
+        if self.D5 and self.melting is None:
+            raise CaseError("JohnsonCookFailure with D5 needs the temperature of melting; give melting.")
+        if self.melting is not None and not (math.isfinite(self.melting - self.room) and self.room < self.melting):
+            raise CaseError(
+                f"JohnsonCookFailure takes a room temperature below that of melting, not {self.room} and "
+                f"{self.melting}."
+            )
+
+    @property
+    def reads_temperature(self) -> bool:
+        """Return whether it has a D5."""
+        return self.D5 != 0.0
+
+    @property
+    def time(self) -> float:
+        """Return the time from step time 0 to 1, 0 where it does not count."""
+        return 0.0 if self.duration is None else self.duration
 
     def failure_strain(self, triaxiality: Float) -> Float:
         """Return ``D1 + D2 exp(D3 s)`` (n,) [-], with an exponent between -50 and 50."""
         return np.asarray(self.D1 + self.D2 * np.exp(np.clip(self.D3 * triaxiality, -50.0, 50.0)))
 
+    def of_rate(self, rate: Float) -> Float:
+        """Return ``1 + D4 ln(r / rate_0)`` (n,) [-], 1 up to ``rate_0``."""
+        return np.asarray(1.0 + self.D4 * np.log(np.maximum(rate / self.rate_0, 1.0)))
+
+    def of_temperature(self, temperature: Float) -> Float:
+        """Return ``1 + D5 T*`` (n,) [-]."""
+        assert self.melting is not None
+        return np.asarray(1.0 + self.D5 * np.clip((temperature - self.room) / (self.melting - self.room), 0.0, 1.0))
+
     def build(self, bonds: DrivenBonds) -> Drive:
         """Return the mean of both ends."""
-        return PointDrive(bonds, _JohnsonCook(self), reads_flow=True, adds_up=True)
+        return PointDrive(bonds, _JohnsonCook(self), reads_flow=True, adds_up=True, timed=self.D4 != 0.0)

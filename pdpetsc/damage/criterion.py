@@ -7,7 +7,7 @@ drive and do not know what it is made of.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -99,7 +99,15 @@ class DrivenBonds:
 
 
 class Displaced(Protocol):
-    """A displaced body as a drive reads it; a ``State`` is one."""
+    """A displaced body as a drive reads it; a ``State`` is one.
+
+    Attributes
+    ----------
+    t : float
+        Step time [-].
+    """
+
+    t: float
 
     @property
     def u_local(self) -> Float:
@@ -196,6 +204,9 @@ class Solid(Protocol):
     def moduli(self, F: Float) -> Float:
         """Return ``dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
 
+    def temperature(self, state: Any) -> Float | None:
+        """Return the temperature of the points (n_points,), None where the body has none (collective)."""
+
 
 class Drive(ABC):
     """What drives the damage of the bonds of one rank: a number for each bond, 1 where it fails.
@@ -224,6 +235,11 @@ class Drive(ABC):
     @property
     def reads_flow(self) -> bool:
         """Return whether it reads how materials flow, which needs deformation gradients and a material with history."""
+        return False
+
+    @property
+    def timed(self) -> bool:
+        """Return whether it depends on time, for which step times must stand."""
         return False
 
     def take(self, solid: Solid) -> None:  # noqa: B027
@@ -371,6 +387,22 @@ class Criterion(Declared, ABC):
     of_one_material: ClassVar[bool] = False
     reads_stiffness: ClassVar[bool] = True
     reads_strain: ClassVar[bool] = False
+
+    @property
+    def assumes_share(self) -> bool:
+        """Return whether it follows from a fracture energy of which a crack is taken to take all."""
+        return False
+
+    @property
+    def reads_temperature(self) -> bool:
+        """Return whether it reads the temperature of the body."""
+        return False
+
+    @property
+    def times(self) -> Sequence[float]:
+        """Return the time that it takes the load to last from step time 0 to 1, if it counts [time]."""
+        duration = getattr(self, "duration", None)
+        return () if duration is None else (float(duration),)
 
     @abstractmethod
     def build(self, bonds: DrivenBonds) -> Drive:

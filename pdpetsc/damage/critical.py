@@ -12,7 +12,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive
-from pdpetsc.damage.energy import plane_energies
+from pdpetsc.damage.energy import plane_energies, refuse_share
 from pdpetsc.declared import numbers_from
 from pdpetsc.discrete.communicator import largest, smallest
 from pdpetsc.errors import CaseError
@@ -175,6 +175,10 @@ class FractureEnergy(CriticalStretch):
     ----------
     Gc : float
         Fracture energy [energy / area], positive.
+    share : float, optional
+        What a crack takes of that energy with the forces of the case [-], so that bonds are given ``Gc / share``: 1 for
+        bond-based materials. It has to be measured for others; where it is not given a run with deformation gradients
+        warns that its cracks take another energy.
 
     Examples
     --------
@@ -183,11 +187,18 @@ class FractureEnergy(CriticalStretch):
     """
 
     Gc: float
+    share: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (math.isfinite(self.Gc) and self.Gc > 0.0):
             raise CaseError(f"A fracture energy must be positive, not {self.Gc}.")
+        refuse_share(self.share)
+
+    @property
+    def assumes_share(self) -> bool:
+        """Return whether no share was given."""
+        return self.share is None
 
     def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> CriticalStretch:
         """Return the critical stretch for the bonds of the body (collective).
@@ -195,7 +206,7 @@ class FractureEnergy(CriticalStretch):
         Breaking all bonds across a unit area takes ``plane_energies`` at a stretch of 1.
         """
         G = plane_energies(bonds, 0.5 * toughness(2.0) * bonds.k * bonds.length**2, 1.0)
-        stretch = np.sqrt(self.Gc / G)
+        stretch = np.sqrt(self.Gc / (self.share or 1.0) / G)
         comm = bonds.cloud.comm
         least, most = (
             smallest(comm, float(stretch.min(initial=np.inf))), largest(comm, float(stretch.max(initial=0.0)))

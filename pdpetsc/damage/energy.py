@@ -18,6 +18,12 @@ from pdpetsc.errors import CaseError
 WHOLE = 0.05
 
 
+def refuse_share(share: float | None) -> None:
+    """Raise CaseError where the share that a crack takes of a fracture energy is not positive."""
+    if share is not None and not (math.isfinite(share) and share > 0.0):
+        raise CaseError(f"The share of a fracture energy that a crack takes must be positive, not {share}.")
+
+
 def plane_energies(bonds: DrivenBonds, energy: Float, power: float, by_material: bool = True) -> Float:
     """Return what breaking all bonds across a unit area takes, between materials of both ends of every bond (n_bonds,).
 
@@ -97,6 +103,8 @@ class BondEnergy(Criterion):
         Fracture energy [energy / area], positive; one of the two.
     compression : bool
         Whether bonds that shorten fail as well.
+    share : float, optional
+        What a crack takes of Gc with the forces of the case [-], as in ``FractureEnergy``.
 
     References
     ----------
@@ -111,12 +119,21 @@ class BondEnergy(Criterion):
     w: float | None = None
     Gc: float | None = None
     compression: bool = False
+    share: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         given = [value for value in (self.w, self.Gc) if value is not None]
         if len(given) != 1 or not (math.isfinite(given[0]) and given[0] > 0.0):
             raise CaseError(f"BondEnergy takes a positive w or a positive Gc, not w={self.w} and Gc={self.Gc}.")
+        refuse_share(self.share)
+        if self.w is not None and self.share is not None:
+            raise CaseError("BondEnergy takes a share of Gc; leave it out beside w.")
+
+    @property
+    def assumes_share(self) -> bool:
+        """Return whether Gc was given, and no share of it."""
+        return self.Gc is not None and self.share is None
 
     def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> Criterion:
         """Return the criterion with the elongations of failure of the bonds (collective)."""
@@ -128,7 +145,11 @@ class BondEnergy(Criterion):
         else:
             assert self.Gc is not None
             # Either end has half of what breaking a bond takes, whatever its stiffness.
-            w = self.Gc / plane_energies(bonds, 0.5 * toughness(2.0) * pair, bonds.cloud.dim + 1.0, by_material=False)
+            w = (
+                self.Gc
+                / (self.share or 1.0)
+                / plane_energies(bonds, 0.5 * toughness(2.0) * pair, bonds.cloud.dim + 1.0, by_material=False)
+            )
         # A bond without stiffness stores nothing and does not fail.
         square = np.divide(2.0 * w * pair, both, out=np.full(len(both), np.inf), where=both > 0.0)
         return _Limited(np.sqrt(square), self.compression)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -121,9 +122,24 @@ class BondDamage(Declared, ABC):
         return self.criterion.reads_stiffness
 
     @property
+    def assumes_share(self) -> bool:
+        """Return whether its criterion follows from a fracture energy of which a crack is taken to take all."""
+        return self.criterion.assumes_share
+
+    @property
     def reads_strain(self) -> bool:
         """Return whether the criterion reads the whole strain of the gradients."""
         return self.criterion.reads_strain
+
+    @property
+    def reads_temperature(self) -> bool:
+        """Return whether the criterion reads the temperature of the body."""
+        return self.criterion.reads_temperature
+
+    @property
+    def times(self) -> Sequence[float]:
+        """Return the time that the criterion takes the load to last, if it counts [time]."""
+        return self.criterion.times
 
     @property
     def places(self) -> list[tuple[str, Region]]:

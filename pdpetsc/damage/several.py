@@ -108,9 +108,24 @@ class DamageOf(Declared):
         return any(law.reads_stiffness for law in self._declared)
 
     @property
+    def assumes_share(self) -> bool:
+        """Return whether a criterion follows from a fracture energy of which a crack is taken to take all."""
+        return any(law.assumes_share for law in self._declared)
+
+    @property
     def reads_strain(self) -> bool:
         """Return whether a criterion reads the whole strain of the gradients."""
         return any(law.reads_strain for law in self._declared)
+
+    @property
+    def reads_temperature(self) -> bool:
+        """Return whether a criterion reads the temperature of the body."""
+        return any(law.reads_temperature for law in self._declared)
+
+    @property
+    def times(self) -> Sequence[float]:
+        """Return the times that criteria take the load to last [time]."""
+        return [time for law in self._declared for time in law.times]
 
     @property
     def places(self) -> list[tuple[str, Region]]:
@@ -278,6 +293,11 @@ class SeveralDrives(Drive):
     def reads_flow(self) -> bool:
         """Return whether any reads how materials flow."""
         return any(drive.reads_flow for drive in self._drives)
+
+    @property
+    def timed(self) -> bool:
+        """Return whether any depends on time."""
+        return any(drive.timed for drive in self._drives)
 
     def take(self, solid: Solid) -> None:
         """Let all read these gradient points."""

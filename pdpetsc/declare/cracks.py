@@ -19,6 +19,11 @@ TOUCHING = 1e-9
 class Crack(Declared, ABC):
     """A pre-crack: the bonds that cross it are left out from the start."""
 
+    @property
+    def line(self) -> Sequence[Sequence[float]]:
+        """Return the points that it runs through in a plane body, for pictures; none where it is no such line."""
+        return ()
+
     @abstractmethod
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return which of the bonds from ``a`` to ``b`` (n, dim) cross the crack (n,) bool.
@@ -45,6 +50,11 @@ class Segment(Crack):
 
     start: Sequence[float]
     end: Sequence[float]
+
+    @property
+    def line(self) -> Sequence[Sequence[float]]:
+        """Return both ends."""
+        return (self.start, self.end)
 
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return which bonds cross the segment."""
@@ -73,6 +83,11 @@ class Polyline(Crack):
     """
 
     points: Sequence[Sequence[float]]
+
+    @property
+    def line(self) -> Sequence[Sequence[float]]:
+        """Return its points."""
+        return self.points
 
     def cuts(self, a: Float, b: Float) -> Mask:
         """Return which bonds cross one of its segments."""

@@ -1,13 +1,12 @@
-"""Particles from files: text clouds and finite element meshes.
+"""Particles from finite element meshes.
 
 Every rank reads the whole file and keeps its own part of the particles.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -34,86 +33,11 @@ from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.formats import FORMATS, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
+from pdpetsc.declare.text_file import refuse_thickness, without_constant
 from pdpetsc.errors import CaseError
 
-# What the columns of a text cloud are called; PeriLab says block_id.
-_COLUMNS = {"x": "x", "y": "y", "z": "z", "block": "block", "block_id": "block", "volume": "volume"}
 # A cell whose volume is below this share of that of the box around it has none.
 NO_VOLUME = 1e-10
-
-
-@dataclass(frozen=True)
-class TextFile(Particles):
-    """Particles from a text file with lines ``x y z block volume``, as Peridigm and PeriLab use it.
-
-    Parameters
-    ----------
-    path : str or Path
-        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. A first line such
-        as ``header: x y block_id volume``, or a comment of these words, says what the columns are: they may then stand
-        in any order, and there may be others in a ``header:``, which are left out. A plane cloud may have three
-        coordinates, of which the last is constant. Block ``b`` becomes the set ``block_b``.
-    node_sets : mapping of str to str or Path
-        Files with particle numbers, counted from 1 in the order of the file; each becomes a set.
-    thickness : float
-        Out-of-plane thickness [length] already contained in the volumes.
-
-    Examples
-    --------
-    >>> import pdpetsc as pd
-    >>> cloud = pd.TextFile("cloud.txt", node_sets={"clamped": "clamped.txt"})
-    """
-
-    path: str | Path
-    node_sets: Mapping[str, str | Path] = field(default_factory=dict)
-    thickness: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_thickness("TextFile", self.thickness)
-
-    def chunk(self, part: int, parts: int) -> Chunk:
-        """Return part ``part`` of ``parts`` of the file."""
-        return self._arrays().chunk(part, parts)
-
-    @property
-    def irregular(self) -> bool:
-        """Return whether the particles do not fill the cells of a lattice."""
-        return self._arrays().irregular
-
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return what Arrays of the same particles return."""
-        return self._arrays().faces(part, parts, normal)
-
-    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
-        """Return what Arrays of the same particles return."""
-        return self._arrays().surface(part, parts, cracks)
-
-    def _arrays(self) -> Arrays:
-        path = Path(self.path)
-        lines = _lines(path)
-        names, start = _header(path, lines)
-        table = _table(path, lines[start:])
-        x, block, volume = _columns(path, names, table)
-        wrong = np.flatnonzero(~(np.isfinite(block) & (block == np.round(block))))
-        if len(wrong):
-            raise CaseError(
-                f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, and blocks are whole numbers; if the "
-                f"columns are not x y z block volume, name them in a first line 'header: x y z block_id volume'."
-            )
-        sets = {f"block_{int(b)}": block == b for b in np.unique(block)}
-        for name, file in self.node_sets.items():
-            rows = _lines(Path(file))
-            first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
-            members = np.ravel(_table(Path(file), rows[first:]))
-            if not (members == np.round(members)).all():
-                raise CaseError(f"{file} holds particle numbers that are not whole.")
-            if members.min() < 1 or members.max() > len(table):
-                raise CaseError(f"{file} names particles outside 1 to {len(table)}.")
-            flags = np.zeros(len(table), dtype=bool)
-            flags[members.astype(np.int64) - 1] = True
-            sets[name] = flags
-        return Arrays(_without_constant(x), volume, sets, self.thickness)
 
 
 @dataclass(frozen=True)
@@ -153,7 +77,7 @@ class Mesh(Particles):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _refuse_thickness("Mesh", self.thickness)
+        refuse_thickness("Mesh", self.thickness)
         if self.format is not None:
             choose("The format of a Mesh", self.format, FORMATS)
 
@@ -211,7 +135,7 @@ class Mesh(Particles):
         dim = max((block.dim for block in mesh.blocks if len(block.nodes)), default=0)
         if dim == 0:
             raise CaseError(f"{self.path} has no cells that particles can be made of.")
-        points = _without_constant(mesh.points, dim)
+        points = without_constant(mesh.points, dim)
         if points.shape[1] != dim:
             raise CaseError(f"{self.path} has cells of {dim} dimensions that do not lie along the coordinate axes.")
         return mesh, points, [block for block in mesh.blocks if block.dim == dim]
@@ -287,76 +211,6 @@ def _version(path: Path) -> tuple[int, int]:
     except OSError:
         return 0, 0
     return found.st_mtime_ns, found.st_size
-
-
-def _refuse_thickness(what: str, thickness: float) -> None:
-    if not (math.isfinite(thickness) and thickness > 0.0):
-        raise CaseError(f"A {what} needs a positive thickness, not {thickness}.")
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        return path.read_text().splitlines()
-    except OSError as error:
-        raise CaseError(f"Cannot read {path}: {error.strerror or 'file not found'}.") from None
-    except ValueError:
-        raise CaseError(f"{path} is not a table of numbers: it is not text.") from None
-
-
-def _header(path: Path, lines: list[str]) -> tuple[list[str] | None, int]:
-    """Return what the columns are called, None where nothing says so, and where the table starts."""
-    start = 0
-    while start < len(lines) and (not lines[start].strip() or lines[start].lstrip().startswith("#")):
-        words = lines[start].lstrip("# \t").lower().split()
-        if len(words) >= 3 and set(words) <= set(_COLUMNS):
-            return _known(path, words), start + 1
-        start += 1
-    if start < len(lines) and lines[start].lstrip().lower().startswith("header:"):
-        return _known(path, lines[start].split(":", 1)[1].lower().split()), start + 1
-    return None, start
-
-
-def _known(path: Path, words: list[str]) -> list[str]:
-    names = [_COLUMNS.get(word, word) for word in words]
-    dim = sum(axis in names for axis in "xyz")
-    twice = [name for name in _COLUMNS.values() if names.count(name) > 1]
-    if twice or dim == 0 or not {*"xyz"[:dim], "block", "volume"} <= set(names):
-        raise CaseError(f"The header of {path} needs x, y and z as far as there are, block_id and volume, each once.")
-    return names
-
-
-def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, Float, Float]:
-    """Return coordinates (n, dim), blocks and volumes (n,)."""
-    width = table.shape[1]
-    if names is None:
-        if not 3 <= width <= 5:
-            raise CaseError(
-                f"{path} has {width} columns; it needs 1 to 3 coordinates, a block number and a volume, or a first "
-                f"line such as 'header: x y z block_id volume' that names them."
-            )
-        names = [*"xyz"[: width - 2], "block", "volume"]
-    if len(names) != width:
-        raise CaseError(f"{path} has {width} columns, and its header names {len(names)}.")
-    x = table[:, [names.index(axis) for axis in "xyz" if axis in names]]
-    return x, table[:, names.index("block")], table[:, names.index("volume")]
-
-
-def _table(path: Path, lines: list[str]) -> Float:
-    rows = [line for line in lines if line.split("#", 1)[0].strip()]
-    if not rows:
-        raise CaseError(f"{path} has no lines of numbers.")
-    try:
-        return np.asarray(np.loadtxt(rows, ndmin=2))
-    except (ValueError, OverflowError) as error:
-        raise CaseError(f"{path} is not a table of numbers: {' '.join(str(error).split()).rstrip('.')}.") from None
-
-
-def _without_constant(x: Float, at_least: int = 1) -> Float:
-    """Drop trailing coordinates that are the same for all points."""
-    dim = x.shape[1]
-    while dim > at_least and np.ptp(x[:, dim - 1]) <= 1e-12 * max(float(np.ptp(x)), 1e-300):
-        dim -= 1
-    return x[:, :dim]
 
 
 def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tuple[Float, Float]:

@@ -308,6 +308,11 @@ class HeatConduction(Declared):
     control : float, optional
         Strength ``G`` of the control of what the gradient of a family does not see of the temperature, as that of
         ``Silling`` [-]; by default 0.5 where particles have one gradient point each and 0 where they have several.
+    coupling : {"staggered", "monolithic"}
+        Whether the temperature of a step is found before its equilibrium, or both together in one Newton's method,
+        whose linear systems PETSc's PCFIELDSPLIT takes apart (options ``-fieldsplit_temperature_...`` and
+        ``-fieldsplit_displacement_...``). As flow of heat does not depend on the displacement, both find the same; the
+        second takes bodies of deformation gradients whose bonds stay, and ``Newton``.
 
     Examples
     --------
@@ -319,6 +324,7 @@ class HeatConduction(Declared):
     rule: Literal["backward_euler", "crank_nicolson"] = "backward_euler"
     start: float | Callable[[Float], Float] | None = None
     control: float | None = None
+    coupling: Literal["staggered", "monolithic"] = "staggered"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -32,7 +32,7 @@ FEW = {1: 10.0, 2: 14.0, 3: 12.0}
 ROUNDS = 4
 # Weights that change by this many times what they were, in the norm over the body, are no longer those of the scheme:
 # of 301 clouds the five above, 1.2 to 1.9, had errors up to thirty times those of a slightly wider horizon, and none of
-# those below stood out (docs/methods/conforming.md).
+# those below stood out (docs/theory/conforming.md).
 REFUSED = 1.0
 # A point whose weights change by more times what they were is named; 286 of the 301 clouds have none.
 NOTED = 4.0

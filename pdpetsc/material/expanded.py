@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -143,11 +143,85 @@ class ExpandedAtPoints(MaterialAtPoints):
 
     def energy(self, F: Float, psi: Float) -> None:
         """Write the energy density (all points,) at its points."""
+        psi[self.points] = self._energy(self._elastic(F[self.points]), self._by_law())
+
+    def _energy(self, elastic: Float, laws: Iterable[tuple[Law, Float]]) -> Float:
+        """Return the energy density of its points (n,) by laws with their histories, at what is left of F."""
         found = np.empty(len(self.points))
-        elastic = self._elastic(F[self.points])
-        for (rows, _, kernels, constants), history in self._by_law():
+        for (rows, _, kernels, constants), history in laws:
             kernels.energy(elastic, rows, constants, history, found)
-        psi[self.points] = self._times(found if self.material.linear else self._J * found)
+        return self._times(found if self.material.linear else self._J * found)
+
+    def energy_by_strain(self, F: Float) -> Float:
+        """Return the derivative of the energy density at its points by their strain without stress, F held (n, 3, 3).
+
+        ``S = psi F_theta^-1 - F_e^T P``, of the linear material ``-P`` [stress], where F (n, dim, dim) are theirs. What
+        a plane body or a bar does not show has the first part alone: it is free there.
+        """
+        P, elastic = self._stress(F), self._elastic(F)
+        inside, S = P.shape[-1], np.zeros((len(F), 3, 3))
+        if self.material.linear:
+            S[:, :inside, :inside] = -P
+            return S
+        S[:, :inside, :inside] = -np.einsum("pki,pkj->pij", elastic, P)
+        psi = self._energy(elastic, self._by_law())
+        S[:, :inside, :inside] += psi[:, None, None] * self._inverse
+        for axis in range(inside, 3):
+            S[:, axis, axis] += psi / self._hidden[:, axis - self.dim]
+        return S
+
+    def stress_along(self, F: Float, strain: Float, factor: Float, temperature: Float | None, step: float) -> Float:
+        """Return how P (n, dim, dim) at its points changes with strain without stress, moduli and law, F held [stress].
+
+        ``dP = tr(F_theta^-1 d) P - A : (F_e d) - P d F_theta^-T + c P`` with the change ``d`` of the strain (n, 3, 3)
+        and that ``c`` of the logarithm of the factor of the moduli (n,); of the linear material ``-A : d + c P``. A law
+        that depends on temperature (n,) otherwise changes by a central difference with a step [temperature].
+
+        Parameters
+        ----------
+        F : (n, dim, dim) float64
+            At its points [-].
+        """
+        d, elastic, P = self.dim, self._elastic(F), self._stress(F)
+        inside = P.shape[-1]
+        A, made = np.empty((len(elastic), *(inside,) * 4)), np.empty((len(elastic), *(inside,) * 4))
+        for (rows, _, kernels, constants), history in self._by_law():
+            kernels.tangent(elastic, rows, constants, history, made)
+        shown = strain[:, :inside, :inside]
+        if self.material.linear:
+            change = -np.einsum("pimkn,pkn->pim", self._times(made), shown)
+        else:
+            pull_back_kernel(inside, inside)(made, self._inverse, self._times(self._J), np.arange(len(F)), A)
+            change = -np.einsum("pimkn,pka,pan->pim", A, elastic, shown)
+            change -= np.einsum("pia,pab,pmb->pim", P, shown, self._inverse)
+            grown = np.einsum("pab,pba->p", self._inverse, shown)
+            hidden = strain[:, range(inside, 3), range(inside, 3)]
+            grown += (hidden / self._hidden[:, inside - d :]).sum(axis=1) if inside < 3 else 0.0
+            change += grown[:, None, None] * P
+        change += factor[:, None, None] * P
+        if self._law is not None and temperature is not None and len(F):
+            kept, ends = self._groups, []
+            for by in (step, -step):
+                self._groups = self._at_temperatures(temperature + by)
+                ends.append(self._stress(F))
+            self._groups = kept
+            change += (ends[0] - ends[1]) / (2.0 * step)
+        return np.asarray(change[:, :d, :d])
+
+    def energy_by_temperature(self, F: Float, temperature: Float, step: float) -> Float:
+        """Return the derivative of the energy density of its law by temperature (n,), F and strains held.
+
+        By central differences with a step [temperature], at temperatures (n,), where F (n, dim, dim) are those of its
+        points; zeros where the law does not depend on it.
+        """
+        if self._law is None or not len(F):
+            return np.zeros(len(F))
+        elastic = self._elastic(F)
+        up, down = (
+            self._energy(elastic, ((law, self.history[law.rows]) for law in self._at_temperatures(temperature + by)))
+            for by in (step, -step)
+        )
+        return np.asarray((up - down) / (2.0 * step))
 
     def commit(self, F: Float) -> None:
         """Make the state at F (all points, dim, dim) the one that the next step starts from."""

@@ -26,7 +26,7 @@ from pdpetsc.output.files import (
     writing_hdf5,
 )
 from pdpetsc.output.folder import FIELDS
-from pdpetsc.output.index import Index, Step, part_of, remove, steps_in, storable
+from pdpetsc.output.index import Index, Step, entries, part_of, remove, steps_in, storable
 from pdpetsc.post.solution import Field, Solution, in_space
 
 
@@ -37,6 +37,7 @@ class FieldWriter:
     of the ids, if h5py has parallel HDF5; on one node, where that is a third as fast, and with any other build, rank 0
     writes the parts one after another. No rank holds a whole field.
     What is written is never opened for writing again: every step has a file, which is made aside and renamed.
+    The entries of a tensor have names besides, ``stress_xx``: views of its columns, which take no room of their own.
 
     Parameters
     ----------
@@ -119,6 +120,7 @@ class FieldWriter:
         """Write named arrays of the own particles as the fields of a step."""
         stored = {name: storable(array) for name, array in values.items()}
         parts = [part_of(name, array.shape, array.dtype) for name, array in stored.items()]
+        parts += [part_of(name, (1,), stored[of].dtype) for name, of, _ in self._views(stored)]
         step = Step(number, t, parts)
         self._store(self._folder / step.file, stored, t)
         with agreed(self._cloud.comm):
@@ -140,7 +142,7 @@ class FieldWriter:
             with agreed(comm):
                 if is_root(comm):
                     rows = sum(array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in values.values())
-                    size = n * rows + HEADERS * (1 + len(values))
+                    size = n * rows + HEADERS * (1 + len(values) + len(self._views(values)))
                     try:
                         aside = stack.enter_context(replacing(path))
                         file = stack.enter_context(made := contextlib.ExitStack()).enter_context(
@@ -171,6 +173,7 @@ class FieldWriter:
                     dataset = file.create_dataset(name, (self._cloud.n_global, *array.shape[1:]), array.dtype)
                     with dataset.collective:
                         dataset[mine] = self._order.rows(array)
+                self._name_entries(file, values)
         except WRITE_ERRORS as error:
             return error
         return None
@@ -191,7 +194,29 @@ class FieldWriter:
                     dataset[rows] = part
                 except WRITE_ERRORS as error:
                     failure = error
+        if failure is None and file is not None:
+            try:
+                self._name_entries(file, values)
+            except WRITE_ERRORS as error:
+                failure = error
         return failure
+
+    def _views(self, values: dict[str, NDArray[Any]]) -> list[tuple[str, str, int]]:
+        """Return name, tensor and column of the entries of tensors, but for names that a field has."""
+        tensors = [name for name, array in values.items() if array.ndim == 2 and array.shape[1] == 9]
+        found = [(f"{name}_{entry}", name, column) for name in tensors for column, entry in entries(self._cloud.dim)]
+        return [view for view in found if view[0] not in values]
+
+    def _name_entries(self, file: h5py.File, values: dict[str, NDArray[Any]]) -> None:
+        """Give the columns of tensors names of their own: HDF5's virtual datasets, which every reader takes for data.
+
+        XDMF could choose columns too, but of the three readers of ParaView 5.11 two leave such arrays out.
+        """
+        n = self._cloud.n_global
+        for name, tensor, column in self._views(values):
+            layout = h5py.VirtualLayout((n,), values[tensor].dtype)
+            layout[:] = h5py.VirtualSource(".", tensor, (n, 9), values[tensor].dtype)[:, column]
+            file.create_virtual_dataset(name, layout)
 
 
 def _names(fields: Sequence[Field]) -> list[str]:

@@ -18,10 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.declare.files import Mesh, TextFile
+from pdpetsc.declare.files import Mesh
+from pdpetsc.declare.text_file import Column, TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
-MAY_DIFFER = {"steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints"}
+MAY_DIFFER = {
+    "steps", "solver", "options", "history", "results", "fields", "picture", "checkpoints", "expect", "units"
+}  # fmt: skip
 _PACKAGE = f"{Path(__file__).parent.parent}{os.sep}"
 _PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
 _LIBRARIES = (_PACKAGE, *(f"{sysconfig.get_path(name)}{os.sep}" for name in _PLACES))
@@ -147,9 +150,10 @@ class _Walk:
 
     def _state(self, value: Any) -> bytes:
         """Return the fingerprint of what an instance holds."""
-        if isinstance(value, TextFile | Mesh):
+        if isinstance(value, TextFile | Column | Mesh):
             found = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-            named = {name: _content(path) for name, path in found.get("node_sets", {}).items()}
+            sets = found.get("node_sets", {})
+            named = {name: _content(one) if isinstance(one, str | Path) else one for name, one in sets.items()}
             return self._mapping({**found, "path": _content(found["path"]), "node_sets": named})
         if dataclasses.is_dataclass(value):
             fields = [f.name for f in dataclasses.fields(value) if f.compare]

@@ -25,6 +25,8 @@ PATIENCE = 300
 EARLIER = "earlier"
 # Folder of the files of fields.
 FIELDS = "fields"
+# What plot and report leave in the folder of a run.
+DRAWN = ("deformed.png", "deformed.gif", "deformed.mp4", "history.png", "curve.png", "newton.png", "report.html")
 _STEP = re.compile(r"step_\d{5,}\.h5")
 
 
@@ -282,6 +284,30 @@ def set_history_aside(comm: Comm, folder: Path) -> None:
                 ) from error
 
 
+def set_pictures_aside(comm: Comm, folder: Path) -> None:
+    """Move pictures and the report into ``earlier/``, where a run goes on in its folder: they show it as it was.
+
+    Collective. What pdpetsc did not draw stays.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be moved.
+    """
+    with agreed(comm):
+        if is_root(comm):
+            paths = [folder / name for name in ("picture.png", *DRAWN)]
+            try:
+                for path in paths:
+                    if not path.is_symlink() and path.is_file() and _is_drawn(path):
+                        (folder / EARLIER).mkdir(exist_ok=True)
+                        os.replace(path, folder / EARLIER / path.name)
+            except OSError as error:
+                raise OutputError(
+                    f"Cannot move pictures of {folder} to {folder / EARLIER}: {error.strerror or error}."
+                ) from error
+
+
 def _of_earlier_run(folder: Path) -> list[Path]:
     """Return the files of a run in a folder, the checkpoint first; raises CaseError where one is not pdpetsc's."""
     names = (
@@ -304,7 +330,9 @@ def _of_earlier_run(folder: Path) -> list[Path]:
     for path in found:
         if path.is_symlink() or not path.is_file() or not _marked(path):
             raise CaseError(f"{path} was not written by pdpetsc, or is damaged; move it away or choose another folder.")
-    return found
+    # What was drawn of the earlier run on demand; a run does not write it, so that another origin is no reason to stop.
+    drawn = [folder / name for name in DRAWN]
+    return found + [path for path in drawn if not path.is_symlink() and path.is_file() and _is_drawn(path)]
 
 
 def _marked(path: Path) -> bool:
@@ -330,6 +358,12 @@ def _marked(path: Path) -> bool:
             return "pdpetsc" in file.attrs or {"format", "identity"} <= set(file.attrs) or "particles" in file
     except (OSError, RuntimeError, ValueError, KeyError):
         return False
+
+
+def _is_drawn(path: Path) -> bool:
+    """Return whether pdpetsc drew a file, by its mark."""
+    with path.open("rb") as file:
+        return b"pdpetsc" in file.read(4096) or (path.suffix == ".gif" and b"pdpetsc" in path.read_bytes())
 
 
 def _is_summary(path: Path) -> bool:

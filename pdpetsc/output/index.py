@@ -124,7 +124,7 @@ class Index:
             f'<Topology TopologyType="Polyvertex" NumberOfElements="{self._n}"/>',
             f'<Geometry GeometryType="XYZ">{self._item(Part("position", 3, "f8"), particles)}</Geometry>',
             self._attribute(Part("volume", 1, "f8"), particles),
-            *(self._attribute(part, step.file) for part in step.parts),
+            *(self._attribute(part, step.file) for part in sorted(step.parts, key=lambda part: part.name)),
             "</Grid>\n",
         ]
         return "\n".join(lines)
@@ -143,6 +143,12 @@ class Index:
             f'<DataItem Dimensions="{shape}" NumberType="{number}" Precision="{size}" Format="HDF">'
             f"{escape(f'{file}:/{part.name}')}</DataItem>"
         )
+
+
+def entries(dim: int) -> list[tuple[int, str]]:
+    """Return column and name of the entries of a tensor (n, 9) that a body of ``dim`` dimensions may have."""
+    names = [(i, j) for i in range(3) for j in range(3) if i == j or (i < dim and j < dim)]
+    return [(3 * i + j, "xyz"[i] + "xyz"[j]) for i, j in names]
 
 
 def part_of(name: str, shape: tuple[int, ...], dtype: np.dtype) -> Part:  # type: ignore[type-arg]

@@ -84,6 +84,11 @@ class StoredFields:
         with self._open() as file:
             return list(file[self._group(step)])
 
+    def is_entry(self, name: str, step: int | None = None) -> bool:
+        """Return whether a field is an entry of a tensor that is a field too, as ``stress_xx`` of ``stress``."""
+        with self._open() as file:
+            return bool(file[self._group(step)][name].is_virtual)
+
     def field(self, name: str, step: int | None = None, stride: int = 1) -> NDArray[Any]:
         """Return a field of a step, the last one by default: (n,), (n, 3) or (n, 3, 3).
 
@@ -98,6 +103,11 @@ class StoredFields:
                 raise CaseError(f"{self._path} has no field {name!r}; it has {', '.join(file[group])}.")
             values = np.asarray(file[group][name][::stride])
         return values.reshape(-1, 3, 3) if values.ndim == 2 and values.shape[1] == 9 else values
+
+    def time(self, step: int | None = None) -> float:
+        """Return the step time of a step, the last one by default [-]."""
+        with self._open() as file:
+            return float(file[self._group(step)].attrs["t"])
 
     def of_particles(self, name: str, stride: int = 1) -> NDArray[Any]:
         """Return ``position`` (n, 3) [length], ``volume`` (n,) or ``id`` (n,) of the particles."""

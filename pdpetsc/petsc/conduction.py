@@ -8,6 +8,7 @@ from scipy.sparse import csr_matrix
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import total
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import DIRECT, assembled
 
@@ -82,6 +83,31 @@ class ScalarMatrix:
         with options.active():
             self._ksp.setFromOptions()
             self._ksp.setUp()
+
+    @property
+    def mat(self) -> PETSc.Mat:
+        """Return A with the rows and columns of given values and of lonely particles replaced by its scale."""
+        return self._inside
+
+    @property
+    def near(self) -> PETSc.Mat:
+        """Return it with a level for pieces that nothing holds."""
+        return self._near
+
+    @property
+    def scale(self) -> float:
+        """Return the largest entry of the diagonal, 1 where A is zero (not collective)."""
+        return self._scale
+
+    def residual(self, values: Float, b: Float, given: Float) -> Float:
+        """Return ``A v - b`` (n_owned,), the scale times what is off where v is given or a particle is lonely."""
+        found = self.product(np.where(self._held | self._lonely, given, values)) - b
+        return np.where(self._held | self._lonely, self._scale * (values - given), found)
+
+    def round_off(self, values: Float) -> float:
+        """Return the norm that round-off of ``A v`` gives a residual (collective)."""
+        squares = total(self._cloud.comm, float(((self._diagonal * values) ** 2).sum()))
+        return FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares))
 
     def product(self, values: Float) -> Float:
         """Return ``A v`` (n_owned,), with the rows of given values."""

@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pdpetsc.declare.solvers import DeclaredSolver
 from pdpetsc.petsc.jacobian import Choice
 from pdpetsc.problem.problem import Problem
 
 # Relative tolerance of the first linear solve of a step, and the largest of the others.
 LOOSE = 1e-3
+
+
+# Those of a linear solver, which are of one part where there are several.
+OF_A_SOLVER = ("ksp_", "pc_", "mat_", "mg_")
+
+
+def coupled_options(defaults: Mapping[str, object]) -> dict[str, object]:
+    """Return solver options of a displacement as those of the part of it beside a temperature.
+
+    The temperature is found first, by a Cholesky factor, and moves the forces of the displacement: flexible GMRES about
+    PCFIELDSPLIT takes one iteration where both parts are factored. The coupled system has no energy: full steps.
+    """
+    found: dict[str, object] = {}
+    for name, value in defaults.items():
+        if name.startswith(OF_A_SOLVER):
+            found[f"fieldsplit_displacement_{name}"] = value
+        elif not name.startswith("snes_ksp_ew"):
+            found[name] = value
+    of_heat = {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+    return found | {f"fieldsplit_temperature_{name}": value for name, value in of_heat.items()} | {
+        "ksp_type": "fgmres", "ksp_rtol": 1e-8, "ksp_atol": 0.0, "pc_type": "fieldsplit",
+        "pc_fieldsplit_type": "multiplicative", "snes_linesearch_type": "basic",
+    }  # fmt: skip
 
 
 def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) -> dict[str, object]:

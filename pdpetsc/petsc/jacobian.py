@@ -87,7 +87,14 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
     """
     database = PETSc.Options()
     word = database.getString("pd_jacobian", str(chosen.get("pd_jacobian", "auto")))
-    pc = database.getString("pc_type", str(chosen.get("pc_type", "")))
+    # Beside a temperature it is the solver of a part.
+    name = "fieldsplit_displacement_pc_type" if problem.coupled else "pc_type"
+    pc = database.getString(name, str(chosen.get(name, "")))
+    if word == "matfree" and problem.coupled:
+        raise CaseError(
+            "Temperature and displacement together need a matrix; leave -pd_jacobian at assembled or auto, or take "
+            'coupling="staggered".'
+        )
     if word not in ("assembled", "matfree", "auto"):
         raise CaseError(f"-pd_jacobian takes assembled, matfree or auto, not {word!r}.")
     if word == "matfree" and solver.needs.tangent == "assembled":
@@ -102,7 +109,7 @@ def choose(problem: Problem, chosen: Mapping[str, Any], solver: DeclaredSolver, 
         why = f"-pc_type {pc}"
     elif pivots and unknowns > most:
         why = "the case asks whether equilibria are stable"
-    if word == "assembled" or solver.needs.tangent != "any" or (word == "auto" and direct):
+    if word == "assembled" or problem.coupled or solver.needs.tangent != "any" or (word == "auto" and direct):
         if word == "assembled":
             why += ", -pd_jacobian assembled"
         return Choice(pc, direct, False, "", 0, why)

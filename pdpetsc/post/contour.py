@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import roots_legendre
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import IsotropicMaterial
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.post.bonds_left import pairs_of
+from pdpetsc.post.inhomogeneity import materials_of
 from pdpetsc.post.solution import Solution
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.material_points import MaterialPoints
@@ -26,8 +28,11 @@ LEAST = 24
 CUT = 0.5
 # Tractions on faces change along a crack by less than this share from one half of the radius to the other.
 UNIFORM = 0.1
-# Numbers that differ by less than this share are the same: round-off of sums.
-SAME = 1e-12
+# Densities within so many horizons of a tip, at most this share of the outer radius, follow from those up to so many
+# times further out, integrated with so many points.
+CORE, CORE_MOST, FURTHER, GAUSS = 2.0, 0.5, 4.0, 12
+# They are expanded in these powers of the distance.
+POWERS = np.array([0.0, 1.0, 2.0])
 # Loads beside the crack are body forces as elsewhere where they are at most this many times as dense.
 MIXED = 2.0
 
@@ -108,8 +113,9 @@ def _continuum(solution: Solution) -> Continuum:
     matter, state = solution.problem.matter, solution.state
     one = np.eye(solution.problem.dim)
     if isinstance(matter, MaterialPoints):
-        operator, F = matter.operator, matter.deformation(state)
-        H, P, psi = F - one, matter.stress(F), matter.point_energy(F)
+        operator = matter.operator
+        F, P, psi = matter.conjugates(state)
+        H = F - one
         share = (operator.volume / solution.volume[operator.owner])[:, None, None]
         tensors = [H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P)]
         return Continuum(*(operator.sum_over_points(share * T) for T in tensors))
@@ -176,6 +182,34 @@ class Domain:
         falling = slope.any(axis=1)
         slope[falling] -= self.closed / self.ring
         return q, slope
+
+    def integral(self, solution: Solution, densities: Sequence[Float]) -> float:
+        """Return ``int q rho dA`` of densities of place, one (n_owned,) for each frame, which grow as 1 / r at most.
+
+        Within some horizons of the tip the fields of a nonlocal body are not those of a continuum, and what lies there
+        of such densities is a share h / R of the whole. It follows from those further out: ``2 pi r`` times the mean
+        round a circle is fitted by ``a + b r + c r^2``, the leading powers of products of two fields with square roots,
+        of one symmetry. Collective.
+        """
+        reach = solution.cloud.reach[: len(solution.x)][self.near(solution.x)]
+        start = min(CORE * solution.largest(float(reach.max(initial=0.0))), CORE_MOST * self.outer)
+        outside, normal, right = 0.0, np.zeros((3, 3)), np.zeros(3)
+        for frame, rho in zip(self.frames, densities, strict=True):
+            at = frame.at(solution.x)
+            r = np.linalg.norm(at, axis=1)
+            q, _ = weight(at, self.inner, self.outer)
+            outside += float((self.area * q * (r >= start)) @ rho)
+            chosen = (r >= start) & (r < min(FURTHER * start, self.outer))
+            powers = (r[chosen, None] / start) ** POWERS
+            by = (self.area[chosen] / r[chosen])[:, None] * powers
+            normal += by.T @ powers
+            right += by.T @ (2.0 * np.pi * r[chosen] * rho[chosen])
+        normal, right = solution.sum(normal), solution.sum(right)
+        points, shares = roots_legendre(GAUSS)
+        radii = 0.5 * start * (1.0 + points)
+        q, _ = weight(np.column_stack([radii, np.zeros(GAUSS)]), self.inner, self.outer)
+        inside = (0.5 * start * shares * q) @ (radii[:, None] / start) ** POWERS
+        return float(solution.sum(outside) + inside @ np.linalg.lstsq(normal, right, rcond=None)[0])
 
     def between(self, at: Float) -> Mask:
         """Return which positions (n, 2) from a tip are between the radii (n,)."""
@@ -304,54 +338,11 @@ def loads(solution: Solution) -> Float:
     return state.kept("loads", lambda: solution.problem.external_force(state)[: len(solution.x)])
 
 
-def materials_in(solution: Solution, inside: Mask) -> tuple[list[int], bool]:
-    """Return the numbers of the materials of some own particles (n_owned,), and whether their moduli are graded.
-
-    The same on all ranks (collective).
-    """
-    numbers, factor = _materials(solution)
+def materials_in(solution: Solution, inside: Mask) -> list[int]:
+    """Return the numbers of the materials of some own particles (n_owned,); the same on all ranks (collective)."""
+    numbers, _ = materials_of(solution)
     count = solution.sum(np.bincount(numbers[inside], minlength=1 + int(solution.largest(float(numbers.max())))))
-    high = solution.largest(float(factor[inside].max(initial=-np.inf)))
-    low = -solution.largest(float((-factor[inside]).max(initial=-np.inf)))
-    return np.flatnonzero(count).tolist(), high > low
-
-
-def strained_unevenly(solution: Solution, inside: Mask) -> bool:
-    """Return whether strain without stress, or moduli by temperature, differ between some own particles (n_owned,).
-
-    The same on all ranks (collective).
-    """
-    expansion = solution.problem.body.expansion
-    if expansion is None:
-        return False
-    strain, factor = expansion.strain(solution.state.t), expansion.factor(solution.state.t)
-    values = strain.reshape(len(strain), -1)
-    if factor is not None:
-        values = np.column_stack([values, factor])
-    for one in values[inside].T if inside.any() else np.zeros((values.shape[1], 0)):
-        high = solution.largest(float(one.max(initial=-np.inf)))
-        low = -solution.largest(float((-one).max(initial=-np.inf)))
-        if high - low > SAME * max(abs(high), abs(low)):
-            return True
-    return False
-
-
-def _materials(solution: Solution) -> tuple[GlobalIndex, Float]:
-    """Return the number of the material of each own particle, and what multiplies its moduli [-]."""
-    matter, n = solution.problem.matter, len(solution.x)
-    numbers, factor = np.zeros(n, dtype=np.int64), np.ones(n)
-    if isinstance(matter, MaterialPoints):
-        for number, at_points in enumerate(matter.materials):
-            of = matter.operator.owner[at_points.points]
-            numbers[of] = number
-            if at_points.factor is not None:
-                factor[of] = at_points.factor
-            elif not at_points.has_history and at_points.history.shape[1]:
-                # Numbers of the place, such as the direction of fibres: any that differ will do.
-                factor[of] = at_points.history @ np.arange(1.0, 1.0 + at_points.history.shape[1])
-    elif isinstance(matter, BondForces):
-        numbers[:], factor[:] = matter.material_of, matter.factor
-    return numbers, factor
+    return [int(number) for number in np.flatnonzero(count)]
 
 
 def elastic_law(solution: Solution, number: int) -> LinearElastic | None:

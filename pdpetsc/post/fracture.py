@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -23,9 +23,17 @@ from pdpetsc.post.contour import (
     loads_in,
     materials_in,
     refuse,
-    strained_unevenly,
     trouble,
     weight,
+)
+from pdpetsc.post.inhomogeneity import (
+    explicit_derivative,
+    jumping,
+    of_place,
+    remembers,
+    slopes_of_particles,
+    turned_by_place,
+    uneven,
 )
 from pdpetsc.post.quantities import CrackTip, Quantity
 from pdpetsc.post.solution import Field, Solution
@@ -51,8 +59,9 @@ class AtTip(Quantity):
     outer: float
     follows: CrackTip | None = None
 
-    # Whether the number is that of one material alone, whatever the case says of the explicit derivative.
-    of_one_material: ClassVar[bool] = False
+    # Whether moduli may change from place to place, and what to do besides where a number is refused.
+    knows_graded_moduli: ClassVar[bool] = True
+    advice: ClassVar[str] = ", or give the derivative of the energy density as explicit"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,11 +101,6 @@ class AtTip(Quantity):
     def number(self, solution: Solution, domain: Domain) -> float:
         """Return the number of a domain that nothing is wrong with (collective)."""
 
-    @property
-    def knows_inhomogeneity(self) -> bool:
-        """Return whether the energy density may depend on place."""
-        return False
-
     def _domain(self, solution: Solution) -> Domain:
         """Return the domain about the tip where it is now (collective)."""
         tip = np.asarray(self.tip, dtype=float)
@@ -111,14 +115,30 @@ class AtTip(Quantity):
         _, why = loads_in(solution, domain)
         if why:
             return why
-        numbers, graded = materials_in(solution, domain.near(solution.x))
-        if (len(numbers) > 1 or graded) and not self.knows_inhomogeneity:
-            advice = "" if self.of_one_material else ", or the derivative of the energy density as explicit"
-            return f"holds several materials or moduli that change from place to place; take smaller radii{advice}"
-        if not self.knows_inhomogeneity and strained_unevenly(solution, domain.near(solution.x)):
-            advice = "" if self.of_one_material else "; give the derivative of the energy density as explicit"
-            return f"holds strain without stress, or a temperature, that changes from place to place{advice}"
+        return self._why_uneven(solution, domain)
+
+    def _why_uneven(self, solution: Solution, domain: Domain) -> str:
+        """Return why what the energy density reads of the place forbids the number (collective)."""
+        inside, advice = domain.near(solution.x), self.advice
+        if len(materials_in(solution, inside)) > 1:
+            return f"holds several materials; take smaller radii{advice}"
+        if turned_by_place(solution, inside):
+            return f"holds a material whose axes change from place to place; take smaller radii{advice}"
+        changing = uneven(solution, inside)
+        if not self.knows_graded_moduli and {"moduli", "a temperature"} & set(changing):
+            return "holds moduli that change from place to place; take smaller radii, or a JIntegral"
+        if remembers(solution) and self._softens(solution, changing):
+            return f"holds a material with history whose moduli change with temperature from place to place{advice}"
+        what = jumping(solution, inside, [frame.tip for frame in domain.frames]) if changing else ""
+        if what:
+            return f"holds {what} that jump{'s' * (what != 'moduli')} between neighbours; take smaller radii{advice}"
         return ""
+
+    @staticmethod
+    def _softens(solution: Solution, changing: list[str]) -> bool:
+        """Return whether temperature changes moduli that differ from place to place (collective)."""
+        expansion = solution.problem.body.expansion
+        return expansion is not None and expansion.softens and bool({"moduli", "a temperature"} & set(changing))
 
 
 def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gradient: Float, on_faces: bool) -> float:
@@ -139,15 +159,20 @@ class _Release(AtTip):
 
     explicit: Field | None = None
 
-    @property
-    def knows_inhomogeneity(self) -> bool:
-        """Return whether the derivative was given."""
-        return self.explicit is not None
+    def _why_uneven(self, solution: Solution, domain: Domain) -> str:
+        """Return why the explicit derivative is not known; empty where it is given (collective)."""
+        return "" if self.explicit is not None else super()._why_uneven(solution, domain)
 
-    def _of_loads_and_place(self, solution: Solution, domain: Domain) -> float:
-        """Return ``- int q (f . H e + dpsi/dX . e) dA`` on this rank."""
-        found, explicit = 0.0, None
-        fields, (on_faces, _) = continuum(solution), loads_in(solution, domain)
+    def _of_loads(self, solution: Solution, domain: Domain) -> float:
+        """Return ``- int q f . H e dA`` on this rank."""
+        found, fields, (on_faces, _) = 0.0, continuum(solution), loads_in(solution, domain)
+        for frame in domain.frames:
+            H, u = frame.tensors(fields.H)[:, :, 0], solution.u @ frame.turn.T
+            found += _of_loads(solution, domain, frame, u, H, on_faces)
+        return found
+
+    def _of_place(self, solution: Solution, domain: Domain) -> float:
+        """Return ``- int q dpsi/dX . e dA`` (collective)."""
         if self.explicit is not None:
             explicit = np.asarray(called("explicit derivative", self.explicit, solution), dtype=float)
             if explicit.shape != solution.x.shape:
@@ -155,13 +180,11 @@ class _Release(AtTip):
                     f"The explicit derivative of the energy density has the shape {solution.x.shape} of positions, "
                     f"not {explicit.shape}."
                 )
-        for frame in domain.frames:
-            H, u = frame.tensors(fields.H)[:, :, 0], solution.u @ frame.turn.T
-            found += _of_loads(solution, domain, frame, u, H, on_faces)
-            if explicit is not None:
-                q, _ = domain.weight(frame, solution.x)
-                found -= float((domain.area * q) @ (explicit @ frame.turn[0]))
-        return found
+        elif uneven(solution, domain.near(solution.x)):
+            explicit = explicit_derivative(solution)
+        else:
+            return 0.0
+        return -domain.integral(solution, [explicit @ frame.turn[0] for frame in domain.frames])
 
 
 @dataclass(frozen=True)
@@ -171,9 +194,11 @@ class JIntegral(_Release):
     ``J = - int (psi I - H^T P)_1m q,m dA - int q (b . H e_1 + dpsi/dX_1) dA - int q t . H e_1 dS`` over the undeformed
     body, with the weight q that falls from 1 to 0 between two radii, the displacement gradient ``H = F - I``, body
     forces b and tractions t on the faces of the crack, which come from the loads of the case; tractions are uniform
-    along the crack, and dead. It holds at finite strain. It is the energy set free per area of crack in elastic bodies;
-    in bodies with history ``psi`` is the work of the stress, and J depends on the radii where loading is not
-    proportional. A body of bonds gives the gradient that fits its families best, and their stress and energy density.
+    along the crack, and dead. ``dpsi/dX`` is the derivative of the energy density by place at constant F, where moduli,
+    temperature or strain without stress depend on it (``inhomogeneity.explicit_derivative``). It holds at finite
+    strain. It is the energy set free per area of crack in elastic bodies; in bodies with history ``psi`` is the work of
+    the stress, and J depends on the radii where loading is not proportional. A body of bonds gives the gradient that
+    fits its families best, and their stress and energy density.
 
     Parameters
     ----------
@@ -189,19 +214,20 @@ class JIntegral(_Release):
         The tip of a crack that grows: the domain moves along its direction with it, once it is ahead of ``tip``. The
         number is nan where the domain has left the body or meets something else.
     explicit : Field, optional
-        Derivative of the energy density by the place at constant F (n_owned, 2) [energy / volume / length], of bodies
-        whose moduli, temperature or eigenstrain depend on it: ``-tr(sigma) alpha grad T`` of small thermal strain;
-        zeros where an interface lies along the crack. Without it such bodies are refused.
+        Derivative of the energy density by the place at constant F (n_owned, 2) [energy / volume / length], in the
+        place of the one that follows from graded moduli, temperatures and eigenstrains: for bodies that are refused
+        without it, because they have several materials, axes that turn from place to place, or strains that jump;
+        zeros are right where an interface lies along the crack.
 
     Raises
     ------
     CaseError
         Radii or vectors are wrong; or, of a body, the domain leaves it, has too few particles, holds supports, another
-        crack or several materials.
+        crack, several materials, or moduli or strains that jump.
 
     References
     ----------
-    Rice1968, Shih1986.
+    Rice1968, Shih1986, Wilson1979.
 
     Examples
     --------
@@ -210,13 +236,15 @@ class JIntegral(_Release):
     >>> history = {f"J{n}": pd.JIntegral(tip, ahead, inner, 4.0) for n, inner in enumerate((1.0, 2.0))}
     """
 
+    dimension = "energy per area"
+
     def number(self, solution: Solution, domain: Domain) -> float:
         """Return J."""
         fields, share = continuum(solution), 0.0
         for frame in domain.frames:
             _, slope = domain.weight(frame, solution.x)
             share -= float(np.einsum("p,pm,pm->", domain.area, frame.tensors(fields.momentum)[:, 0], slope))
-        return float(solution.sum(share + self._of_loads_and_place(solution, domain)))
+        return float(solution.sum(share + self._of_loads(solution, domain)) + self._of_place(solution, domain))
 
 
 @dataclass(frozen=True)
@@ -253,6 +281,8 @@ class EnergyReleaseRate(_Release):
     >>> G = pd.EnergyReleaseRate((5.0, 0.0), (1.0, 0.0), inner=1.0, outer=4.0)
     """
 
+    dimension = "energy per area"
+
     def number(self, solution: Solution, domain: Domain) -> float:
         """Return G."""
         matter = solution.problem.matter
@@ -260,7 +290,8 @@ class EnergyReleaseRate(_Release):
             raise CaseError(
                 "An EnergyReleaseRate moves gradient points, and a body of bonds has none; take a JIntegral."
             )
-        operator, F = matter.operator, matter.deformation(solution.state)
+        operator = matter.operator
+        F, _, _ = matter.conjugates(solution.state)
         H, change, step = F - np.eye(2), 0.0, MOVED * (self.outer - self.inner)
         for frame in domain.frames:
             q, _ = weight(frame.at(solution.cloud.x), domain.inner, domain.outer)
@@ -270,21 +301,23 @@ class EnergyReleaseRate(_Release):
                 by = np.eye(2) + d * D[moved]
                 at = F.copy()
                 at[moved] = np.eye(2) + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
-                energy = matter.point_energy(at)[moved] * np.linalg.det(by)
-                change -= float(operator.volume[moved] @ energy) / (2.0 * d)
+                volume = operator.volume.copy()
+                volume[moved] *= np.linalg.det(by)
+                change -= float(volume @ matter.energy_at(at, volume)) / (2.0 * d)
         share = change / solution.problem.body.thickness
-        return float(solution.sum(share + self._of_loads_and_place(solution, domain)))
+        return float(solution.sum(share + self._of_loads(solution, domain)) + self._of_place(solution, domain))
 
 
 @dataclass(frozen=True)
 class StressIntensity(AtTip):
     """Stress intensity factor K_I or K_II of a crack tip by the interaction integral [stress length^1/2].
 
-    ``K = E'/2 int (P_im v_i,1 + s_im H_i1 - s_ik H_ik delta_1m) q,m dA - E'/2 int q t . v,1 dS`` with displacement v
-    and stress s of the field of Westergaard with K = 1 of that mode, body forces and tractions on the faces as for
-    ``JIntegral``, ``E' = E`` in plane stress and ``E / (1 - nu^2)`` in plane strain, as the material says. It is of
-    linear fracture mechanics: refused where the material is not isotropic or graded, and where the stresses between
-    the radii differ by more than 0.02 of them from those of small linear strain: by flow, temperature, large strain or
+    ``K = E'/2 int (P_im v_i,1 + s_im H_i1 - s_ik (H - eps)_ik delta_1m) q,m dA - E'/2 int q t . v,1 dS + E'/2 int q s :
+    eps,1 dA`` with displacement v and stress s of the field of Westergaard with K = 1 of that mode, strain without
+    stress eps (with that across the plane times Poisson's ratio in plane strain), body forces and tractions on the
+    faces as for ``JIntegral``, ``E' = E`` in plane stress and ``E / (1 - nu^2)`` in plane strain, as the material says.
+    It is of linear fracture mechanics: refused where the material is not isotropic or graded, and where the stresses
+    between the radii differ by more than 0.02 of them from those of small linear strain: by flow, large strain or
     turning. Of a nonlinear body of bonds the displacement gradient is at most 0.02.
 
     Parameters
@@ -301,7 +334,7 @@ class StressIntensity(AtTip):
 
     References
     ----------
-    Westergaard1939, Yau1980.
+    Westergaard1939, Yau1980, Wilson1979.
 
     Examples
     --------
@@ -309,24 +342,32 @@ class StressIntensity(AtTip):
     >>> K2 = pd.StressIntensity((5.0, 0.0), (1.0, 0.0), inner=1.0, outer=4.0, mode="II")
     """
 
+    dimension = "stress intensity"
+
     mode: Literal["I", "II"] = "I"
 
-    of_one_material: ClassVar[bool] = True
+    knows_graded_moduli: ClassVar[bool] = False
+    advice: ClassVar[str] = ""
 
     def number(self, solution: Solution, domain: Domain) -> float:
         """Return K."""
         law = self._law(solution, domain)
         assert law is not None
         fields, share, (on_faces, _) = continuum(solution), 0.0, loads_in(solution, domain)
+        (free, changes), place = self._free(solution, law), of_place(solution)
+        densities = list[Float]()
         for frame in domain.frames:
             _, slope = domain.weight(frame, solution.x)
             s, v, w = westergaard(frame.at(solution.x), self.mode, law)
-            H, P = frame.tensors(fields.H), frame.tensors(fields.P)
+            H, P, eps = frame.tensors(fields.H), frame.tensors(fields.P), frame.tensors(free)
             flow = np.einsum("pim,pi->pm", P, v) + np.einsum("pim,pi->pm", s, H[:, :, 0])
-            flow[:, 0] -= np.einsum("pik,pik->p", s, H)
+            flow[:, 0] -= np.einsum("pik,pik->p", s, H - eps)
             share += float(np.einsum("p,pm,pm->", domain.area, flow, slope))
             share += _of_loads(solution, domain, frame, w, v, on_faces)
-        return float(0.5 * plane_modulus(law) * solution.sum(share))
+            along = frame.tensors(np.einsum("pabm,m->pab", changes, frame.turn[0]))
+            densities.append(np.einsum("pik,pik->p", s, along))
+        K = solution.sum(share) + (domain.integral(solution, densities) if place.strain is not None else 0.0)
+        return float(0.5 * plane_modulus(law) * K)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
         """Return also why the fields are not those of linear fracture mechanics."""
@@ -339,7 +380,7 @@ class StressIntensity(AtTip):
         if departs > SMALL:
             return (
                 f"has stresses of which a share of {departs:.3g}, beyond {SMALL}, is not of small linear strain: by "
-                f"flow, temperature, large strain or turning; take larger radii, less load, or a JIntegral"
+                f"flow, large strain or turning; take larger radii, less load, or a JIntegral"
             )
         return ""
 
@@ -350,7 +391,7 @@ class StressIntensity(AtTip):
         """
         fields, law, sums = continuum(solution), self._law(solution, domain), np.zeros(2)
         assert law is not None
-        if solution.problem.matter.linear and solution.problem.body.expansion is None:
+        if solution.problem.matter.linear:
             return 0.0
         ring = np.zeros(len(solution.x))
         for frame in domain.frames:
@@ -358,17 +399,35 @@ class StressIntensity(AtTip):
         if not solution.problem.matter.n_points:
             return solution.largest(float((ring * np.abs(fields.H).max(axis=(1, 2))).max(initial=0.0)))
         lam, mu = law.lame(2)
-        strain = 0.5 * (fields.H + fields.H.transpose(0, 2, 1))
+        strain = 0.5 * (fields.H + fields.H.transpose(0, 2, 1)) - self._free(solution, law)[0]
         exact = lam * np.einsum("pii->p", strain)[:, None, None] * np.eye(2) + 2.0 * mu * strain
         sums[:] = [ring * domain.area @ np.linalg.norm(T, axis=(1, 2)) for T in (fields.P - exact, fields.P)]
         apart, whole = solution.sum(sums)
         return float(apart / whole) if whole > 0.0 else 0.0
 
     @staticmethod
+    def _free(solution: Solution, law: LinearElastic) -> tuple[Float, Float]:
+        """Return the strain within the plane without stress (n_owned, 2, 2), and its slope (n_owned, 2, 2, 2).
+
+        What a body in plane strain cannot expand by across the plane it does within it, times Poisson's ratio; bodies
+        of bonds give it with that. Collective.
+        """
+        n, place = len(solution.x), of_place(solution)
+        if place.strain is None:
+            return np.zeros((n, 2, 2)), np.zeros((n, 2, 2, 2))
+        across = law.nu if law.plane == "strain" and solution.problem.matter.n_points else 0.0
+        part = place.strain[:, :3].copy()
+        part[:, :2] += across * place.strain[:, 3:]
+        slope = slopes_of_particles(solution, part)
+        return part[:n, [[0, 2], [2, 1]]], slope[:, [[0, 2], [2, 1]]]
+
+    @staticmethod
     def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
-        """Return the elastic law in the domain (collective)."""
-        numbers, _ = materials_in(solution, domain.near(solution.x))
-        return elastic_law(solution, numbers[0])
+        """Return the elastic law in the domain, with the moduli that it has there everywhere (collective)."""
+        inside = domain.near(solution.x)
+        law = elastic_law(solution, materials_in(solution, inside)[0])
+        factor = solution.largest(float(of_place(solution).factor[: len(inside)][inside].max(initial=0.0)))
+        return None if law is None else replace(law, E=law.E * factor)
 
 
 def plane_modulus(law: LinearElastic) -> float:

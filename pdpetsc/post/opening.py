@@ -52,6 +52,8 @@ class CrackOpening(Quantity):
     >>> s, jump = mouth.profile(result.solution, points=20)          # doctest: +SKIP
     """
 
+    dimension = "length"
+
     start: Sequence[float]
     end: Sequence[float]
     at: float = 0.5

@@ -43,6 +43,14 @@ _LETTERS: dict[Field, int] = {
     **dict.fromkeys((displacement, heat_flux, principal_strains, principal_stresses, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
+# What kind of number each field of pdpetsc is; the others are pure numbers, or have units that no label is made for.
+_DIMENSIONS: dict[Field, str] = {
+    **dict.fromkeys((displacement, reach), "length"),
+    **dict.fromkeys((stress, first_piola_stress, von_mises, principal_stresses), "stress"),
+    **dict.fromkeys((energy_density, damage_dissipation), "energy per volume"),
+    reaction: "force",
+    temperature: "temperature",
+}
 # Fields of three values whatever the dimension of the body, which are not along axes.
 _PRINCIPAL: tuple[Field, ...] = (principal_strains, principal_stresses)
 # Fields that next to a surface are as good as inside.
@@ -51,6 +59,11 @@ _NOT_OF_GRADIENTS: tuple[Field, ...] = (displacement, reaction, local_damage, lo
 
 class Quantity(Declared, ABC):
     """A number that is computed from every converged step for the history."""
+
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is, as ``Units.of`` takes it; empty for pure numbers and where unknown."""
+        return ""
 
     @abstractmethod
     def evaluate(self, solution: Solution) -> float:
@@ -89,6 +102,11 @@ class Mean(Quantity):
     field: Field
     component: str = ""
     region: Region = EVERYWHERE
+
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is."""
+        return dimension_of(self.field)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -135,6 +153,8 @@ class Reaction(Quantity):
     >>> import pdpetsc as pd
     >>> force = pd.Reaction("x", pd.region.Slab("x", high=1.0))
     """
+
+    dimension = "force"
 
     component: str
     region: Region = EVERYWHERE
@@ -190,6 +210,8 @@ class CellStress(Quantity):
     >>> stress = pd.CellStress("xx")
     """
 
+    dimension = "stress"
+
     component: str
 
     def __post_init__(self) -> None:
@@ -218,6 +240,8 @@ class StrainEnergy(Quantity):
     >>> history = {"energy": pd.StrainEnergy()}
     """
 
+    dimension = "energy"
+
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
         return solution.energies["strain"]
@@ -232,6 +256,8 @@ class ControlEnergy(Quantity):
     >>> import pdpetsc as pd
     >>> history = {"energy": pd.StrainEnergy(), "of control": pd.ControlEnergy()}
     """
+
+    dimension = "energy"
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
@@ -249,6 +275,8 @@ class ExternalWork(Quantity):
     >>> import pdpetsc as pd
     >>> history = {"work": pd.ExternalWork()}
     """
+
+    dimension = "energy"
 
     def evaluate(self, solution: Solution) -> float:
         """Return the work."""
@@ -276,6 +304,8 @@ class DissipatedEnergy(Quantity):
     >>> import pdpetsc as pd
     >>> history = {"work": pd.ExternalWork(), "dissipated": pd.DissipatedEnergy()}
     """
+
+    dimension = "energy"
 
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
@@ -314,6 +344,8 @@ class CrackTip(Quantity):
     >>> import pdpetsc as pd
     >>> tip = pd.CrackTip(direction=(1.0, 0.0), region=pd.region.Slab("y", low=4.0, high=6.0))
     """
+
+    dimension = "length"
 
     direction: tuple[float, ...]
     damage: float = 0.3
@@ -375,6 +407,11 @@ class Largest(Quantity):
     component: str = ""
     region: Region = EVERYWHERE
 
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is."""
+        return dimension_of(self.field)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         refuse_component("A Largest", self.field, self.component)
@@ -423,6 +460,11 @@ class OnSurface(Quantity):
     take: Literal["mean", "largest"] = "mean"
 
     on_surface: ClassVar[bool] = True
+
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is."""
+        return dimension_of(self.field)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -540,6 +582,11 @@ class LargestError(Quantity):
     reference: Callable[[Float, float], Float]
     region: Region = EVERYWHERE
 
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is."""
+        return dimension_of(self.field)
+
     def check(self, dim: int) -> None:
         """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
         self.region.check(dim)
@@ -586,6 +633,13 @@ def _component_of(solution: Solution, field: Field, name: str) -> Float:
     values = _values(solution, field)
     with agreed(solution.cloud.comm):
         return component(values, name)
+
+
+def dimension_of(field: Field) -> str:
+    """Return what kind of number a field is, as ``Units.of`` takes it; empty for pure numbers and where unknown."""
+    wanted = getattr(field, "__wrapped__", field)
+    # A field may be an object that cannot be looked up by its hash.
+    return next((found for known, found in _DIMENSIONS.items() if known is wanted), "")
 
 
 def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:

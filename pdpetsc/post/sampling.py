@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -14,6 +16,63 @@ FITTED = {1: 4, 2: 10, 3: 24}
 FLAT = 1e-8
 # Over the distance of a particle from its nearest neighbour, how far values of the field reach from it.
 FARTHEST = 1.5
+
+
+def line(start: Sequence[float], end: Sequence[float], n: int = 101) -> Float:
+    """Return ``n`` points evenly from start to end, both included (n, d) [length], for ``Result.sample``.
+
+    Raises
+    ------
+    CaseError
+        The ends have different numbers of coordinates or are not finite, or n is less than 2.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> pd.line((0.0, 1.0), (4.0, 1.0), 3)
+    array([[0., 1.],
+           [2., 1.],
+           [4., 1.]])
+    """
+    a, b = (np.atleast_1d(np.asarray(point, dtype=float)) for point in (start, end))
+    if a.shape != b.shape or a.ndim != 1 or not 1 <= len(a) <= 3 or not np.isfinite([a, b]).all():
+        raise CaseError(f"A line goes from one point to another one, of as many coordinates, not {start} to {end}.")
+    if isinstance(n, bool) or int(n) != n or n < 2:
+        raise CaseError(f"A line takes at least two points, not {n}.")
+    return np.asarray(np.linspace(a, b, int(n)))
+
+
+def grid(low: Sequence[float], high: Sequence[float], n: Sequence[int]) -> Float:
+    """Return the points of a regular grid (n[0] n[1] ..., d) [length], for ``Result.sample``, the last axis fastest.
+
+    ``values.reshape(*n, ...)`` of what is sampled there has an axis for each direction of the grid.
+
+    Parameters
+    ----------
+    low, high : (d,) floats
+        Opposite corners, both included [length].
+    n : (d,) ints
+        Points along each axis.
+
+    Raises
+    ------
+    CaseError
+        The corners or numbers do not fit together.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> points = pd.grid((0.0, 0.0), (4.0, 1.0), (5, 3))
+    >>> points.shape, points[1]
+    ((15, 2), array([0. , 0.5]))
+    """
+    a, b = (np.atleast_1d(np.asarray(point, dtype=float)) for point in (low, high))
+    counts = np.atleast_1d(np.asarray(n))
+    whole = counts.dtype.kind in "iu" and counts.ndim == 1 and bool((counts >= 1).all())
+    if not (whole and a.shape == b.shape == counts.shape and 1 <= len(a) <= 3 and np.isfinite([a, b]).all()):
+        raise CaseError(f"A grid takes two corners and a number of points for each axis, not {low}, {high} and {n}.")
+    axes = [np.linspace(*ends) for ends in zip(a, b, counts.tolist(), strict=True)]
+    return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(a)))
 
 
 def sampled(x: Float, values: Float, points: Float) -> Float:

@@ -8,6 +8,11 @@ from typing import Protocol
 class Ahead(Protocol):
     """A field that equilibrium depends on and that does not depend on the displacement of the step."""
 
+    @property
+    def together(self) -> bool:
+        """Return whether the solver finds it together with the displacement (not collective)."""
+        ...
+
     def advance(self, before: float, t: float) -> None:
         """Go from the last converged step time ``before`` to ``t`` (collective).
 

@@ -10,10 +10,13 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.thermal import Eigenstrain, Temperature
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.thermal import Thermal
+
+# Step of differences by temperature, as a share of the largest distance from that without stress.
+DIFFERENCE = 1e-5
 
 
 class TemperatureField(ABC):
@@ -162,6 +165,25 @@ class StressFree:
             return found
 
         return self._at("factor", t, make)
+
+    def by_temperature(self, t: float) -> tuple[Float, Float, float]:
+        """Return how strain without stress (n_owned, 3, 3) and the logarithm of the factor (n_owned,) change with T.
+
+        By central differences of what the materials give, with a step that is returned too [temperature] (collective).
+        """
+        temperature = self.temperature(t)
+        assert temperature is not None
+        reference = [np.full(len(own), thermal.reference) for own, thermal in self._thermals]
+        away = [temperature[own] - zero for (own, _), zero in zip(self._thermals, reference, strict=True)]
+        most = max((float(np.abs(one).max(initial=0.0)) for one in away), default=0.0)
+        step = DIFFERENCE * (largest(self._cloud.comm, most) or 1.0)
+        strain, factor = np.zeros((self._cloud.n_owned, 3, 3)), np.zeros(self._cloud.n_owned)
+        with agreed(self._cloud.comm):
+            for own, thermal in self._thermals:
+                up, down = temperature[own] + step, temperature[own] - step
+                strain[own] = (thermal.strain(up) - thermal.strain(down)) / (2.0 * step)
+                factor[own] = np.log(thermal.factors(up) / thermal.factors(down)) / (2.0 * step)
+        return strain, factor, step
 
     def in_body(self, t: float) -> Float:
         """Return the strain that a body shows, with what that across its plane widens it by (n_owned, dim, dim) [-]."""

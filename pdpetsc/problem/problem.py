@@ -86,6 +86,11 @@ class Problem:
         return all(term.symmetric for term in self.terms)
 
     @property
+    def coupled(self) -> bool:
+        """Return whether another field is found together with the displacement (not collective)."""
+        return any(one.together for one in self.ahead)
+
+    @property
     def constrained(self) -> bool:
         """Return whether the tangent has a part that is nearly conditions on the displacement (not collective)."""
         return any(term.constrained for term in self.terms)
@@ -243,6 +248,10 @@ class Problem:
         for one in self.ahead:
             one.advance(before, t)
             self._last = None
+
+    def renewed(self) -> None:
+        """Follow a field ahead that has changed at the same step time (not collective)."""
+        self._last = None
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most if the step ends at a state [-]."""

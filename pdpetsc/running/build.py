@@ -47,7 +47,7 @@ from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
-from pdpetsc.solvers.staggered import HeatMarch
+from pdpetsc.solvers.staggered import HeatMarch, HeatTogether
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
@@ -248,7 +248,9 @@ def _problem(
         extra.append(build_extra(declared, number, body))
     conduction = [] if heat is None else [heat]
     problem = Problem(body, matter, [*others, *applied.terms, *extra, *conduction], supports, damage)
-    problem.ahead = [HeatMarch(one, Options({}) if options is None else options) for one in conduction]
+    for one in conduction:
+        march = HeatTogether if one.declared.coupling == "monolithic" else HeatMarch
+        problem.ahead.append(march(one, Options({}) if options is None else options))
     if damage is not None:
         problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
         problem.terms.append(problem.springs)

@@ -15,7 +15,7 @@ from pdpetsc.case import Case, check_declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, agreed, communicator
 from pdpetsc.discrete.components import refuse_rigid_motion
-from pdpetsc.petsc.defaults import default_options
+from pdpetsc.petsc.defaults import coupled_options, default_options
 from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
@@ -24,7 +24,7 @@ from pdpetsc.running.build import make_cloud, make_families, make_problem, rehea
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.result import gathered
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start
-from pdpetsc.solvers.table import implementation, refuse_unmet
+from pdpetsc.solvers.table import refuse_unmet, solver_of
 
 
 class Prepared:
@@ -72,7 +72,8 @@ class Prepared:
     @cached_property
     def options(self) -> Options:
         """Return PETSc's options of this problem: the caller's, the case's, and what suits it."""
-        return self._chosen.suggest(default_options(self.problem, self.case.solver, self.choice))
+        found = default_options(self.problem, self.case.solver, self.choice)
+        return self._chosen.suggest(coupled_options(found) if self.problem.coupled else found)
 
     def solution(self, unknowns: Float | None = None, t: float = 0.0, step: int = 0) -> Solution:
         """Return a solution, for fields and quantities: the undeformed body by default.
@@ -112,8 +113,8 @@ class Prepared:
             The problem is not one that this solver can solve, or PETSc refuses an option.
         """
         declared, steps, problem = self.case.solver, self.case.steps, self.problem
-        make = implementation(declared).make
         refuse_unmet(problem, declared)
+        make = solver_of(problem, declared).make
         filled = None
         if declared.needs.tangent != "none":
             if self.choice.matrix_free:

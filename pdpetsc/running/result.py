@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import html
 import importlib
-from collections.abc import Iterator, Mapping
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
+from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
+from pdpetsc.output.labels import Labels
+from pdpetsc.output.picture import draw_field, kept_picture
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
+from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
 
 
 class Result(Mapping[str, float]):
@@ -44,7 +51,7 @@ class Result(Mapping[str, float]):
 
     def __init__(
         self, folder: Path, results: Mapping[str, float], history: Mapping[str, Any], summary: Mapping[str, Any],
-        solution: Solution | None = None, run: str | None = None,
+        solution: Solution | None = None, run: str | None = None, expect: Mapping[str, Expected] | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.history: dict[str, Float] = {name: np.asarray(values, dtype=float) for name, values in history.items()}
@@ -52,6 +59,7 @@ class Result(Mapping[str, float]):
         self.solution = solution
         self._results = dict(results)
         self._run = run
+        self._expect = dict(expect or {})
 
     def __getitem__(self, name: str) -> float:
         return self._results[name]
@@ -134,7 +142,7 @@ class Result(Mapping[str, float]):
         CaseError
             pandas is not installed.
         """
-        pandas = _module("pandas", "the history is a dictionary of arrays without it")
+        pandas = optional_module("pandas", "the history is a dictionary of arrays without it")
         return pandas.DataFrame(self.history)
 
     def to_pyvista(self, step: int | None = None) -> Any:
@@ -153,12 +161,84 @@ class Result(Mapping[str, float]):
         CaseError
             PyVista is not installed, or the run wrote no fields.
         """
-        pyvista = _module("pyvista", "fields.xdmf opens in ParaView without it")
+        pyvista = optional_module("pyvista", "fields.xdmf opens in ParaView without it")
         cloud = pyvista.PolyData(np.array(self.x))
         for name in self.fields.names(step):
             values = np.asarray(self.field(name, step))
             cloud.point_data[name] = values.reshape(len(values), -1) if values.ndim > 1 else values
         return cloud
+
+    def check(self) -> list[Check]:
+        """Compare the results with what the case expects, and return every check (not collective).
+
+        Raises
+        ------
+        CheckError
+            A result is not what was expected, or missing.
+        CaseError
+            There is nothing to compare with: the case expects nothing, or the run was opened from its folder and had
+            not been checked.
+        """
+        expect = self._expect or expected_of(self.summary)
+        refuse_unchecked(expect)
+        checks = compared(expect, self._results)
+        wrong = failure(checks)
+        if wrong is not None:
+            raise wrong
+        return checks
+
+    def to_xarray(self) -> Any:
+        """Return all fields of all steps as an xarray data set (not collective).
+
+        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second one of tensors;
+        coordinates are the step, its time ``t`` [-], and the reference positions ``X`` [length] by particle and
+        component. Fields that some steps lack are left out, and everything is read at once.
+
+        Raises
+        ------
+        CaseError
+            xarray is not installed, or the run wrote no fields.
+        """
+        xarray = optional_module("xarray", "field(name, step) gives NumPy arrays without it")
+        fields = self.fields
+        shared = [name for name in fields.names() if all(name in fields.names(step) for step in fields.steps)]
+        labels = Labels.of(self.summary)
+        found = {}
+        for name in shared:
+            if fields.is_entry(name):
+                continue
+            values = np.stack([fields.field(name, step) for step in fields.steps])
+            dims = ("step", "particle", "component", "along")[: values.ndim]
+            found[name] = (dims, values, {"long_name": labels.field(name), "units": labels.unit_of_field(name)})
+        axes = list("xyz")
+        coordinates = {
+            "step": fields.steps, "t": ("step", [fields.time(step) for step in fields.steps]),
+            "X": (("particle", "component"), self.x), "volume": ("particle", fields.of_particles("volume")),
+            "component": axes, "along": axes,
+        }  # fmt: skip
+        return xarray.Dataset(found, coordinates, {"status": str(self.summary.get("status"))})
+
+    def _repr_html_(self) -> str:
+        """Return a small table and the picture, for notebooks."""
+        shown = {"status": self.summary.get("status"), **self._results}
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(str(name))}</th>"
+            f"<td>{html.escape(f'{value:.8g}' if isinstance(value, float) else str(value))}</td></tr>"
+            for name, value in shown.items()
+        )
+        table = f"<b>{html.escape(str(self.folder))}</b><table>{rows}</table>"
+        return f"<div>{table}{self._picture_html()}</div>"
+
+    def _picture_html(self) -> str:
+        """Return the picture of the run, or a sentence why there is none; empty where it has nothing to draw."""
+        try:
+            # Asking for the fields finds out whether a later run has taken the folder.
+            names = self.fields.names()
+            data = kept_picture(self.folder) or _drawn(self.folder, names)
+        except (CaseError, OSError):
+            return ""
+        encoded = base64.b64encode(data).decode()
+        return f"<img alt='the deformed body' style='max-width:640px' src='data:image/png;base64,{encoded}'>"
 
     def gathered(self, field: Field) -> NDArray[Any] | None:
         """Return a field of the last solution, all particles in creation order, on rank 0; None on the others.
@@ -182,12 +262,21 @@ class Result(Mapping[str, float]):
         return gathered(self.solution, field)
 
 
-def _module(name: str, otherwise: str) -> Any:
+def optional_module(name: str, otherwise: str) -> Any:
     """Return a module that pdpetsc does not need, where it is installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
         raise CaseError(f"{name} is not installed: pip install {name}; {otherwise}.") from None
+
+
+def _drawn(folder: Path, names: Sequence[str]) -> bytes:
+    """Return a picture of the last step with von Mises stress, or how far particles have moved along x."""
+    name, component = ("von_mises", "") if "von_mises" in names else ("displacement", "x")
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "picture.png"
+        draw_field(folder, path, name, component, 1.0, folder.resolve().name)
+        return path.read_bytes()
 
 
 def gathered(solution: Solution, field: Field) -> NDArray[Any] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import platform
 import resource
@@ -32,9 +33,11 @@ from pdpetsc.output.records import plain, write_summary
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
+from pdpetsc.post.quantities import dimension_of
 from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
+from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
@@ -51,6 +54,8 @@ def run(
     restart_anyway: bool = False,
     comm: Any = None,
     report: Callable[[Comm], Report] = LogReport,
+    check: bool = False,
+    asked: Mapping[str, Any] | None = None,
 ) -> Result:
     """Run a case and return what came out.
 
@@ -72,6 +77,10 @@ def run(
         The ranks that run it; all by default. Groups of ranks can run cases side by side, each in its own folder.
     report : callable
         Makes what takes the words of the run from its ranks: the logger ``pdpetsc`` by default.
+    check : bool
+        Compare the results with ``Case.expect``, and say and record how they compare.
+    asked : mapping, optional
+        Written to the summary too, for the report: the command and the text of the case file.
 
     Returns
     -------
@@ -87,6 +96,8 @@ def run(
         The run ended early; the folder holds everything up to the last converged step.
     RunError
         A function of the case, PETSc or the memory failed, or pdpetsc itself; likewise. Its cause is what was raised.
+    CheckError
+        The run has ended and its folder is complete, but a result is not what the case expects.
 
     Notes
     -----
@@ -107,7 +118,14 @@ def run(
     ranks = communicator(comm)
     folder = Path(output)
     with messages_apart(ranks), holding(ranks, folder), report(ranks) as said:
-        return _Run(case, ranks, folder, dict(options or {}), restart, restart_anyway, said, dict(parameters or {}))()
+        given = dict(options or {}), restart, restart_anyway, said, dict(parameters or {})
+        one = _Run(case, ranks, folder, *given, check)
+        one.summary = {**(asked or {}), **one.summary}
+        result = one()
+        if (wrong := failure(one.checks)) is not None:
+            wrong.agreed = ranks.size
+            raise wrong
+        return result
 
 
 _abandoned: list[Solver] = []
@@ -126,8 +144,11 @@ class _Run:
         restart_anyway: bool,
         report: Report,
         parameters: dict[str, Any],
+        check: bool,
     ) -> None:
         self.case = case
+        self.check = check
+        self.checks: list[Check] = []
         self.folder = folder
         self.options = options
         self.restart = restart
@@ -174,6 +195,9 @@ class _Run:
         return self.phases.now
 
     def _go(self) -> Result:
+        if self.check:
+            with agreed(self.comm):
+                refuse_unchecked(self.case.expect)
         prepared = self.prepared = prepare(self.case, self.comm, self.options, self.phases)
         if cache_trouble():
             self.report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
@@ -345,6 +369,10 @@ class _Run:
         self.signals.patient = False
         with agreed(self.comm):
             results = _numbers(self.case.results(self.history)) if self.case.results is not None else {}
+        if self.check:
+            # What one rank finds holds for all.
+            self.checks = self.comm.bcast(compared(case.expect, results) if is_root(self.comm) else None)
+            self.summary["checks"] = recorded(self.checks)
         self.summary["unused_options"] = left = prepared.options.unused()
         self.signals.deaf = True  # the run has ended; nothing takes that back
         summary = self._write_summary("converged", results)
@@ -361,7 +389,7 @@ class _Run:
                 f'Steps(unstable="shorten") end the run before.'
             )
         self._show(results)
-        return Result(self.folder, results, self.history, summary, keeper.last, keeper.run)
+        return Result(self.folder, results, self.history, summary, keeper.last, keeper.run, case.expect)
 
     def _try_records(self, start: Solution) -> None:
         """Evaluate once what the case asks for, before files of an earlier run are replaced (collective).
@@ -443,6 +471,8 @@ class _Run:
     def _show(self, results: dict[str, float]) -> None:
         """Print the results and draw the picture of a run that has ended; whatever fails here, its results stand."""
         self.report.results(results)
+        for line in lines(self.checks) if self.checks else ():
+            self.report.say(line)
         self.report.say(f"results in {self.folder}")
         if self.case.picture is not None and is_root(self.comm):
             with self.phases.timed("picture"):
@@ -461,6 +491,7 @@ class _Run:
         if cloud.varies:
             self.summary["least_horizon"] = cloud.least_horizon
             self.report.say(f"horizons from {cloud.least_horizon:.6g} to {cloud.horizon:.6g}")
+        self.summary |= _labels(self.case, self._fields())
         self.summary["allocated"] = list(problem.parts)
         self.report.say(
             f"{cloud.n_global} particles in {cloud.dim}D, {int(bonds)} bonds, "
@@ -473,6 +504,12 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:
             self.report.say(f"scheme: {matter.note}")
+        if self.case.damage is not None and self.case.damage.assumes_share and not self.case.of_bonds:
+            self.report.warn(
+                "The fracture energy is that of a body of bonds with the same modulus, and a crack through deformation "
+                "gradients takes another one, a third of it or more; give the share that it takes, "
+                "FractureEnergy(Gc, share=...), from the table in the page on fracture."
+            )
 
     def _report_loads(self, problem: Problem) -> None:
         resultants = [found for term in problem.terms for found in term.resultants]
@@ -488,6 +525,18 @@ class _Run:
                 f"note: {cut} particles are held at a face that cuts their families; stresses within two horizons of "
                 f"it are those of no continuum, hold a layer two horizons deep where they matter"
             )
+
+
+def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
+    """Return what pictures and tables need to say of numbers: units, kinds of number, cracks of a plane body."""
+    return {
+        "units": {} if case.units is None else dataclasses.asdict(case.units),
+        "dimensions": {
+            "history": {name: quantity.dimension for name, quantity in case.history.items()},
+            "fields": {field.__name__: dimension_of(field) for field in fields},
+        },
+        "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
+    }
 
 
 def _start(solution: Solution) -> Start:

@@ -23,6 +23,7 @@ from pdpetsc.petsc.library import (
 )
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
+from pdpetsc.problem.state import State
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Setting, Start, StepResult
@@ -70,13 +71,13 @@ class StaticSolver(LoadStepSolver):
         self._scales = self._equilibrium.scales
         self._all_prescribed = int(total(self._comm, np.count_nonzero(~self._fixed))) == 0
         tangent = self._equilibrium.tangent
-        self._x = tangent.preconditioner.createVecRight()
+        self._x = self._create()
         self._r = self._x.duplicate()
         self.snes = PETSc.SNES().create(comm=self._comm)
         self.snes.setFunction(self._residual, self._r)
         self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
         self.snes.setConvergenceTest(self._test)
-        read_options(self.destroy, self.snes, equip=lambda: tangent.equip(self.snes.getKSP()))
+        read_options(self.destroy, self.snes, equip=self._equip)
         self.snes.setLineSearchPreCheck(self._shorten)
 
     @property
@@ -121,7 +122,7 @@ class StaticSolver(LoadStepSolver):
         sought.impose(t)
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
-            sought.tangent.equip(self.snes.getKSP())
+            self._equip()
         if self._all_prescribed:
             return self._without_solve()
         start, linear = u, 0
@@ -141,13 +142,13 @@ class StaticSolver(LoadStepSolver):
         reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
         # The test of this solver has seen the residual, unless SNES shows it another vector's norm.
         seen = sought.reason != "" and not self.snes.hasNPC()
-        converged = reason > 0 and resting and (seen or sought.judge(found, self._rtol))
+        converged = reason > 0 and resting and (seen or self._judged(self._x))
         result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
         if converged:
             damage = self.problem.damage
             # With damage held it is the secant that was factored, which tells nothing of stability.
             secant = damage is not None and damage.softens and damage.bonds.frozen
-            result = replace(result, negative_pivots=None if secant else negative_pivots(self.snes.getKSP()))
+            result = replace(result, negative_pivots=None if secant else self._pivots())
         else:
             sought.impose(old_t, old_prescribed)
             sought.tangent.forget()
@@ -183,7 +184,23 @@ class StaticSolver(LoadStepSolver):
         if self.snes.getConvergedReason() < 0:
             return True
         judged = self._equilibrium.reason != ""
-        return not judged and not self._equilibrium.judge(self._displacement(self._x), self._rtol)
+        return not judged and not self._judged(self._x)
+
+    def _judged(self, x: PETSc.Vec) -> bool:
+        """Return whether forces balance at unknowns of PETSc."""
+        return self._equilibrium.judge(self._displacement(x), self._rtol)
+
+    def _pivots(self) -> int | None:
+        """Return the negative pivots of the tangent where it was factored."""
+        return negative_pivots(self.snes.getKSP())
+
+    def _create(self) -> PETSc.Vec:
+        """Return a vector of PETSc for the unknowns."""
+        return self._equilibrium.tangent.preconditioner.createVecRight()
+
+    def _equip(self) -> None:
+        """Give the linear solver what options alone do not."""
+        self._equilibrium.tangent.equip(self.snes.getKSP())
 
     @property
     def _rtol(self) -> float:
@@ -194,7 +211,10 @@ class StaticSolver(LoadStepSolver):
         return np.asarray(x.array_r * self._scales.length)
 
     def _run(self, start: Float) -> int:
-        self._x.array = start.ravel() / self._scales.length
+        return self._solve_from(start.ravel() / self._scales.length)
+
+    def _solve_from(self, unknowns: Float) -> int:
+        self._x.array = unknowns
         self.snes.solve(None, self._x)
         if self.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
             start_anew(self.snes.getKSP())
@@ -218,15 +238,20 @@ class StaticSolver(LoadStepSolver):
             sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
         b = external - force - self.problem.linearised(state)(jump)
+        more, iterations = self._linear_step(u, state, np.where(free, b, 0.0))
+        change = more + jump
+        finite = np.isfinite(float(total(self._comm, float(change.sum()))))
+        return u + (change if finite else jump), iterations
+
+    def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
+        """Return the displacements that the tangent answers forces ``b`` with, and the iterations."""
         # What the state keeps is not needed while the tangent is factored, which takes the most memory.
         state.forget()
-        self._r.array = np.where(free, b, 0.0).ravel() / self._scales.force
-        ksp = self.snes.getKSP()
-        ksp.setOperators(sought.tangent.mat, sought.tangent.preconditioner)
+        self._r.array = b.ravel() / self._scales.force
+        ksp, tangent = self.snes.getKSP(), self._equilibrium.tangent
+        ksp.setOperators(tangent.mat, tangent.preconditioner)
         ksp.solve(self._r, self._x)
-        change = self._displacement(self._x).reshape(u.shape) + jump
-        finite = np.isfinite(float(total(self._comm, float(change.sum()))))
-        return u + (change if finite else jump), ksp.getIterationNumber()
+        return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         residual = self._equilibrium.residual(self._displacement(x))
@@ -253,6 +278,10 @@ class StaticSolver(LoadStepSolver):
             return self._equilibrium.interrupted()
         values = self._displacement(snes.getSolution())
         verdict = self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)
+        return self._unless_forced(verdict, snes, iteration)
+
+    @staticmethod
+    def _unless_forced(verdict: int | None, snes: PETSc.SNES, iteration: int) -> int | None:
         # -snes_force_iteration: no solve is done before its first iteration.
         forced = iteration == 0 and verdict is not None and verdict > 0 and forces_iteration(snes)
         return None if forced else verdict

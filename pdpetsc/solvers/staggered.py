@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
@@ -10,6 +12,36 @@ from pdpetsc.errors import SolveError
 from pdpetsc.petsc.conduction import ScalarMatrix
 from pdpetsc.petsc.options import Options
 from pdpetsc.terms.heat import Heat
+
+
+class HeatSystem(NamedTuple):
+    """What the temperature of a load step solves, ``A T = b``.
+
+    Attributes
+    ----------
+    matrix : ScalarMatrix
+        A.
+    b : (n_owned,) float64
+        [power]
+    start : (n_owned,) float64
+        The temperature before, with what conditions prescribe.
+    t : float
+        Step time [-].
+    """
+
+    matrix: ScalarMatrix
+    b: Float
+    start: Float
+    t: float
+
+
+def no_temperature(t: float) -> SolveError:
+    """Return the error of a step time that has no temperature."""
+    return SolveError(
+        f"Heat conduction found no temperature at step time {t:.6g}: a piece of the body gains heat that nothing takes "
+        f"away, or the linear solver failed; prescribe a temperature or convection on every piece, or let conduction "
+        f"take time."
+    )
 
 
 class HeatMarch:
@@ -30,6 +62,8 @@ class HeatMarch:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
+    together = False
+
     def __init__(self, heat: Heat, options: Options) -> None:
         self.heat = heat
         self.iterations = 0
@@ -39,11 +73,15 @@ class HeatMarch:
 
     def advance(self, before: float, t: float) -> None:
         """Go from the temperature of step time ``before`` to that of ``t``."""
+        self.solve(self.system(before, t))
+
+    def system(self, before: float, t: float) -> HeatSystem:
+        """Return what the temperature of step time ``t`` solves, after that of ``before``."""
         heat = self.heat
-        declared, field = heat.declared, heat.field
+        declared = heat.declared
         dt = 0.0 if declared.duration is None else (t - before) * declared.duration
         matrix, w = self._matrix(dt), declared.theta
-        T_0 = field.before
+        T_0 = heat.field.before
         b = heat.sources(t)
         if dt:
             # A T_0 = (C / dt + w K) T_0, of which the rest of what is known follows.
@@ -54,14 +92,14 @@ class HeatMarch:
         start = T_0.copy()
         prescribed = heat.prescribed
         start[prescribed.held] = prescribed.at(t)[prescribed.held]
-        found, self.iterations, good = matrix.solve(b, start)
+        return HeatSystem(matrix, b, start, t)
+
+    def solve(self, system: HeatSystem) -> None:
+        """Find the temperature of a step and take it."""
+        found, self.iterations, good = system.matrix.solve(system.b, system.start)
         if not good:
-            raise SolveError(
-                f"Heat conduction found no temperature at step time {t:.6g}: a piece of the body gains heat that "
-                f"nothing takes away, or the linear solver failed; prescribe a temperature or convection on every "
-                f"piece, or let conduction take time."
-            )
-        field.take(found)
+            raise no_temperature(system.t)
+        self.heat.field.take(found)
 
     def revert(self) -> None:
         """Go back to the temperature of the last converged step."""
@@ -94,3 +132,24 @@ class HeatMarch:
     def temperature(self) -> Float:
         """Return that of the present step (n_owned,) (not collective)."""
         return self.heat.field.now
+
+
+class HeatTogether(HeatMarch):
+    """The temperature of each load step as an unknown of Newton's method beside the displacement.
+
+    Attributes
+    ----------
+    sought : HeatSystem or None
+        What the temperature of the present step solves.
+    """
+
+    together = True
+
+    def __init__(self, heat: Heat, options: Options) -> None:
+        super().__init__(heat, options)
+        self.sought: HeatSystem | None = None
+
+    def advance(self, before: float, t: float) -> None:
+        """Say what the temperature of step time ``t`` solves; it begins with that of ``before``."""
+        self.sought = self.system(before, t)
+        self.heat.field.take(self.sought.start)

@@ -7,6 +7,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
 from pdpetsc.solvers.event_driven.solver import EventSolver
+from pdpetsc.solvers.monolithic import MonolithicSolver, together
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.path_following.solver import PathSolver
 from pdpetsc.solvers.protocol import Solver
@@ -19,6 +20,25 @@ IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     EventDriven: EventSolver,
     PathFollowing: PathSolver,
 }
+
+
+def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
+    """Return what solves a problem as a case declares: with the temperature among the unknowns where it asks for that.
+
+    Raises
+    ------
+    CaseError
+        The table has nothing, or what it has finds no temperature together with the displacement.
+    """
+    found = implementation(declared)
+    if together(problem) is None:
+        return found
+    if found is not StaticSolver:
+        raise CaseError(
+            f'HeatConduction with coupling="monolithic" takes Newton, and {declared.title} finds displacements alone; '
+            f'take coupling="staggered", which finds the same.'
+        )
+    return MonolithicSolver
 
 
 def implementation(declared: DeclaredSolver) -> type[Solver]:
@@ -34,17 +54,18 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks where a problem lacks what a solver declares to need (collective)."""
-    implementation(declared).refuse(problem)
+    solver_of(problem, declared).refuse(problem)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(
             f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
             f"this body has a law that is not linear between failures, so take Newton."
         )
-    if declared.finds_load and problem.matter.timed:
+    timed = problem.matter.timed or (problem.damage is not None and problem.damage.drive.timed)
+    if declared.finds_load and timed:
         raise CaseError(
-            f"{declared.title} finds the load, which is no time; a material that depends on its rate needs load steps, "
-            f"so take Newton."
+            f"{declared.title} finds the load, which is no time; a material that depends on its rate, or fails by it, "
+            f"needs load steps, so take Newton."
         )
     if needs.symmetric:
         for term in problem.terms:

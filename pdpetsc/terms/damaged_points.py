@@ -120,6 +120,12 @@ class DamagedPoints(MaterialPoints):
         """Return True."""
         return True
 
+    def temperature(self, state: State) -> Float | None:
+        """Return the temperature of the points (n_points,), None where the body has none (collective)."""
+        expansion = self.body.expansion
+        found = None if expansion is None else expansion.temperature(state.t)
+        return None if found is None else found[self.operator.owner]
+
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]; I where a particle has no gradient any more."""
         F = super().deformation(state)

@@ -193,6 +193,32 @@ class MaterialPoints(Matter):
             at_points.energy(F, psi)
         return psi
 
+    def conjugates(self, state: State) -> tuple[Float, Float, Float]:
+        """Return F, the stress that forces have (n_points, dim, dim) and the energy density (n_points,) of the points.
+
+        The stress is the derivative of the energy by F.
+        """
+        F = self.deformation(state)
+        return F, self.stress(F), self.point_energy(F)
+
+    def stress_by_temperature(self, state: State) -> Float:
+        """Return the derivative of the stress of the points by their temperature (n_points, dim, dim) (collective)."""
+        F, expansion, owner = self.deformation(state), self.body.expansion, self.operator.owner
+        assert expansion is not None
+        strain, factor, step = expansion.by_temperature(state.t)
+        temperature, found = expansion.temperature(state.t), np.zeros_like(F)
+        with agreed(self.body.cloud.comm):
+            for one in self.materials:
+                assert isinstance(one, ExpandedAtPoints)
+                at = owner[one.points]
+                T = None if temperature is None else temperature[at]
+                found[one.points] = one.stress_along(F[one.points], strain[at], factor[at], T, step)
+        return found
+
+    def energy_at(self, F: Float, volume: Float) -> Float:
+        """Return the energy density of all points (n_points,) at gradients F and volumes (n_points,) of one's own."""
+        return self.point_energy(F)
+
     def add_force(self, state: State, f: Float) -> None:
         """Add ``G^T (W P)``."""
         self.operator.divergence(self.stress(self.deformation(state)), f)

@@ -164,19 +164,19 @@ class PatchPoints(MaterialPoints):
 
     def shared(self, state: State) -> Shared:
         """Return the gradients at an admissible state, with the dilatations of patches."""
-        operator, dim = self.operator, self.body.dim
         F = self._own_gradient(state)  # materials are those of the step time of the state from here on
+        return state.kept(("shared", id(self.operator)), lambda: self._share(F, self._weight))
 
-        def make() -> Shared:
-            theta = np.einsum("pii->p", F) - dim if self._linear else np.log(np.linalg.det(F))
-            missing = self._sum(self._weight * theta)[self.patch_of_point] - theta
-            if self._linear:
-                F_bar = F + missing[:, None, None] / dim * np.eye(dim)
-            else:
-                F_bar = np.exp(missing / dim)[:, None, None] * F
-            return Shared(F, F_bar, missing)
-
-        return state.kept(("shared", id(operator)), make)
+    def _share(self, F: Float, weight: Float) -> Shared:
+        """Return gradients of all points with the dilatations of patches, means by weights (n_points,)."""
+        dim = self.body.dim
+        theta = np.einsum("pii->p", F) - dim if self._linear else np.log(np.linalg.det(F))
+        missing = self._sum(weight * theta)[self.patch_of_point] - theta
+        if self._linear:
+            F_bar = F + missing[:, None, None] / dim * np.eye(dim)
+        else:
+            F_bar = np.exp(missing / dim)[:, None, None] * F
+        return Shared(F, F_bar, missing)
 
     def response(self, state: State) -> Response:
         """Return the stresses at an admissible state."""
@@ -199,6 +199,16 @@ class PatchPoints(MaterialPoints):
     def deformation(self, state: State) -> Float:
         """Return ``F_bar`` (n_points, dim, dim) [-], what materials see."""
         return self.shared(state).F_bar
+
+    def conjugates(self, state: State) -> tuple[Float, Float, Float]:
+        """Return F of the points, not what materials see, with the stress that forces have and the whole energy."""
+        shared = self.shared(state)
+        return shared.F, self.response(state).P, self.point_energy(shared.F_bar) + self._rest_energy(state)
+
+    def energy_at(self, F: Float, volume: Float) -> Float:
+        """Return the energy density of all points (n_points,) at gradients F and volumes (n_points,) of one's own."""
+        shared = self._share(F, volume / self._sum(volume)[self.patch_of_point])
+        return np.asarray(self.point_energy(shared.F_bar) + 0.5 * self._rest * shared.missing**2)
 
     def admissible(self, state: State) -> bool:
         """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""

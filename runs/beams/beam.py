@@ -66,5 +66,8 @@ def half_beam(support, ny, horizon, scheme, steps, supports, control, weights="s
         steps=pd.Steps(steps),
         history={"w": pd.At((half, 0.0), pd.displacement, "y"), "energy": pd.StrainEnergy()},
         results=results,
+        expect={
+            "deflection": pd.Expected(reference, relative=0.02, source="Timoshenko's strip with immovable ends"),
+        },
         picture=pd.Picture(pd.stress, "xx", scale=5.0),
     )

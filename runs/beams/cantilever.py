@@ -61,5 +61,11 @@ def case(
         steps=pd.Steps(steps),
         history={"w": pd.Mean(pd.displacement, "y", tip), "u": pd.Mean(pd.displacement, "x", tip)},
         results=results,
+        expect={
+            "w_over_L": pd.Expected(exact[0], relative=0.03, source="elastica (Bisshopp and Drucker 1945)"),
+            "u_over_L": pd.Expected(exact[1], relative=0.03, source="elastica (Bisshopp and Drucker 1945)"),
+        }
+        if plane == "stress"
+        else {},
         picture=pd.Picture(pd.stress, "xx"),
     )

@@ -8,6 +8,7 @@ the finite elements (``clamp=reference``) or none (``clamp=zero``), which holds 
 inside of its side: that is of first order. Fewer columns than the horizon reaches leave free particles next to the
 clamped facets, which have no traction: that is of first order too. The stress of particles within 5 mm of the clamped
 corners, where it is singular, is left out; ``error_surface_stress`` is that of the clamped side 10 mm away from them.
+``tip`` is the rise of the upper right corner [mm].
 """
 
 import common
@@ -64,6 +65,9 @@ def case(
     side, clamped = region.Slab("x", high=held * elements.LENGTH / n), {"x": x, "y": y}
     if cloud != "cells":
         side, clamped = region.Slab("x", high=1e-6 * elements.LENGTH), {"x": 0.0, "y": 0.0}
+    of_errors = common.errors(displacement, stress, rigid=False, surface=CLAMPED, regular=REGULAR)
+    of_errors["history"]["tip"] = pd.At((elements.LENGTH, 60.0), pd.displacement, "y")
+    tip = float(displacement(np.array([[elements.LENGTH, 60.0]]), 1.0)[0, 1])
     return pd.Case(
         particles=particles,
         material=pd.NeoHookean(E=elements.E, nu=elements.NU),
@@ -73,5 +77,7 @@ def case(
         ],
         steps=pd.Steps(steps),
         **common.common(scheme, weights, horizon, G, spacing),
-        **common.errors(displacement, stress, rigid=False, surface=CLAMPED, regular=REGULAR),
+        **of_errors,
+        expect={"tip": pd.Expected(tip, relative=0.02, source="biquadratic finite elements (cook_elements.py)")},
+        picture=pd.Picture(pd.stress, "xx"),
     )

@@ -2,7 +2,8 @@
 
 Radii 1 and 2, ``n`` particles across. ``mesh`` is ``quads`` (polar), ``triangles`` (irregular, their nodes moved by up
 to ``shake``), the nodes of either, ``quad_nodes`` and ``nodes``, or ``lattice``, whose round surfaces are staircases:
-loads and boundary have corners of one spacing. ``error_surface_stress`` is that at the inner surface.
+loads and boundary have corners of one spacing. ``error_surface_stress`` is that at the inner surface,
+``hoop`` the stress around the hole. Any consistent units.
 """
 
 import common
@@ -31,10 +32,18 @@ def case(
 ):  # fmt: skip
     particles = rings.cloud(mesh, n, shake, seed)
     spacing = common.spacing_of(particles)
+    of_errors = common.errors(displacement, stress, surface=rings.HOLE)
+    # Highest and lowest point of the hole, where the stress along x is the one around it.
+    of_errors["history"]["hoop"] = pd.OnSurface(pd.stress, "xx", rings.HOLE, take="largest")
     return pd.Case(
         particles=particles,
         material=pd.LinearElastic(E=E, nu=NU),
         conditions=[*rings.supports(displacement), pd.Pressure(rings.HOLE, PRESSURE)],
         **common.common(scheme, weights, horizon, G, spacing),
-        **common.errors(displacement, stress, surface=rings.HOLE),
+        **of_errors,
+        expect={
+            "error_u": pd.Expected(0.0, absolute=0.01, source="Lame's solution"),
+            "hoop": pd.Expected(A + B, relative=0.05, source="Lame's solution at the hole"),
+        },
+        picture=pd.Picture(pd.von_mises, ""),
     )

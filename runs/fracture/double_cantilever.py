@@ -104,6 +104,11 @@ def case(n=20, horizon=3.015, opening=6.0, solver="events", law="brittle", schem
             ),
         },
         results=measured if intact else results,
+        expect={
+            "stiffness": pd.Expected(1.0, relative=0.05, source="beam theory with arms that turn at their root"),
+            "J": pd.Expected(1.0, relative=0.05, source="12 P^2 a'^2 / E h^3 of the same beams"),
+            **({"G": pd.Expected(1.0, relative=0.05, source="the same")} if intact else {}),
+        },
         fields=[pd.displacement, pd.local_damage],
-        picture=pd.Picture(pd.local_damage, "", 1.0),
+        picture=pd.Picture(pd.von_mises, "", 50.0) if intact else pd.Picture(pd.local_damage, "", 1.0),
     )

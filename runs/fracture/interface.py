@@ -3,9 +3,9 @@
 Square of side 20 with a fibre of radius 5 in its middle, plane strain, E = 4 and 40 GPa; fracture energies of matrix
 and fibre 0.5 N / mm, of the interface ``Gc``. With ``model="bonds"`` bond-based, with ``"gradients"`` deformation
 gradients with Silling's control.
-Results: ``debonding_stress`` over the section, after which the force falls for the first time, ``first_angle``, the
-largest one with the pull of the bonds that break first, ``debonded``, that of all of the interface [degrees],
-``at_interface``, their share in all that break.
+Results: ``stiffness``, force over pull in the first step; ``debonding_stress`` over the section, after which the force
+falls for the first time; ``first_angle``, the largest one with the pull of the bonds that break first; ``debonded``,
+that of all of the interface [degrees]; ``at_interface``, their share in all that break.
 """
 
 from dataclasses import dataclass
@@ -57,6 +57,7 @@ def case(n=20, horizon=2.015, Gc=0.02, model="bonds", pull=0.06, steps=12):
         begun = next((angle for angle, count in zip(h["angle"], h["broken"], strict=True) if count > 0.0), float("nan"))
         falls = np.flatnonzero(np.diff(h["force"]) < 0.0)
         return {
+            "stiffness": h["force"][1] / (pull * h["t"][1]),
             "debonding_stress": h["force"][falls[0] if len(falls) else -1] / SIDE,
             "first_angle": begun,
             "debonded": h["angle"][-1],
@@ -87,6 +88,13 @@ def case(n=20, horizon=2.015, Gc=0.02, model="bonds", pull=0.06, steps=12):
             "work": pd.ExternalWork(),
         },
         results=results,
+        # The grips are as deep as two spacings, and finite elements know those of one.
+        expect={
+            "stiffness": pd.Expected(7612.0, relative=0.08, source="finite elements (interface_elements.py)"),
+            "at_interface": pd.Expected(1.0, absolute=0.0, source="the interface is 25 times as weak as what it joins"),
+        }
+        if n == 20 and Gc <= TOUGH / 25.0
+        else {},
         fields=[pd.displacement, pd.local_damage],
         picture=pd.Picture(pd.local_damage, "", 20.0),
     )

@@ -57,6 +57,7 @@ def case(n=20, horizon=3.015, step=0.02, end=0.6):
             "work": pd.ExternalWork(),
         },
         results=results,
+        expect={"peak_load": pd.Expected(800.0, relative=0.15, source="tests (Petersson 1981), about 0.8 kN")},
         fields=[pd.displacement, pd.local_damage],
         picture=pd.Picture(pd.local_damage, "", 50.0),
     )

@@ -370,7 +370,7 @@ class Heals(pd.LargestStretch):
 
 
 def deviations():
-    """Every difference between the published scheme and the default alone: the table of docs/fracture.md."""
+    """Every difference between the published scheme and the default alone: the table of docs/theory/fracture.md."""
     effects = {
         "default": pd.LargestStretch(),
         "control follows": ControlFollows(),

@@ -1,8 +1,8 @@
 """What the papers show and what comes out here: python runs/papers/table.py [--run] [--paper NAME].
 
 The rows are in the ``.toml`` files beside this one: what a paper prints, the command that gives the number here, what
-it gave, and the verdict. Without words this writes ``docs/papers.md`` from them; ``--run`` runs every command and says
-which numbers have changed. ``tests/test_papers.py`` does both.
+it gave, and the verdict. Without words this writes ``docs/reference/papers.md`` from them; ``--run`` runs every command
+and says which numbers have changed. ``tests/test_papers.py`` does both.
 
 A row has ``paper``, ``item`` (Table 1, Figure 16), ``what``, ``command`` (one word of it starts with ``out/``, the
 folder of the results), ``result`` (a name in ``results`` of ``summary.json``, or in ``numbers.json``), ``scale``
@@ -29,7 +29,7 @@ else:
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-PAGE = ROOT / "docs" / "papers.md"
+PAGE = ROOT / "docs" / "reference" / "papers.md"
 VERDICTS = ("reproduced", "misprint", "differs", "unstated")
 # The papers, how many tables and figures each has, and which figures are sketches or set-ups that show no result.
 PAPERS = {
@@ -243,7 +243,7 @@ def page():
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Write docs/papers.md, or run what it says.")
+    parser = argparse.ArgumentParser(description="Write docs/reference/papers.md, or run what it says.")
     parser.add_argument("--run", action="store_true", help="run every command and compare")
     parser.add_argument("--paper", choices=PAPERS, help="only this paper")
     words = parser.parse_args()

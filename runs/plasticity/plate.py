@@ -134,6 +134,10 @@ def case(dx=4.0, horizon=1.015, scheme="sub_horizons", control="none", steps=10,
             "oscillation": Roughness(dx, "stress"),
         },
         results=results,
+        expect={
+            "force": pd.Expected(at_time("force", 1.0), relative=0.05, source="finite elements with the same law"),
+            "mean_plastic": pd.Expected(at_time("mean_plastic", 1.0), relative=0.02, source="the same finite elements"),
+        },
         fields=[pd.displacement, pd.stress, pd.plastic_strain],
         picture=pd.Picture(pd.plastic_strain, ""),
     )

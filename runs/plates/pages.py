@@ -1,4 +1,4 @@
-"""Pictures of the pages on methods: python runs/plates/pages.py [folder] draws one a method (docs/methods).
+"""Pictures of the pages on methods: python runs/plates/pages.py [folder] draws one a method (docs/theory).
 
 Left the singular bar at horizon 3.015 dx (oscillation of the displacement on its linear half), right the displacement
 along the plate with a diamond hole at 1.1 diagonals, both beside plain correspondence.
@@ -47,7 +47,7 @@ def values(folder, case, line):
 
 
 def main():
-    folder = study.folder_for(words, "docs/methods")
+    folder = study.folder_for(words, "docs/pictures")
     n = 500
     whole = plate.Line("bar", 0, {}, 1.0 / (n - 1))
     wide = {"n": n, "horizon": 3.015}

@@ -1,8 +1,8 @@
 """Finite elements of elastic-plastic bodies, for comparison: biquadratic quadrilaterals (scikit-fem), full Newton.
 
 The law is written anew here, in terms of ``b_e = F C_p^-1 F^T`` with a return in principal logarithmic strains
-(Simo 1992), its tangent by central differences. A body is in plane strain or a solid of revolution: then x is the
-radius, the third direction goes round, and every integral has the factor ``2 pi x``.
+(Simo 1992), its tangent by central differences. A body is in plane strain, in plane stress (``PlaneStress``) or a solid
+of revolution: then x is the radius, the third direction goes round, and every integral has the factor ``2 pi x``.
 """
 
 import numpy as np
@@ -66,6 +66,34 @@ class Law:
         return A
 
 
+class PlaneStress(Law):
+    """The same where the stretch across the plane is free: it is found at every point, by Newton's method."""
+
+    def respond(self, F):
+        """Return what ``Law`` does, at the stretch ``F_zz`` that leaves no stress across the plane."""
+        F, size = F.copy(), self.lam + 2.0 * self.mu
+        F[:, 2, 2] = self.across
+        for _ in range(STEPS):
+            tau = super().respond(F)[1][:, 2, 2]
+            if np.abs(tau).max() < 1e-12 * size:
+                break
+            moved = F.copy()
+            moved[:, 2, 2] += DIFFERENCE
+            slope = (super().respond(moved)[1][:, 2, 2] - tau) / DIFFERENCE
+            F[:, 2, 2] -= tau / slope
+        self.found = F[:, 2, 2]
+        return super().respond(F)
+
+    def keep(self, F):
+        """Take the state at F as the one that further steps start from."""
+        super().keep(F)
+        self.across = self.found
+
+    def __init__(self, E, nu, hardening, points):
+        super().__init__(E, nu, hardening, points)
+        self.across = np.ones(points)
+
+
 @LinearForm
 def shear(v, w):
     return w.along * v[1]
@@ -82,11 +110,11 @@ class Body:
         Internal forces on all degrees of freedom.
     """
 
-    def __init__(self, mesh, E, nu, hardening, round_axis):
+    def __init__(self, mesh, E, nu, hardening, round_axis, law=Law):
         self.mesh, self.round = mesh, round_axis
         self.basis = Basis(mesh, ElementVector(ElementQuad2()), intorder=4)
         self.shape = self.basis.dx.shape
-        self.law = Law(E, nu, hardening, int(np.prod(self.shape)))
+        self.law = law(E, nu, hardening, int(np.prod(self.shape)))
         self.u = np.zeros(self.basis.N)
         vertical = np.zeros(self.basis.N, dtype=bool)
         for group in (self.basis.nodal_dofs, self.basis.facet_dofs, self.basis.interior_dofs):

@@ -79,6 +79,12 @@ def case(n=8, method="following", horizon=1.515, steps=30, G=0.5, least=0.01):
         steps=pd.Steps(steps),
         history=history,
         results=results,
+        expect={
+            "peak": pd.Expected(
+                reference("neck")["peak"], relative=0.02, source="finite elements (yielding_elements.py)"
+            ),
+            "end": pd.Expected(reference("neck")["end"], relative=0.05, source="the same, far beyond the peak"),
+        },
         fields=[pd.displacement, pd.stress, pd.plastic_strain],
         picture=pd.Picture(pd.plastic_strain, ""),
     )

@@ -75,5 +75,7 @@ def case(
             "curvature_over_exact": -history["curvature"][-1] / expected,
             "control_share": history["control"][-1] / history["strain"][-1],
         },
+        expect={"curvature": pd.Expected(-expected, relative=0.03, source="Timoshenko 1925, bimetal strips")},
         fields=[pd.displacement, pd.stress, pd.temperature],
+        picture=pd.Picture(pd.stress, "xx", scale=10.0),
     )

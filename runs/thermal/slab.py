@@ -63,6 +63,11 @@ def case(
         steps=pd.Steps(steps),
         history=history,
         results=lambda h: {"middle": h["middle"][-1], "error": h["error"][-1]},
+        # With little convection the faces are not at 0.
+        expect={"middle": pd.Expected(float(series(np.array([0.5]), time)[0]), relative=0.01, source="Fourier series")}
+        if over or biot >= 1e4
+        else {},
         fields=[pd.temperature, pd.heat_flux],
+        picture=pd.Picture(pd.temperature, "") if dim > 1 else None,
         checkpoints=0,
     )

@@ -1,0 +1,115 @@
+"""``python -m pdpetsc import DECK``: a deck of Peridigm or PeriLab becomes a case file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pdpetsc.decks import peridigm, perilab
+from pdpetsc.decks.script import Notes, Script, plain
+from pdpetsc.decks.sections import Section, read
+from pdpetsc.errors import CaseError
+
+USAGE = """usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...] [--static] [--overwrite]
+
+  DECK           a deck of Peridigm (YAML, or XML of parameter lists) or PeriLab (YAML)
+  -o CASE.py     the case file to write (default: the name of the deck, in this folder)
+  --ignore NAME  leave out the entry or section of this name or path, such as Contact or Solver/Verlet; may be repeated
+  --static       solve a deck in time (Verlet, Implicit, Newmark) statically
+  --overwrite    write over a file that is there
+
+Everything that the deck says is translated, listed as a comment where it only says what is written or tunes a solver,
+or refused by name. Meshes are read from where they are. What differs is said at the head of the written file."""
+
+Translate = Callable[[Path, Section, Notes, Path, bool], Script]
+
+
+def import_deck(
+    deck: Path, output: Path | None = None, ignore: Sequence[str] = (), static: bool = False, overwrite: bool = False
+) -> tuple[Path, list[str]]:
+    """Write the case of a deck.
+
+    Parameters
+    ----------
+    deck : Path
+        A deck of Peridigm or PeriLab.
+    output : Path, optional
+        The case file; the name of the deck in the working folder where absent.
+    ignore : sequence of str
+        Names or paths of entries and sections to leave out.
+    static : bool
+        Whether decks in time are solved statically.
+    overwrite : bool
+        Whether a file that is there is written over.
+
+    Returns
+    -------
+    path, said : Path, list of str
+        The file, and what differs from the program of the deck.
+
+    Raises
+    ------
+    CaseError
+        The deck cannot be read, has what has no counterpart here, or the file is there or cannot be written.
+    """
+    path = Path(f"{deck.stem}.py") if output is None else output
+    if path.suffix != ".py":
+        raise CaseError(f"A case file ends in .py, and {path} does not.")
+    if path.exists() and not overwrite:
+        raise CaseError(f"{path} is there already; give another name with -o, or --overwrite.")
+    root = read(deck)
+    notes = Notes(ignored=root.without(ignore))
+    for name in ignore:
+        if not any(entry.partition(" (line")[0].endswith(name) for entry in notes.ignored):
+            raise CaseError(f"The deck {deck} has nothing called {name!r} to ignore.")
+    translate, root = _program(deck, root)
+    script = translate(deck, root, notes, path.parent, static)
+    _write(path, script.text(), overwrite)
+    return path, [*notes.differences, *(f"ignored {entry}" for entry in notes.ignored)]
+
+
+def _program(deck: Path, root: Section) -> tuple[Translate, Section]:
+    """Return what translates the deck, and the section that it begins with."""
+    for name, translate in (("Peridigm", peridigm.translate), ("PeriLab", perilab.translate)):
+        if name in root.sections:
+            if len(root.sections) + len(root.entries) > 1:
+                raise CaseError(f"The deck {deck} has more beside {name}; put all of it below {name}.")
+            return translate, root.sections[name]
+    if "Materials" in root.sections and "Blocks" in root.sections:
+        return peridigm.translate, root
+    raise CaseError(f"{deck} is no deck of Peridigm or PeriLab: it begins with {', '.join([*root.sections][:3])}.")
+
+
+def _write(path: Path, text: str, overwrite: bool) -> None:
+    """Write the case beside its place, see whether it is one, and put it there."""
+    from pdpetsc.command_line.cli import load_case
+
+    compile(text, str(path), "exec")
+    trial = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", suffix=".py", prefix=f".{path.stem}_", dir=path.parent, delete=False, encoding="utf-8"
+        ) as file:
+            trial = Path(file.name)
+            file.write(text)
+        load_case(trial)()
+        if overwrite:
+            os.replace(trial, path)
+        else:
+            os.link(trial, path)
+    except FileExistsError:
+        raise CaseError(f"{path} is there already; give another name with -o, or --overwrite.") from None
+    except OSError as error:
+        raise CaseError(f"Cannot write {path}: {error.strerror or error}.") from None
+    finally:
+        if trial is not None:
+            with contextlib.suppress(OSError):
+                trial.unlink()
+
+
+def described(path: Path, said: Sequence[str]) -> str:
+    """Return what the command prints."""
+    return "\n".join([str(path), *(f"  {plain(line)}" for line in said)])

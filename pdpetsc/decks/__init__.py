@@ -1,0 +1,1 @@
+"""Input decks of other programs, translated to case files."""

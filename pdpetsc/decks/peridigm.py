@@ -1,0 +1,540 @@
+"""Peridigm's decks: parameter lists in YAML or XML.
+
+What the entries mean is Peridigm's source, version 1.5 of August 2023: ``src/materials``, ``src/core`` and ``src/io``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pdpetsc.arrays import Mask
+from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.script import (
+    Body,
+    Given,
+    Notes,
+    Script,
+    Times,
+    Where,
+    cracks,
+    elastic_constants,
+    quoted,
+    refuse_unknown,
+    relative,
+    tidy,
+    words,
+)
+from pdpetsc.decks.sections import Section
+from pdpetsc.declare.files import Mesh
+from pdpetsc.declare.text_file import TextFile
+from pdpetsc.errors import CaseError
+
+PROGRAM = "Peridigm"
+# Load steps of a deck in time that is solved statically because it was asked for.
+STATIC_STEPS = 10
+# Entries that every material may have and that have no part in a static answer.
+_OF_MOTION = ("Density",)
+# What a quasi-static solver is tuned with.
+_TUNING = (
+    "Verbose", "Absolute Tolerance", "Relative Tolerance", "Maximum Solver Iterations", "Max Solver Iterations",
+    "Belos Linear Solver",
+    "Belos Maximum Iterations", "Belos Relative Tolerance", "Belos Print Status", "Disable Heuristics", "Damped Newton",
+    "Damped Newton Diagonal Scale Factor", "Damped Newton Diagonal Shift Factor", "Preconditioner Type",
+    "Solver Type", "Maximum Number of Load Step Reductions", "Adaptive Load-Stepping", "Nonlinear Solver",
+    "Max Age Of Prec", "Preconditioner Reuse Policy", "Direction", "Line Search", "Printing", "Newton", "Status Tests",
+    "Linear Solver", "Aztec Preconditioner", "Output", "Trust Region", "Reset Counters", "Solver Options",
+)  # fmt: skip
+_OF_SOLVERS = ("Verbose", "Peridigm Preconditioner", "Initialize Predictor From Previous Solver", "Solver Specific")
+_OF_OUTPUT = ("Verbose", "Save Restart")
+_GRID = [
+    "def grid(origin, length, count):",
+    '    """Return the middles of the cells of a box, those along x first."""',
+    "    axes = [o + (np.arange(n) + 0.5) * size / n for o, size, n in zip(origin, length, count, strict=True)]",
+    '    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")',
+    "    return np.column_stack([x.ravel(), y.ravel(), z.ravel()])",
+]
+
+
+def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: bool) -> Script:
+    """Return what a deck says.
+
+    Parameters
+    ----------
+    deck : Path
+        The file.
+    root : Section
+        What it holds, without what is to be ignored.
+    notes : Notes
+        Where differences and what is left out are noted.
+    folder : Path
+        Where the case file will be.
+    static : bool
+        Whether decks in time are solved statically.
+
+    Raises
+    ------
+    CaseError
+        An entry has no counterpart here.
+    """
+    notes.leave_out(root, *_OF_OUTPUT)
+    solvers = [root.sections[name] for name in root.sections if re.fullmatch(r"Solver\d*", name)]
+    times = _times(solvers, notes, static)
+    body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck.parent, folder)
+    script = Script(deck, PROGRAM, body, times, notes)
+    _blocks(script, root)
+    if "Bond Filters" in root.section("Discretization").sections:
+        found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
+        script.arguments["cracks"] = f"[{', '.join(found)}]"
+    if "Contact" in root:
+        raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
+    if "Boundary Conditions" in root.sections:
+        _conditions(script, root.section("Boundary Conditions"), static)
+    if not script.given:
+        raise CaseError("The deck prescribes nothing, and a static answer needs supports and loads.")
+    _outputs(script, root)
+    refuse_unknown(root)
+    return script
+
+
+# --- particles
+
+
+def _body(section: Section, conditions: Section | None, beside: Path, folder: Path) -> Body:
+    kind = section.text("Type")
+    if section.flag("Compute Element-Horizon Intersections"):
+        raise CaseError(f"{section.place} of the deck asks for intersections of elements with horizons: volumes of "
+                        f"neighbours that are cut by the horizon have no counterpart here.")  # fmt: skip
+    sets = _number_sets(conditions, beside)
+    for name in ("Element-Horizon Intersection Recursion Level", "Element-Horizon Intersection Number Of Samples"):
+        if name in section.entries:
+            section.text(name)
+    if kind == "PdQuickGrid":
+        return _grid(section, sets)
+    path = beside / section.text("Input Mesh File")
+    if kind == "Exodus":
+        if sets:
+            raise CaseError(
+                f"The deck gives node set {next(iter(sets))!r} by numbers beside an Exodus mesh; put it into the mesh."
+            )
+        return exodus_body(path, folder, "nodelist", "block")
+    if kind == "Text File":
+        return text_body(path, folder, sets, dim=3)
+    raise CaseError(
+        f"{section.entries['Type'].place} of the deck is {kind!r}; known are Exodus, Text File, PdQuickGrid."
+    )
+
+
+def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
+    """Return the particles of an Exodus mesh, whose unnamed sets decks call ``nodes_n`` and ``blocks_n``."""
+    mesh = Mesh(path, format="exodus")
+    whole = mesh.chunk(0, 1)
+    called = {tidy(name): name for name in whole.sets}
+    for ours, theirs in (("node_set", nodes), ("group", blocks)):
+        for name in whole.sets:
+            found = re.fullmatch(rf"{ours}_(\d+)", name)
+            if found:
+                called.setdefault(tidy(f"{theirs}_{found[1]}"), name)
+    code = [f'particles = pd.Mesh({relative(path, folder)}, format="exodus")']
+    return Body(code, [], whole.x, dict(whole.sets), called)
+
+
+def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: int) -> Body:
+    """Return the particles of a text file with sets of the deck by file or numbers."""
+    whole = TextFile(path, sets, dim=dim).chunk(0, 1)
+    codes = {name: relative(given, folder) if isinstance(given, Path) else repr(given) for name, given in sets.items()}
+    lines = [f"    {quoted(name)}: {code}," for name, code in codes.items()]
+    given = (
+        f"{relative(path, folder)}, node_sets=NODE_SETS, dim={dim}" if sets else f"{relative(path, folder)}, dim={dim}"
+    )
+    helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
+    called = {tidy(name): name for name in whole.sets}
+    return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called)
+
+
+def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | list[int]]:
+    """Return the node sets that a deck has by numbers or files, beside its boundary conditions."""
+    found: dict[str, Path | list[int]] = {}
+    for name in () if conditions is None else list(conditions.entries):
+        if "NODE_SET" not in tidy(name):
+            continue
+        assert conditions is not None
+        text = conditions.text(name)
+        if all(word.isdigit() for word in words(text)):
+            found[name] = [int(word) for word in words(text)]
+        else:
+            found[name] = beside / text
+    return found
+
+
+def _grid(section: Section, sets: dict[str, Path | list[int]]) -> Body:
+    section.text("NeighborhoodType", "Spherical")
+    given = section.section("TensorProduct3DMeshGenerator")
+    given.text("Type", "PdQuickGrid")
+    if "Type" in section.entries and section.text("NeighborhoodType", "Spherical") != "Spherical":
+        raise CaseError(f"{section.place} of the deck has neighbourhoods that are not spherical.")
+    origin = [given.number(f"{axis} Origin") for axis in "XYZ"]
+    length = [given.number(f"{axis} Length") for axis in "XYZ"]
+    count = [given.whole(f"Number Points {axis}") for axis in "XYZ"]
+    if min(length) <= 0.0 or min(count) < 1 or np.prod(np.array(count, dtype=float)) > 1e7:
+        raise CaseError(f"{given.place} of the deck has no cells, or more than ten million.")
+    axes = [o + (np.arange(n) + 0.5) * size / n for o, size, n in zip(origin, length, count, strict=True)]
+    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
+    places = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    flags: dict[str, Mask] = {"block_1": np.ones(len(places), dtype=bool)}
+    listed = ["block_1"]
+    code = [
+        f"x = grid({tuple(origin)!r}, {tuple(length)!r}, {tuple(count)!r})",
+        f"volume = {float(np.prod(np.array(length) / count))!r}",
+    ]
+    entries = ['"block_1": np.ones(len(x), dtype=bool)']
+    for name, numbers in sets.items():
+        if isinstance(numbers, Path):
+            raise CaseError(f"The deck has the node set {name!r} in a file, which a PdQuickGrid takes as numbers here.")
+        if not numbers or min(numbers) < 1 or max(numbers) > len(places):
+            raise CaseError(f"The node set {name!r} of the deck names particles outside 1 to {len(places)}.")
+        flags[name] = np.isin(np.arange(1, len(places) + 1), numbers)
+        listed.append(name)
+        entries.append(f"{quoted(name)}: np.array({numbers!r}) - 1")
+    if len(entries) == 1:
+        code.append(f"particles = pd.Arrays(x, volume, {{{entries[0]}}})")
+    else:
+        code += ["sets = {", *(f"    {entry}," for entry in entries), "}", "particles = pd.Arrays(x, volume, sets)"]
+    return Body(code, _GRID, places, flags, {tidy(name): name for name in listed})
+
+
+# --- materials
+
+
+def _blocks(script: Script, root: Section) -> None:
+    """Put materials, horizons and what goes with them into the script."""
+    materials = root.section("Materials")
+    models, left = root.sections.get("Damage Models"), np.ones(len(script.body.x), dtype=bool)
+    groups = list(root.section("Blocks").sections.values())
+    # The default block is what the others leave.
+    groups.sort(key=lambda group: group.text("Block Names").lower() == "default")
+    damages, controls, kinds, used = set[str](), set[str | None](), set[str](), set[str]()
+    for group in groups:
+        names = words(group.text("Block Names"))
+        if [name.lower() for name in names] == ["default"]:
+            blocks = [name for name in script.body.sets if _is_block(name) and (script.body.sets[name] & left).any()]
+            parts = [Where(f"pd.region.Named({quoted(name)})", np.asarray(script.body.sets[name])) for name in blocks]
+        else:
+            parts = [script.body.named(name, group.place) for name in names]
+        if not parts:
+            group.text("Material")
+            group.text("Horizon")
+            continue
+        where = parts[0]
+        for part in parts[1:]:
+            where = where | part
+        if not (where.mask <= left).all():
+            raise CaseError(f"{group.place} of the deck has blocks that another group has too.")
+        left &= ~where.mask
+        script.horizon.append((where, _horizon(group)))
+        name = group.text("Material")
+        used.add(name)
+        code, control, kind = _material(materials.section(name), script)
+        script.material.append((where, code))
+        controls.add(control)
+        kinds.add(kind)
+        damages.add(group.text("Damage Model", "None"))
+    if left.any():
+        raise CaseError(f"The deck gives {np.count_nonzero(left)} particles no block, material and horizon.")
+    for name, section in materials.sections.items():
+        if name not in used:
+            script.notes.leave_out_all(section)
+    if len(kinds) > 1:
+        raise CaseError(
+            "The deck mixes correspondence materials with state-based or bond-based ones, which share no body."
+        )
+    if len(controls) > 1:
+        raise CaseError("The deck has blocks with different hourglass coefficients; a body has one control here.")
+    if kinds == {"gradients"}:
+        script.arguments["scheme"] = "pd.Correspondence()"
+        script.arguments["weights"] = "pd.Standard()"
+        control = controls.pop()
+        if control is not None:
+            script.arguments["control"] = control
+        script.fields += ["pd.deformation_gradient", "pd.stress"]
+    _influence(script, root)
+    _damage(script, models, damages, kinds)
+
+
+def _is_block(name: str) -> bool:
+    return re.fullmatch(r"(?:block|group)_\d+", name) is not None
+
+
+def _horizon(group: Section) -> float:
+    value = group.number("Horizon")
+    if not value > 0.0:
+        raise CaseError(f"{group.entries['Horizon'].place} of the deck is {value:g}; a horizon is positive.")
+    return value
+
+
+def _influence(script: Script, root: Section) -> None:
+    text = root.section("Discretization").text("Influence Function", "One")
+    if text == "One":
+        return
+    if text == "Parabolic Decay":
+        code = "influence"
+        body = "np.where(s < 0.5, 1.0, 4.0 * s * (1.0 - s))"
+    elif text == "Gaussian":
+        script.arguments["influence"] = "pd.influence.Gaussian(0.4)"
+        return
+    else:
+        raise CaseError(f"The influence function {text!r} of the deck has no counterpart; take One, Gaussian or "
+                        f"Parabolic Decay.")  # fmt: skip
+    script.arguments["influence"] = f"Own{code.capitalize()}()"
+    script.body.helpers += [
+        *([""] * 2 if script.body.helpers else []),
+        "class OwnInfluence(pd.influence.Influence):", f'    """{text} of Peridigm."""', "",
+        "    def __call__(self, s):", '        """Return the influence of bonds of length s horizons."""',
+        f"        return {body}",
+    ]  # fmt: skip
+
+
+def _material(section: Section, script: Script) -> tuple[str, str | None, str]:
+    """Return the material as code, its control, and whether it has gradients or bonds."""
+    model = section.text("Material Model")
+    script.notes.leave_out(
+        section, *_OF_MOTION, "Compute Partial Stress", "Apply Automatic Differentiation Jacobian", "Verbose"
+    )
+    for name in ("Apply Shear Correction Factor", "Plane Stress", "Plane Strain", "Use Improved Quadrature",
+                 "Use Partial Volume", "Use Analytic Weighted Volume", "Enable Flaw"):  # fmt: skip
+        if section.flag(name):
+            raise CaseError(f"{section.entries[name].place} of the deck has no counterpart here.")
+    of_gradients = "Correspondence" in model
+    control = None
+    if of_gradients:
+        coefficient = section.number("Hourglass Coefficient")
+        if coefficient != 0.0:
+            control = f'pd.Littlewood({coefficient!r}, micromodulus="ball")'
+            script.notes.differs(
+                "Hourglass forces act along the reference direction of a bond and derive from an energy; those of "
+                "Peridigm act along its present direction on its two ends alone."
+            )
+    elif "Hourglass Coefficient" in section.entries:
+        script.notes.leave_out(section, "Hourglass Coefficient")
+    found = _law(model, section, script)
+    if found is None:
+        raise CaseError(
+            f"{section.entries['Material Model'].place} of the deck is {model!r}, which has no counterpart here; known "
+            f"are Elastic, Elastic Bond Based, Linear LPS Partial Volume, Elastic Partial Volume, Elastic "
+            f"Correspondence, Elastic Plastic Correspondence and Isotropic Hardening Correspondence."
+        )
+    if "Thermal Expansion Coefficient" in section.entries:
+        expansion = section.number("Thermal Expansion Coefficient")
+        # Temperatures are counted from those at the beginning, as Peridigm does.
+        found = f"pd.Thermal({found}, expansion={expansion!r}, reference=0.0)"
+        script.notes.differs(
+            "Thermal strain multiplies the stretch, 1 + alpha dT; Peridigm adds it to the rate of deformation, which "
+            "is the same at small strain."
+            if of_gradients
+            else "A bond expands by the temperature of both of its ends; in Peridigm by that of each."
+        )
+    return found, control, "gradients" if of_gradients else "bonds"
+
+
+def _law(model: str, section: Section, script: Script) -> str | None:
+    if model == "Elastic Bond Based":
+        # 18 K / (pi horizon^4), with Poisson's ratio 1/4.
+        modulus = "Young's Modulus" in section.entries
+        E = section.number("Young's Modulus") if modulus else 1.5 * section.number("Bulk Modulus")
+        return f'pd.BondBased(E={E!r}, kinematics="finite")'
+    if model not in (
+        "Elastic", "Linear LPS Partial Volume", "Elastic Partial Volume", "Elastic Correspondence",
+        "Elastic Plastic Correspondence", "Isotropic Hardening Correspondence",
+    ):  # fmt: skip
+        return None
+    E, nu = elastic_constants(section)
+    if model == "Linear LPS Partial Volume":
+        return f"pd.LinearSolid(E={E!r}, nu={nu!r})"
+    if model in ("Elastic", "Elastic Partial Volume"):
+        return f'pd.LinearSolid(E={E!r}, nu={nu!r}, kinematics="finite")'
+    script.notes.differs(
+        "Stress follows from the logarithmic strain at the end of a step; Peridigm adds up Cauchy stresses of the rate "
+        "of deformation at the end of each step: the two differ by about the strain, relatively."
+    )
+    if model == "Elastic Correspondence":
+        return f"pd.Hencky(E={E!r}, nu={nu!r})"
+    yields = section.number("Yield Stress")
+    hardening = section.number("Hardening Modulus") if model == "Isotropic Hardening Correspondence" else 0.0
+    more = f", hardening={hardening!r}" if hardening else ""
+    return f"pd.J2(E={E!r}, nu={nu!r}, yield_stress={yields!r}{more})"
+
+
+def _damage(script: Script, models: Section | None, names: set[str], kinds: set[str]) -> None:
+    if models is not None:
+        for name, section in models.sections.items():
+            if name not in names:
+                script.notes.leave_out_all(section)
+    if names == {"None"}:
+        return
+    if len(names) > 1:
+        raise CaseError("The deck has damage in some of its blocks, or different ones; Peridigm then breaks bonds from "
+                        "one end alone, which has no counterpart here.")  # fmt: skip
+    name = names.pop()
+    if models is None:
+        raise CaseError(f"The deck names the damage model {name!r} and has none.")
+    section = models.section(name)
+    model = section.text("Damage Model")
+    if model != "Critical Stretch" or kinds != {"bonds"}:
+        raise CaseError(
+            f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of "
+            f"materials that are no correspondence materials."
+        )
+    critical = section.number("Critical Stretch")
+    if "Thermal Expansion Coefficient" in section.entries:
+        section.number("Thermal Expansion Coefficient")
+    script.arguments["damage"] = f"pd.Brittle(pd.ConstantCritical({critical!r}))"
+    script.notes.differs(
+        "Bonds break one after another with equilibrium between them; Peridigm breaks once in a step all that are too "
+        "long."
+    )
+
+
+# --- conditions
+
+
+def _conditions(script: Script, section: Section, static: bool) -> None:
+    if "Create Node Set For Rank Deficient Nodes" in section.entries:
+        script.notes.leave_out(section, "Create Node Set For Rank Deficient Nodes")
+    for one in section.sections.values():
+        kind = one.text("Type").replace("_", " ")
+        if kind == "Initial Velocity" and static:
+            for entry in one.leaves():
+                entry.used = True
+            script.notes.ignored.append(f"{one.place}: Initial Velocity, of a deck in time that is solved statically")
+            continue
+        known = {"Prescribed Displacement": "Displacement", "Body Force": "BodyForce",
+                 "Prescribed Temperature": "Temperature"}  # fmt: skip
+        if kind not in known:
+            raise CaseError(
+                f"{one.entries['Type'].place} of the deck is {kind!r}, which has no counterpart in a static case; "
+                f"known are {', '.join(known)}."
+            )
+        axis = "" if kind == "Prescribed Temperature" else one.text("Coordinate").lower()
+        if axis and axis not in ("x", "y", "z"):
+            raise CaseError(f"{one.entries['Coordinate'].place} of the deck is {axis!r}, not x, y or z.")
+        if not axis and "Coordinate" in one.entries:
+            one.text("Coordinate")
+        set_name, text = one.text("Node Set"), one.text("Value")
+        value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"})
+        where = script.body.named(set_name, one.place)
+        # Displacements and changes of temperature are counted from the beginning.
+        given = Given(known[kind], axis, where, value, one.place, kind != "Body Force")
+        if kind == "Prescribed Temperature" and "t" not in value.names:
+            raise CaseError(
+                f"{one.place} of the deck is a temperature that does not change: Peridigm counts changes from the "
+                f"beginning, so it has no effect; leave it out with --ignore {one.path!r}."
+            )
+        script.given.append(given)
+    if any(given.kind == "Temperature" for given in script.given):
+        script.fields.append("pd.temperature")
+
+
+# --- time
+
+
+def _times(solvers: list[Section], notes: Notes, static: bool) -> Times:
+    if not solvers:
+        raise CaseError("The deck has no solver.")
+    values: list[float] = []
+    for solver in solvers:
+        notes.leave_out(solver, *_OF_SOLVERS)
+        own = _times_of(solver, notes, static)
+        if values and abs(own[0] - values[-1]) > 1e-12 * max(abs(own[0]), abs(values[-1])):
+            raise CaseError(
+                f"{solver.place} of the deck begins at {own[0]:g}, and the solver before ends at {values[-1]:g}."
+            )
+        values += own[1:] if values else own
+    if len(values) > 10_000 or any(b <= a for a, b in itertools.pairwise(values)):
+        raise CaseError("The times of the deck do not ascend, or there are more than ten thousand.")
+    return Times(values)
+
+
+def _times_of(solver: Section, notes: Notes, static: bool) -> list[float]:
+    kinds = [name for name in solver.sections if name in ("QuasiStatic", "NOXQuasiStatic")]
+    in_time = [name for name in solver.sections if name in ("Verlet", "Implicit", "ImplicitDiffusion")]
+    if in_time and not kinds:
+        return _times_in_time(solver, solver.sections[in_time[0]], notes, static)
+    if len(kinds) != 1 or in_time:
+        have = ", ".join(solver.sections) or "none"
+        raise CaseError(f"{solver.place} of the deck needs one solver, QuasiStatic or NOXQuasiStatic; it has {have}.")
+    section = solver.sections[kinds[0]]
+    notes.leave_out(section, *_TUNING)
+    if "Time Steps" in section.entries:
+        try:
+            times = [float(word) for word in words(section.text("Time Steps"))]
+        except ValueError:
+            raise CaseError(f"{section.entries['Time Steps'].place} of the deck are no times.") from None
+        notes.leave_out(solver, "Initial Time", "Final Time")
+        if len(times) < 2:
+            raise CaseError(f"{section.entries['Time Steps'].place} of the deck are less than two times.")
+        return times
+    first, last = solver.number("Initial Time"), solver.number("Final Time")
+    count = section.whole("Number of Load Steps")
+    if count < 1 or not last > first:
+        raise CaseError(f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}.")
+    return [first + (last - first) * n / count for n in range(count)] + [last]
+
+
+def _times_in_time(solver: Section, section: Section, notes: Notes, static: bool) -> list[float]:
+    if not static:
+        raise CaseError(
+            f"{section.place} of the deck is a solver in time, and this program finds static equilibrium; give "
+            f"--static to solve the deck statically up to its final time."
+        )
+    first, last = solver.number("Initial Time"), solver.number("Final Time")
+    for entry in section.leaves():
+        entry.used = True
+    notes.differs(
+        f"Inertia is left out: the deck is solved in time with {section.name}, here in {STATIC_STEPS} load steps."
+    )
+    if not last > first:
+        raise CaseError(f"{solver.place} of the deck goes from {first:g} to {last:g}.")
+    return [first + (last - first) * n / STATIC_STEPS for n in range(STATIC_STEPS)] + [last]
+
+
+# --- output
+
+
+def _outputs(script: Script, root: Section) -> None:
+    """Turn forces of blocks and displacements of points into the history; note everything else."""
+    if "Compute Class Parameters" in root.sections:
+        for one in root.section("Compute Class Parameters").sections.values():
+            history(script, one, "Force", "Displacement")
+            script.notes.leave_out_all(one)
+        script.notes.leave_out_all(root.section("Compute Class Parameters"))
+    for name in root.sections:
+        if re.fullmatch(r"Output\d*", name):
+            script.notes.leave_out_all(root.sections[name])
+
+
+def history(script: Script, one: Section, force: str, displacement: str) -> None:
+    """Add what a compute class gives to the history, where it is a force of a block or a displacement."""
+    kind, variable = one.peek("Compute Class"), one.peek("Variable")
+    label = "".join(c if c.isalnum() or c == "_" else "_" for c in one.peek("Output Label") or one.name)
+    axes = "xyz"[: script.body.dim]
+    if kind == "Block_Data" and variable == force and one.peek("Calculation Type") == "Sum":
+        where = script.body.named(one.text("Block"), one.place)
+        for axis in axes:
+            # Support forces, the opposite of the internal forces that the deck sums up.
+            script.history[f"{label}_{axis}"] = f'pd.Reaction("{axis}", {where.code})'
+        script.notes.differs("Forces of blocks in the history are support forces, the opposite of internal forces.")
+        taken = ("Compute Class", "Variable", "Calculation Type", "Output Label")
+    elif kind == "Nearest_Point_Data" and variable == displacement:
+        point = tuple(one.number(axis) for axis in "XYZ"[: script.body.dim])
+        for axis in axes:
+            region = f"pd.region.Nearest({point!r})"
+            script.history[f"{label}_{axis}"] = f'pd.Mean(pd.displacement, "{axis}", {region})'
+        taken = ("Compute Class", "Variable", "Output Label", "")
+    else:
+        return
+    for name in taken:
+        if name in one.entries:
+            one.text(name)

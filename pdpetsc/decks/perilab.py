@@ -1,0 +1,399 @@
+"""PeriLab's decks: YAML under ``PeriLab:``.
+
+What the entries mean is PeriLab's source of August 2026: ``src/Models``, ``src/Core/Solver`` and ``src/IO``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pdpetsc.arrays import Mask
+from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.peridigm import STATIC_STEPS, exodus_body, history, text_body
+from pdpetsc.decks.script import (
+    Body,
+    Given,
+    Notes,
+    Script,
+    Times,
+    Where,
+    cracks,
+    elastic_constants,
+    refuse_unknown,
+    tidy,
+    words,
+)
+from pdpetsc.decks.sections import Section
+from pdpetsc.declare.text_file import TextFile
+from pdpetsc.errors import CaseError
+
+PROGRAM = "PeriLab"
+_LINEAR = "Linear Static Matrix Based"
+_IN_TIME = ("Verlet", "Newmark", "Verlet Matrix Based")
+_TUNING = (
+    "Matrix Update", "Update Matrix", "Safety Factor", "Fixed dt", "NLSolve", "Maximum number of iterations",
+    "Show solver iteration", "Residual tolerance", "Solution tolerance", "Residual scaling", "Linear Start Value", "m",
+)  # fmt: skip
+# Which models a deck may switch on in its solver; on where it does not say.
+_SWITCHES = ("Material Models", "Damage Models", "Thermal Models")
+_OTHER_SWITCHES = ("Additive Models", "Degradation Models", "Pre Calculation Models", "Corrosion Models")
+_NO_PART = "has no counterpart here"
+
+
+def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: bool) -> Script:
+    """Return what a deck says; arguments and errors as of ``peridigm.translate``."""
+    solver = root.section("Solver")
+    linear, times = _times(solver, notes, static)
+    body = _body(root.section("Discretization"), deck.parent, folder)
+    script = Script(deck, PROGRAM, body, times, notes)
+    on = {name: solver.flag(name, name == "Material Models" or name not in solver.entries) for name in _SWITCHES}
+    for name in _OTHER_SWITCHES:
+        if solver.flag(name):
+            raise CaseError(f"{solver.entries[name].place} of the deck {_NO_PART}.")
+    if not on["Material Models"]:
+        raise CaseError(f"{solver.place} of the deck has no material models, and there is nothing to solve.")
+    for name in ("FEM", "Contact", "Surface Correction", "Multistep Solver", "Physics"):
+        if name in root.sections:
+            raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
+    _blocks(script, root, linear, on)
+    if "Bond Filters" in root.section("Discretization").sections:
+        found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
+        script.arguments["cracks"] = f"[{', '.join(found)}]"
+    _conditions(script, root.section("Boundary Conditions"))
+    if "Compute Class Parameters" in root.sections:
+        for one in root.section("Compute Class Parameters").sections.values():
+            history(script, one, "Forces", "Displacements")
+            notes.leave_out_all(one)
+    notes.leave_out(root, "Outputs")
+    refuse_unknown(root)
+    return script
+
+
+# --- particles
+
+
+def _body(section: Section, beside: Path, folder: Path) -> Body:
+    kind = section.text("Type")
+    path = beside / section.text("Input Mesh File")
+    if "Distribution Type" in section.entries:
+        section.text("Distribution Type")
+    given = section.sections.get("Node Sets")
+    if kind == "Exodus":
+        if given is not None and given.entries:
+            raise CaseError(f"{given.place} of the deck gives node sets beside an Exodus mesh; put them into the mesh.")
+        return exodus_body(path, folder, "nodelist", "block")
+    if kind != "Text File":
+        raise CaseError(f"{section.entries['Type'].place} of the deck is {kind!r}; known are Text File and Exodus.")
+    files: dict[str, Path | list[int]] = {}
+    regions: dict[str, str] = {}
+    # Whether z is there says whether the body is plane.
+    dim = 3 if TextFile(path).has("z") else 2
+    places = TextFile(path, dim=dim).chunk(0, 1).x
+    chosen: dict[str, Mask] = {}
+    for name in () if given is None else given.entries:
+        assert given is not None
+        text = given.text(name)
+        if text.endswith(".txt"):
+            files[name] = beside / text
+        elif re.fullmatch(r"\d+\s*:\s*\d+", text):
+            first, last = (int(word) for word in text.split(":"))
+            files[name] = list(range(first, last + 1))
+        elif all(word.isdigit() for word in words(text)):
+            files[name] = [int(word) for word in words(text)]
+        elif text == "All":
+            regions[name], chosen[name] = "pd.region.All()", np.ones(len(places), dtype=bool)
+        else:
+            node = parse(text, given.entries[name].place, set("xyz"[:dim]), logical=True)
+            code = node.python({axis: f"x[:, {k}]" for k, axis in enumerate("xyz")} | {"pi": "np.pi"})
+            regions[name] = f"pd.region.Where(lambda x: {code})"
+            chosen[name] = np.array(
+                [node.value(dict(zip("xyz", map(float, x), strict=False))) != 0.0 for x in places], dtype=bool
+            )
+    body = text_body(path, folder, files, dim)
+    sets = {**body.sets, **chosen}
+    called = {**body.called, **{tidy(name): name for name in chosen}}
+    return Body(body.code, body.helpers, body.x, sets, called, regions)
+
+
+# --- materials
+
+
+def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) -> None:
+    models = root.section("Models")
+    for name, value in (models.sections["Pre Calculation Global"].entries if "Pre Calculation Global" in models else {}
+                        ).items():  # fmt: skip
+        if name == "Bond Associated Deformation Gradient" and value.text.lower() == "true":
+            raise CaseError(f"{value.place} of the deck {_NO_PART}.")
+    script.notes.leave_out(models, "Pre Calculation Global")
+    materials = models.section("Material Models")
+    thermals, damages = models.sections.get("Thermal Models"), models.sections.get("Damage Models")
+    left = np.ones(len(script.body.x), dtype=bool)
+    controls, kinds, broken, used = set[str | None](), set[str](), set[str](), set[str]()
+    for block in root.section("Blocks").sections.values():
+        number = block.whole("Block ID")
+        if tidy(f"block_{number}") not in script.body.called:
+            # A block without particles, which other meshes of the same deck have.
+            script.notes.leave_out_all(block)
+            continue
+        where = script.body.named(f"block_{number}", block.place)
+        left &= ~where.mask
+        horizon = block.number("Horizon")
+        if not horizon > 0.0:
+            raise CaseError(f"{block.entries['Horizon'].place} of the deck is {horizon:g}; a horizon is positive.")
+        script.horizon.append((where, horizon))
+        script.notes.leave_out(block, "Density", "Specific Heat Capacity")
+        name = block.text("Material Model")
+        code, control, kind = _material(materials.section(name), script, linear)
+        thermal = block.text("Thermal Model", "")
+        if thermal and on["Thermal Models"]:
+            if thermals is None:
+                raise CaseError(f"{block.place} of the deck names the thermal model {thermal!r}, and it has none.")
+            code = _thermal(thermals.section(thermal), code, kind, script)
+            used.add(thermal)
+        script.material.append((where, code))
+        controls.add(control)
+        kinds.add(kind)
+        used.add(name)
+        damage = block.text("Damage Model", "")
+        broken.add(damage if on["Damage Models"] else "")
+    if left.any():
+        raise CaseError(f"The deck gives {np.count_nonzero(left)} particles no block.")
+    for held in (materials, thermals, damages):
+        for name, section in held.sections.items() if held is not None else ():
+            if name not in used and (held is not damages or name not in broken):
+                script.notes.leave_out_all(section)
+    if len(kinds) > 1 or len(controls) > 1:
+        raise CaseError("The deck mixes correspondence and other materials, or blocks with and without zero-energy "
+                        "control, which share no body here.")  # fmt: skip
+    if kinds == {"gradients"}:
+        script.arguments["scheme"] = "pd.Correspondence()"
+        script.arguments["weights"] = "pd.Standard()"
+        control = controls.pop()
+        if control is not None:
+            script.arguments["control"] = control
+        script.fields += ["pd.deformation_gradient", "pd.stress"]
+    _influence(script, root.section("Discretization"))
+    _damage(script, damages, broken, kinds)
+
+
+def _plane(section: Section, script: Script) -> str:
+    """Return what a plane body is held by, as an argument."""
+    symmetry = section.text("Symmetry", "isotropic").lower()
+    for word in ("anisotropic", "orthotropic", "transverse"):
+        if word in symmetry:
+            raise CaseError(f"{section.entries['Symmetry'].place} of the deck is {symmetry!r}, which {_NO_PART}.")
+    if script.body.dim == 3:
+        return ""
+    for word in ("plane strain", "plane stress"):
+        if word in symmetry:
+            return f', plane="{word.split()[1]}"'
+    raise CaseError(f"{section.place} of the deck has a plane body, and neither plane stress nor plane strain.")
+
+
+def _material(section: Section, script: Script, linear: bool) -> tuple[str, str | None, str]:
+    """Return the material as code, its control, and whether it has gradients or bonds."""
+    model = section.text("Material Model")
+    plane = _plane(section, script)
+    if section.flag("Bond Associated"):
+        raise CaseError(f"{section.entries['Bond Associated'].place} of the deck {_NO_PART}.")
+    if model == "Bond-based Elastic":
+        script.notes.leave_out(section, "Zero Energy Control")
+        E = _bond_based_modulus(section, script)
+        return f'pd.BondBased(E={E!r}{plane}, kinematics="finite")', None, "bonds"
+    if model == "PD Solid Elastic":
+        script.notes.leave_out(section, "Zero Energy Control")
+        E, nu = elastic_constants(section)
+        return f'pd.LinearSolid(E={E!r}, nu={nu!r}{plane}, kinematics="finite")', None, "bonds"
+    if model != "Correspondence Elastic":
+        raise CaseError(
+            f"{section.entries['Material Model'].place} of the deck is {model!r}, which {_NO_PART}; known are "
+            f"Correspondence Elastic, PD Solid Elastic and Bond-based Elastic."
+        )
+    E, nu = elastic_constants(section)
+    control = None
+    if "Zero Energy Control" in section.entries:
+        if section.text("Zero Energy Control") != "Global":
+            raise CaseError(f"{section.entries['Zero Energy Control'].place} of the deck {_NO_PART}; known is Global.")
+        control = 'pd.Wan(contraction="stress")'
+    if linear or section.flag("Linear Strain"):
+        return f"pd.LinearElastic(E={E!r}, nu={nu!r}{plane})", control, "gradients"
+    script.notes.differs(
+        "Stress is the second Piola-Kirchhoff one of Green's strain; PeriLab takes it for Cauchy's and divides by F, "
+        "which is the same at small strain."
+    )
+    return f"pd.SaintVenantKirchhoff(E={E!r}, nu={nu!r}{plane})", control, "gradients"
+
+
+def _bond_based_modulus(section: Section, script: Script) -> float:
+    """Return Young's modulus with the fixed Poisson's ratio that PeriLab takes, 1/3 of every plane body."""
+    nu = 1.0 / 3.0 if script.body.dim == 2 else 0.25
+    given = {n: section.number(n) for n in ("Young's Modulus", "Shear Modulus", "Bulk Modulus") if n in section.entries}
+    if "Poisson's Ratio" in section.entries and abs(section.number("Poisson's Ratio") - nu) > 1e-3:
+        script.notes.differs(
+            f"Poisson's ratio of bond-based materials is fixed; PeriLab takes {nu:.4g} to convert moduli."
+        )
+    by = {
+        "Bulk Modulus": 3.0 * given.get("Bulk Modulus", 0.0) * (1.0 - 2.0 * nu),
+        "Shear Modulus": 2.0 * given.get("Shear Modulus", 0.0) * (1.0 + nu),
+        "Young's Modulus": given.get("Young's Modulus", 0.0),
+    }
+    # The first that is given counts, as in PeriLab.
+    for name, E in by.items():
+        if name in given:
+            if len(given) > 1:
+                script.notes.differs(
+                    f"{section.place} has {len(given)} moduli; as in PeriLab the {name.lower()} counts."
+                )
+            if not E > 0.0:
+                raise CaseError(f"{section.entries[name].place} of the deck is no modulus.")
+            return E
+    raise CaseError(f"{section.place} of the deck has no modulus.")
+
+
+def _thermal(section: Section, code: str, kind: str, script: Script) -> str:
+    model = section.text("Thermal Model")
+    if model != "Thermal Expansion":
+        raise CaseError(
+            f"{section.entries['Thermal Model'].place} of the deck is {model!r}, which {_NO_PART}; known is Thermal "
+            f"Expansion."
+        )
+    expansion = section.number("Thermal Expansion Coefficient")
+    reference = section.number("Reference Temperature", 0.0)
+    # What other thermal models read; this one does not.
+    script.notes.leave_out(
+        section, "Environmental Temperature", "Heat Transfer Coefficient", "Thermal Conductivity",
+        "Thermal Conductivity Print Bed", "Print Bed Temperature", "Print Bed Y Coordinate",
+    )  # fmt: skip
+    if kind == "bonds":
+        script.notes.differs("A bond expands by the temperature of both of its ends; in PeriLab by that of each.")
+    return f"pd.Thermal({code}, expansion={expansion!r}, reference={reference!r})"
+
+
+def _influence(script: Script, section: Section) -> None:
+    text = section.text("Influence Function", "1")
+    if text == "1":
+        return
+    if "control" in script.arguments:
+        raise CaseError(
+            f"{section.entries['Influence Function'].place} of the deck: zero-energy control with an influence "
+            f"function {_NO_PART}."
+        )
+    node = parse(text, section.entries["Influence Function"].place, {"xi"})
+    lengths = {length for _, length in script.horizon}
+    if len(lengths) > 1:
+        raise CaseError(f"{section.entries['Influence Function'].place} of the deck: an influence of the length of "
+                        f"bonds needs one horizon here.")  # fmt: skip
+    script.arguments["influence"] = "OwnInfluence()"
+    script.body.helpers += [
+        *([""] * 2 if script.body.helpers else []),
+        "class OwnInfluence(pd.influence.Influence):", '    """That of the deck, of the length of a bond."""', "",
+        "    def __call__(self, s):", '        """Return the influence of bonds of length s horizons."""',
+        f"        xi = {lengths.pop()!r} * s",
+        f"        return {node.python({'xi': 'xi', 'pi': 'np.pi'})} + 0.0 * xi",
+    ]  # fmt: skip
+
+
+def _damage(script: Script, models: Section | None, names: set[str], kinds: set[str]) -> None:
+    if names == {""}:
+        return
+    if len(names) > 1 or models is None:
+        raise CaseError("The deck has damage in some of its blocks, or different ones, which has no counterpart here.")
+    section = models.section(names.pop())
+    model = section.text("Damage Model")
+    if model != "Critical Stretch" or kinds != {"bonds"}:
+        raise CaseError(
+            f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of PD Solid "
+            f"Elastic and Bond-based Elastic."
+        )
+    if section.flag("Only Tension", True) is False:
+        raise CaseError(f"{section.entries['Only Tension'].place} of the deck: damage by compression {_NO_PART}.")
+    critical = section.number("Critical Value")
+    script.arguments["damage"] = f"pd.Brittle(pd.ConstantCritical({critical!r}))"
+    script.notes.differs(
+        "Bonds break one after another with equilibrium between them; PeriLab breaks once in a step all that are too "
+        "long."
+    )
+
+
+# --- conditions
+
+
+def _conditions(script: Script, section: Section) -> None:
+    known = {("Displacements", "Dirichlet"): "Displacement", ("Temperature", "Dirichlet"): "Temperature",
+             ("Force Densities", "Dirichlet"): "BodyForce", ("Forces", "Dirichlet"): "Forces"}  # fmt: skip
+    for one in section.sections.values():
+        variable, kind = one.text("Variable"), one.text("Type", "Dirichlet")
+        found = known.get((variable, kind))
+        if found is None or found == "Forces":
+            raise CaseError(
+                f"{one.place} of the deck is {kind!r} of {variable!r}, which {_NO_PART}; known are Dirichlet of "
+                f"Displacements, Temperature and Force Densities."
+            )
+        axis = "" if found == "Temperature" else one.text("Coordinate")
+        if axis and axis not in "xyz"[: script.body.dim]:
+            raise CaseError(f"{one.place} of the deck has coordinate {axis!r} of a {script.body.dim}D body.")
+        if not axis and "Coordinate" in one.entries:
+            one.text("Coordinate")
+        parts = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
+        where = parts[0]
+        for part in parts[1:]:
+            where = where | part
+        value = parse(one.text("Value"), one.entries["Value"].place, {"x", "y", "z", "t"})
+        script.given.append(Given(found, axis, where, value, one.place))
+    for first, second in itertools.combinations(script.given, 2):
+        same = (first.kind, first.axis) == (second.kind, second.axis) and (first.where.mask & second.where.mask).any()
+        if same and first.value != second.value and first.kind != "BodyForce":
+            raise CaseError(
+                f"{first.place} and {second.place} of the deck prescribe the same component of some particles; PeriLab "
+                f"does not say which holds."
+            )
+    if any(given.kind == "Temperature" for given in script.given):
+        script.fields.append("pd.temperature")
+
+
+def _where(body: Body, name: str, place: str) -> Where:
+    own = body.called.get(tidy(name))
+    if own in body.regions:
+        assert own is not None
+        return Where(body.regions[own], np.asarray(body.sets[own]))
+    return body.named(name, place)
+
+
+# --- time
+
+
+def _times(solver: Section, notes: Notes, static: bool) -> tuple[bool, Times]:
+    """Return whether the answer is linear, and the times of the load steps."""
+    first, last = solver.number("Initial Time", 0.0), solver.number("Final Time")
+    kinds = [name for name in solver.sections if name in (_LINEAR, "Static", *_IN_TIME)]
+    if len(kinds) != 1:
+        have = ", ".join((*solver.sections,)) or "none"
+        raise CaseError(f"{solver.place} of the deck needs one solver, {_LINEAR} or Static; it has {have}.")
+    section = solver.sections[kinds[0]]
+    count = solver.whole("Number of Steps", 1)
+    if kinds[0] in _IN_TIME:
+        if not static:
+            raise CaseError(
+                f"{section.place} of the deck is a solver in time, and this program finds static equilibrium; give "
+                f"--static to solve the deck statically up to its final time."
+            )
+        for entry in section.leaves():
+            entry.used = True
+        count = STATIC_STEPS
+        notes.differs(f"Inertia is left out: the deck is solved in time with {kinds[0]}, here in {count} load steps.")
+    else:
+        dt = section.number("Fixed dt", 0.0) if kinds[0] == "Static" else 0.0
+        if dt > 0.0:
+            # As many whole steps as there are before the final time.
+            count = max(1, int((last - first) / dt * (1.0 + 1e-9)))
+            last = first + count * dt
+        notes.leave_out(section, *_TUNING)
+    for name in ("Calculation", "Calculate Cauchy", "Calculate von Mises stress", "Calculate Strain"):
+        notes.leave_out(solver, name)
+    if count < 1 or not last > first:
+        raise CaseError(f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}.")
+    return kinds[0] == _LINEAR, Times([first + (last - first) * n / count for n in range(count)] + [last])

@@ -1,0 +1,537 @@
+"""What a deck becomes: a body, what is done to it, notes on what has no counterpart, and the text of a case file."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.decks.expressions import Node
+from pdpetsc.decks.sections import Entry, Section
+from pdpetsc.errors import CaseError
+
+# Lines of a written file are at most this long.
+_WIDTH = 116
+# An edge of a crack is this wide, as a share of its size.
+_EDGE = 1e-9
+_COORDINATES = {"x": "x[:, 0]", "y": "x[:, 1]", "z": "x[:, 2]", "pi": "np.pi"}
+
+
+@dataclass(frozen=True)
+class Where:
+    """Particles: how a case calls them, and which they are (n,)."""
+
+    code: str
+    mask: Mask
+
+    def without(self, other: Where) -> Where:
+        """Return those that are not among the others."""
+        return Where(f"{_bracketed(self.code)} & ~{_bracketed(other.code)}", self.mask & ~other.mask)
+
+    def __or__(self, other: Where) -> Where:
+        return Where(f"{self.code} | {other.code}", self.mask | other.mask)
+
+
+def _bracketed(code: str) -> str:
+    return f"({code})" if "|" in code or "&" in code else code
+
+
+@dataclass(frozen=True)
+class Given:
+    """A prescribed value of the deck.
+
+    Attributes
+    ----------
+    kind : str
+        The class of the condition, such as ``Displacement``.
+    axis : str
+        Its component, or nothing.
+    where : Where
+        Of which particles.
+    value : Node
+        What it is, of x, y, z and the time t of the deck.
+    from_start : bool
+        Whether what it is at the beginning is taken off.
+    place : str
+        Where it is in the deck.
+    """
+
+    kind: str
+    axis: str
+    where: Where
+    value: Node
+    place: str
+    from_start: bool = False
+
+
+@dataclass
+class Body:
+    """The particles of a deck.
+
+    Attributes
+    ----------
+    code : list of str
+        Lines that make ``particles``.
+    helpers : list of str
+        Functions of the file that these lines call.
+    x : (n, dim) float64
+        Where they are [length].
+    sets : mapping of str to (n,) bool
+        Sets by the names that the case has for them.
+    called : mapping of str to str
+        Those names by the ones of the deck.
+    regions : mapping of str to str
+        Code of the sets that are no sets of the particles.
+    """
+
+    code: list[str]
+    helpers: list[str]
+    x: Float
+    sets: Mapping[str, Mask]
+    called: Mapping[str, str]
+    regions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        """Return the number of coordinates."""
+        return int(self.x.shape[1])
+
+    def named(self, name: str, place: str) -> Where:
+        """Return the particles of a set of the deck; raises CaseError where there is none of that name."""
+        own = self.called.get(tidy(name))
+        if own is None or own not in self.sets:
+            have = ", ".join(sorted(self.called)) or "none"
+            raise CaseError(f"{place} of the deck names the set {name!r}; mesh and deck have {have}.")
+        return Where(f"pd.region.Named({quoted(own)})", np.asarray(self.sets[own], dtype=bool))
+
+
+def quoted(text: str) -> str:
+    """Return a text as Python has it between double quotes."""
+    return json.dumps(text)
+
+
+def tidy(name: str) -> str:
+    """Return a name as Peridigm compares it: without blanks around, with underscores, in capitals."""
+    return "_".join(name.split()).upper()
+
+
+@dataclass
+class Notes:
+    """What is said of a deck in the file.
+
+    Attributes
+    ----------
+    differences : list of str
+        Where this program computes something else than the one of the deck.
+    left_out : list of Entry
+        Entries that only say what is written or how a solver is tuned.
+    ignored : list of str
+        Entries that were ignored because it was asked for.
+    """
+
+    differences: list[str] = field(default_factory=list)
+    left_out: list[Entry] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)
+
+    def differs(self, sentence: str) -> None:
+        """Note a difference, once."""
+        if sentence not in self.differences:
+            self.differences.append(sentence)
+
+    def leave_out(self, section: Section, *names: str) -> None:
+        """Note entries and sections of these names, as far as they are there, as output or tuning."""
+        for name in names:
+            if name in section.entries:
+                self._note(section.entries[name])
+            if name in section.sections:
+                self.leave_out_all(section.sections[name])
+
+    def leave_out_all(self, section: Section) -> None:
+        """Note all of a section that has not been read."""
+        for entry in section.leaves():
+            self._note(entry)
+
+    def _note(self, entry: Entry) -> None:
+        if not entry.used:
+            entry.used = True
+            self.left_out.append(entry)
+
+
+@dataclass
+class Times:
+    """The times of the deck at the load steps, ascending, the first one at the beginning."""
+
+    values: list[float]
+
+    @property
+    def first(self) -> float:
+        """Return the time at the beginning."""
+        return self.values[0]
+
+    @property
+    def last(self) -> float:
+        """Return the time at the end."""
+        return self.values[-1]
+
+    @property
+    def count(self) -> int:
+        """Return the number of steps."""
+        return len(self.values) - 1
+
+    @property
+    def _even(self) -> bool:
+        steps = np.diff(self.values)
+        return bool(np.all(np.abs(steps - steps.mean()) <= 1e-9 * (self.last - self.first)))
+
+    @property
+    def code(self) -> str:
+        """Return what the time of the deck is called in the file."""
+        return "t" if self._even and (self.first, self.last) == (0.0, 1.0) else "time(t)"
+
+    def lines(self) -> list[str]:
+        """Return the function of the file that gives the time of the deck at a step time."""
+        if self.code == "t":
+            return []
+        if self._even:
+            share = f"{self.last - self.first!r} * t"
+            body = share if self.first == 0.0 else f"{self.first!r} + {share}"
+        else:
+            body = "np.interp(t, np.linspace(0.0, 1.0, len(TIMES)), TIMES)"
+        head = [] if self._even else [f"TIMES = {self.values!r}", "", ""]
+        return [*head, "def time(t):", '    """Return the time of the deck at step time t."""', f"    return {body}"]
+
+
+@dataclass
+class Script:
+    """All that a deck says, as a case needs it."""
+
+    deck: Path
+    program: str
+    body: Body
+    times: Times
+    notes: Notes
+    horizon: list[tuple[Where, float]] = field(default_factory=list)
+    material: list[tuple[Where, str]] = field(default_factory=list)
+    given: list[Given] = field(default_factory=list)
+    arguments: dict[str, str] = field(default_factory=dict)
+    history: dict[str, str] = field(default_factory=dict)
+    fields: list[str] = field(default_factory=lambda: ["pd.displacement"])
+
+    def text(self) -> str:
+        """Return the case file."""
+        self._part_overlaps()
+        conditions = list(itertools.chain.from_iterable(self._condition(given) for given in self.given))
+        arguments = {
+            "particles": "particles",
+            "horizon": self._horizon(),
+            "material": self._material(),
+            "conditions": _listed(conditions),
+            **self.arguments,
+            "steps": "pd.Steps(steps)",
+            "fields": _listed(self.fields),
+        }
+        if self.history:
+            entries = [f"{quoted(name)}: {code}," for name, code in self.history.items()]
+            arguments["history"] = "\n".join(["{", *(f"    {entry}" for entry in entries), "}"])
+        helpers = [line for part in (self.body.helpers, self._by_block(), self.times.lines()) if part
+                   for line in ("", "", *part)]  # fmt: skip
+        body = [
+            *(f"    {line}" for line in self.body.code),
+            "    return pd.Case(",
+            *(f"        {line}" for name, code in arguments.items() for line in _argument(name, code)),
+            "    )",
+        ]
+        head = ["", "", f"def case(steps={self.times.count}):", '    """Return the case."""']
+        code = "\n".join([*helpers, *head, *body])
+        imports = ["from pathlib import Path", ""] if "FOLDER" in code else []
+        imports += ["import numpy as np", ""] if "np." in code else []
+        folder = ["", "FOLDER = Path(__file__).resolve().parent"] if "FOLDER" in code else []
+        top = "\n".join([self._head(), "", *imports, "import pdpetsc as pd", *folder])
+        return f"{top}\n{code}\n{self._tail()}"
+
+    def _head(self) -> str:
+        text = [f"{plain(self.deck.stem)}, imported from the {self.program} deck {plain(self.deck.name)}."]
+        if self.notes.differences:
+            text += ["", f"What this computes differs from {self.program}:", ""]
+            text += [line for note in self.notes.differences for line in _wrapped(f"- {plain(note)}", "  ")]
+        return '"""' + "\n".join(text) + ('\n"""' if len(text) > 1 else '"""')
+
+    def _tail(self) -> str:
+        lines = []
+        for title, entries in (
+            ("Ignored, as asked for", self.notes.ignored),
+            ("Of the deck, but only for its output, its motion in time or to tune its solver", self._left_out()),
+        ):
+            if entries:
+                lines += ["", f"# {title}:"]
+                lines += [line for entry in entries for line in _wrapped(f"#   {plain(entry)}", "#     ")]
+        return "\n".join(lines) + ("\n" if lines else "")
+
+    def _left_out(self) -> list[str]:
+        """Return what is left out, a line for each section of the deck."""
+        found: dict[str, list[str]] = {}
+        for entry in self.notes.left_out:
+            section, _, name = entry.path.rpartition("/")
+            found.setdefault(section or "the deck", []).append(f"{name}: {entry.text}")
+        return [f"{section}: {'; '.join(entries)}" for section, entries in found.items()]
+
+    def _part_overlaps(self) -> None:
+        """Let the last of two prescribed values of one component of a particle hold, as in the deck."""
+        for later in range(len(self.given)):
+            for earlier in range(later):
+                one, other = self.given[earlier], self.given[later]
+                if (one.kind, one.axis) != (other.kind, other.axis) or one.kind not in ("Displacement", "Temperature"):
+                    continue
+                if not (one.where.mask & other.where.mask).any():
+                    continue
+                self.given[earlier] = Given(
+                    one.kind, one.axis, one.where.without(other.where), one.value, one.place, one.from_start
+                )
+        self.given = [given for given in self.given if given.where.mask.any()]
+
+    def _condition(self, given: Given) -> list[str]:
+        """Return the condition, with its place in the deck."""
+        names = given.value.names - {"pi"}
+        comment = f"# {plain(given.place)}"
+        start = given.from_start and "t" in names
+        component = f"{given.axis}=" if given.axis else ""
+        if not names:
+            value = given.value.value({})
+            if not math.isfinite(value):
+                raise CaseError(f"{given.place} of the deck is not a number.")
+            # The deck jumps to a value that does not change; a number of a case would grow with the step time.
+            hold = "" if value == 0.0 and given.kind != "Temperature" else ", schedule=pd.Hold()"
+            return [comment, f"pd.{given.kind}({given.where.code}, {component}{value!r}{hold}),"]
+        _refuse_not_numbers(given, self.body, self.times)
+        code = given.value.python({**_COORDINATES, "t": self.times.code})
+        if start:
+            before = given.value.python({**_COORDINATES, "t": repr(self.times.first)})
+            if any(v != 0.0 for v in _values(given, self.body, self.times.first)):
+                code = f"{code} - ({before})"
+                self.notes.differs(f"{given.place} counts from its value at the beginning, as {self.program} does.")
+        if not (names & set("xyz")):
+            code = f"{code} + 0.0 * x[:, 0]" if given.kind == "Temperature" else code
+        return [comment, f"pd.{given.kind}({given.where.code}, {component}lambda x, t: {code}),"]
+
+    def _horizon(self) -> str:
+        lengths = {length for _, length in self.horizon}
+        return repr(lengths.pop()) if len(lengths) == 1 else "by_block(particles, HORIZONS)"
+
+    def _by_block(self) -> list[str]:
+        """Return the function that gives every particle the horizon of its block, where they differ."""
+        if len({length for _, length in self.horizon}) == 1:
+            return []
+        named = {part.strip().removeprefix("pd.region.Named(").removesuffix(")").strip('"'): length
+                 for where, length in self.horizon for part in where.code.split("|")}  # fmt: skip
+        return [
+            f"HORIZONS = {named!r}", "", "", "def by_block(particles, lengths):",
+            '    """Return the length that the block of every particle has."""',
+            "    sets = particles.chunk(0, 1).sets",
+            "    return sum(np.where(sets[name], length, 0.0) for name, length in lengths.items())",
+        ]  # fmt: skip
+
+    def _material(self) -> str:
+        codes = {code for _, code in self.material}
+        bonds = [code for code in codes if "pd.LinearSolid(" in code or "pd.BondBased(" in code]
+        if len({'kinematics="finite"' in code for code in bonds}) > 1:
+            raise CaseError(
+                "The deck has blocks of linearised and of finite state-based materials, which share no body here; make "
+                "a deck of each."
+            )
+        if len(codes) == 1:
+            return codes.pop()
+        return _listed([f"({where.code}, {code})," for where, code in self.material], marks=False)
+
+
+def _values(given: Given, body: Body, t: float) -> list[float]:
+    """Return what a condition is at each of its particles at a time of the deck."""
+    found = []
+    for x in body.x[given.where.mask]:
+        at = {axis: float(x[k]) if k < len(x) else 0.0 for k, axis in enumerate("xyz")}
+        found.append(given.value.value({**at, "t": t}))
+    return found
+
+
+def _refuse_not_numbers(given: Given, body: Body, times: Times) -> None:
+    beyond = sorted((given.value.names & set("xyz")) - set("xyz"[: body.dim]))
+    if beyond:
+        raise CaseError(f"{given.place} of the deck has {beyond[0]} of a body of {body.dim} dimensions.")
+    for t in times.values:
+        if not all(math.isfinite(value) for value in _values(given, body, t)):
+            raise CaseError(f"{given.place} of the deck is not a number at time {t:g}.")
+
+
+def _listed(items: Iterable[str], marks: bool = True) -> str:
+    """Return a list, one item a line where it has several; ``marks`` adds commas where they are missing."""
+    lines = [item if item.startswith("#") or item.endswith(",") or not marks else f"{item}," for item in items]
+    if not lines:
+        return "[]"
+    if len(lines) <= 3 and not any(line.startswith("#") for line in lines):
+        short = f"[{' '.join(lines).rstrip(',')}]"
+        if len(short) < 70:
+            return short
+    return "\n".join(["[", *(f"    {line}" for line in lines), "]"])
+
+
+def _argument(name: str, code: str) -> list[str]:
+    lines = code.split("\n")
+    return [f"{name}={lines[0]}", *lines[1:-1], f"{lines[-1]},"] if len(lines) > 1 else [f"{name}={code},"]
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    lines, line = [], ""
+    for word in text.split(" "):
+        if line and len(line) + 1 + len(word) > _WIDTH and line.strip("# "):
+            lines.append(line)
+            line = indent + word
+        else:
+            line = f"{line} {word}" if line else word
+    return [*lines, line]
+
+
+def plain(text: str) -> str:
+    """Return a text of the deck without what would end a comment or a docstring."""
+    return "".join(c if c.isprintable() else " " for c in text).replace("\\", "/").replace('"""', "'''")
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return code for a path of the deck, from the folder of the case file."""
+    found = os.path.relpath(path.resolve(), folder.resolve())
+    return f"FOLDER / {quoted(Path(found).as_posix())}"
+
+
+def cracks(section: Section, x: Float) -> list[str]:
+    """Return the cracks of bond filters as code; their names have blanks or underscores.
+
+    Bonds through the edge of a rectangle are cut and those through the rim of a disc are not, as in Peridigm.
+
+    Parameters
+    ----------
+    section : Section
+        The filters.
+    x : (n, dim) float64
+        Where the particles are [length].
+
+    Raises
+    ------
+    CaseError
+        One is neither rectangle nor disc, or not flat, or particles lie on its plane.
+    """
+    found, dim = [], x.shape[1]
+    for one in section.sections.values():
+        kind = one.text("Type").replace(" ", "_")
+
+        def named(name: str, one: Section = one) -> str:
+            return name if name in one.entries else name.replace(" ", "_")
+
+        def vector(name: str, one: Section = one) -> Float:
+            values = [
+                one.number(named(f"{name} {axis}", one), 0.0 if k >= dim else None) for k, axis in enumerate("XYZ")
+            ]
+            return np.array(values[:dim])
+
+        if one.flag("Allow Contact"):
+            raise CaseError(f"{one.entries['Allow Contact'].place} of the deck has no counterpart here.")
+        if kind == "Rectangular_Plane":
+            normal, corner, bottom = vector("Normal"), vector("Lower Left Corner"), vector("Bottom Unit Vector")
+            along, side = one.number(named("Bottom Length")), one.number(named("Side Length"))
+            sizes = float(np.linalg.norm(bottom)), float(np.linalg.norm(normal))
+            if min(*sizes, along, side) <= 0.0 or abs(bottom @ normal) > 1e-9 * sizes[0] * sizes[1]:
+                raise CaseError(f"{one.place} of the deck is no rectangle.")
+            bottom, normal = bottom / sizes[0], normal / sizes[1]
+            _refuse_on_plane(one, x, corner, normal)
+            if dim == 2:
+                found.append(f"pd.Segment({_point(corner)}, {_point(corner + along * bottom)})")
+            else:
+                up = side * np.cross(bottom, normal)
+                corner, along, up = (
+                    corner - _EDGE * (along * bottom + up),
+                    along * (1 + 2 * _EDGE),
+                    up * (1 + 2 * _EDGE),
+                )
+                corners = [corner, corner + along * bottom, corner + along * bottom + up, corner + up]
+                found.append(f"pd.PolygonCrack([{', '.join(_point(point) for point in corners)}])")
+        elif kind == "Disk" and dim == 3:
+            centre, normal, radius = vector("Center"), vector("Normal"), one.number("Radius")
+            if not (np.linalg.norm(normal) > 0.0 and radius > 0.0):
+                raise CaseError(f"{one.place} of the deck is no disc.")
+            _refuse_on_plane(one, x, centre, normal / np.linalg.norm(normal))
+            found.append(f"pd.Disc({_point(centre)}, {_point(normal)}, {radius * (1.0 - _EDGE)!r})")
+        else:
+            raise CaseError(f"{one.entries['Type'].place} of the deck is {kind!r}, which has no counterpart in {dim}D.")
+    return found
+
+
+def _refuse_on_plane(one: Section, x: Float, point: Float, normal: Float) -> None:
+    """Raise CaseError where particles lie on the plane of a crack: which of their bonds it cuts nobody knows."""
+    extent = max(float(np.ptp(x, axis=0).max()), 1e-300)
+    on = np.flatnonzero(np.abs((x - point) @ normal) <= _EDGE * extent)
+    if len(on):
+        raise CaseError(
+            f"{len(on)} particles lie on the plane of {one.place} of the deck, such as {x[on[0]].tolist()}; move it "
+            f"between particles."
+        )
+
+
+def _point(point: Float) -> str:
+    return f"({', '.join(repr(float(value)) for value in point)})"
+
+
+def elastic_constants(section: Section) -> tuple[float, float]:
+    """Return Young's modulus and Poisson's ratio from two of the constants of a material.
+
+    Raises
+    ------
+    CaseError
+        There are not two of them, or no material has these.
+    """
+    names = ("Bulk Modulus", "Shear Modulus", "Young's Modulus", "Poisson's Ratio")
+    given = {name: section.number(name) for name in names if name in section.entries}
+    if len(given) != 2:
+        raise CaseError(
+            f"{section.place} of the deck needs two of {', '.join(names)}, and has {', '.join(given) or 'none'}."
+        )
+    K, G, E, nu = (given.get(name) for name in names)
+    try:
+        if K is not None and G is not None:
+            found = 9.0 * K * G / (3.0 * K + G), (3.0 * K - 2.0 * G) / (6.0 * K + 2.0 * G)
+        elif K is not None and E is not None:
+            found = E, (3.0 * K - E) / (6.0 * K)
+        elif K is not None and nu is not None:
+            found = 3.0 * K * (1.0 - 2.0 * nu), nu
+        elif G is not None and E is not None:
+            found = E, E / (2.0 * G) - 1.0
+        elif G is not None and nu is not None:
+            found = 2.0 * G * (1.0 + nu), nu
+        else:
+            assert E is not None
+            assert nu is not None
+            found = E, nu
+    except ZeroDivisionError:
+        found = math.nan, math.nan
+    if not (found[0] > 0.0 and -1.0 < found[1] < 0.5):
+        raise CaseError(f"{section.place} of the deck has E = {found[0]:g} and nu = {found[1]:g}, as no material has.")
+    return found
+
+
+def refuse_unknown(root: Section) -> None:
+    """Raise CaseError where an entry of the deck has neither been read nor noted."""
+    left = root.unread()
+    if left:
+        more = ", ".join(one.path for one in left[1:6]) + (", ..." if len(left) > 6 else "")
+        raise CaseError(
+            f"The deck has {left[0].place}{f' and {more}' if more else ''}, which {'have' if more else 'has'} no "
+            f"counterpart here; give --ignore '{left[0].path}' and so on if the answer does not depend on it."
+        )
+
+
+def words(text: str) -> Sequence[str]:
+    """Return the words of a text, without commas."""
+    return text.replace(",", " ").split()

@@ -1,0 +1,259 @@
+"""A deck as a tree of sections and entries, each with its place, which remembers what has been read of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from pdpetsc.errors import CaseError
+
+# Words for yes and no.
+_FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+@dataclass
+class Entry:
+    """One value of a deck as text, with its path and line."""
+
+    path: str
+    line: int
+    text: str
+    used: bool = False
+
+    @property
+    def place(self) -> str:
+        """Return where it is, for messages."""
+        return f"{self.path} (line {self.line})"
+
+
+@dataclass
+class Section:
+    """A named list of entries and sections.
+
+    Attributes
+    ----------
+    path : str
+        The names that lead here, with slashes between them.
+    line : int
+        Where it begins, from 1 on.
+    entries, sections : dict
+        What it holds by name, in the order of the deck.
+    """
+
+    path: str
+    line: int
+    entries: dict[str, Entry] = field(default_factory=dict)
+    sections: dict[str, Section] = field(default_factory=dict)
+
+    @property
+    def place(self) -> str:
+        """Return where it is, for messages."""
+        return f"{self.path or 'the deck'} (line {self.line})"
+
+    @property
+    def name(self) -> str:
+        """Return its own name."""
+        return self.path.rpartition("/")[2]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.entries or name in self.sections
+
+    def section(self, name: str) -> Section:
+        """Return a section; raises CaseError where there is none."""
+        if name not in self.sections:
+            raise CaseError(f"{self.place} of the deck has no section {name!r}.")
+        return self.sections[name]
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """Return an entry as text; raises CaseError where there is neither entry nor default."""
+        if name not in self.entries:
+            if default is None:
+                raise CaseError(f"{self.place} of the deck has no entry {name!r}.")
+            return default
+        found = self.entries[name]
+        found.used = True
+        return found.text
+
+    def peek(self, name: str) -> str:
+        """Return an entry as text without taking it for read; nothing where there is none."""
+        return self.entries[name].text if name in self.entries else ""
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """Return an entry as a finite number; raises CaseError where it is none."""
+        if name not in self.entries and default is not None:
+            return default
+        text = self.text(name)
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise CaseError(f"{self.entries[name].place} of the deck is {text!r}, not a number.")
+        return value
+
+    def whole(self, name: str, default: int | None = None) -> int:
+        """Return an entry as a whole number; raises CaseError where it is none."""
+        value = self.number(name, None if default is None else float(default))
+        if value != round(value):
+            raise CaseError(f"{self.entries[name].place} of the deck is {value:g}, not a whole number.")
+        return int(value)
+
+    def flag(self, name: str, default: bool = False) -> bool:
+        """Return an entry as yes or no; raises CaseError where it is neither."""
+        if name not in self.entries:
+            return default
+        text = self.text(name)
+        if text.lower() not in _FLAGS:
+            raise CaseError(f"{self.entries[name].place} of the deck is {text!r}, neither true nor false.")
+        return _FLAGS[text.lower()]
+
+    def leaves(self) -> Iterator[Entry]:
+        """Yield all entries of it and of the sections in it; an empty section is one without text."""
+        yield from self.entries.values()
+        for section in self.sections.values():
+            if not (section.entries or section.sections):
+                continue
+            yield from section.leaves()
+
+    def unread(self) -> list[Entry | Section]:
+        """Return the entries that have not been read, and sections in the place of all of theirs."""
+        found: list[Entry | Section] = [entry for entry in self.entries.values() if not entry.used]
+        for section in self.sections.values():
+            leaves = list(section.leaves())
+            whole = leaves and not any(entry.used for entry in leaves)
+            found += [section] if whole else section.unread()
+        return found
+
+    def without(self, names: Sequence[str]) -> list[str]:
+        """Take out the entries and sections whose name or path is among the names, and return them as text."""
+        out = []
+        for name, entry in list(self.entries.items()):
+            if name in names or entry.path in names:
+                del self.entries[name]
+                out.append(f"{entry.place}: {entry.text}")
+        for name, inner in list(self.sections.items()):
+            if name in names or inner.path in names:
+                del self.sections[name]
+                out.append(inner.place)
+        for section in self.sections.values():
+            out += section.without(names)
+        return out
+
+
+def read(path: Path) -> Section:
+    """Return a deck: XML where its name ends so or it begins with ``<``, YAML otherwise.
+
+    Raises
+    ------
+    CaseError
+        The file is missing, is neither, or needs a package that is not there.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise CaseError(f"Cannot read the deck {path}: {error.strerror or error}.") from None
+    except ValueError:
+        raise CaseError(f"Cannot read the deck {path}: it is not text.") from None
+    root = _read_xml(path, text) if text.lstrip().startswith("<") else _read_yaml(path, text)
+    if not (root.entries or root.sections):
+        raise CaseError(f"The deck {path} is empty.")
+    return root
+
+
+def _read_yaml(path: Path, text: str) -> Section:
+    try:
+        import yaml
+    except ImportError:
+        raise CaseError("Reading decks in YAML needs PyYAML; install pdpetsc[decks].") from None
+    try:
+        # Nodes alone: nothing of the deck is made into objects.
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        if not isinstance(node, yaml.MappingNode):
+            raise CaseError(f"The deck {path} is no list of names and values.")
+        return _of_yaml(path, node, "", yaml, 0)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark is not None else ""
+        raise CaseError(f"Cannot read the deck {path}{where}: {getattr(error, 'problem', None) or error}.") from None
+    except RecursionError:
+        raise CaseError(f"Cannot read the deck {path}: it is nested too deeply.") from None
+
+
+def _of_yaml(path: Path, node: Any, at: str, yaml: Any, depth: int) -> Section:
+    if depth > 50:
+        raise CaseError(f"Cannot read the deck {path}: it is nested too deeply.")
+    section = Section(at, node.start_mark.line + 1)
+    for key, value in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise CaseError(f"Line {line} of the deck {path} has a name that is no word.")
+        name = str(key.value).strip()
+        here = f"{at}/{name}" if at else name
+        if name in section:
+            raise CaseError(f"The deck {path} has {here} twice, the second time in line {line}.")
+        if isinstance(value, yaml.MappingNode):
+            section.sections[name] = _of_yaml(path, value, here, yaml, depth + 1)
+            section.sections[name].line = line
+        elif isinstance(value, yaml.ScalarNode):
+            section.entries[name] = Entry(here, line, str(value.value).strip())
+        else:
+            parts = [part.value for part in value.value if isinstance(part, yaml.ScalarNode)]
+            if len(parts) != len(value.value):
+                raise CaseError(f"{here} (line {line}) of the deck {path} is a list of more than words and numbers.")
+            section.entries[name] = Entry(here, line, " ".join(str(part) for part in parts))
+    return section
+
+
+def _read_xml(path: Path, text: str) -> Section:
+    """Return a Teuchos parameter list: ``ParameterList`` elements with ``Parameter name= type= value=``."""
+    root: Section | None = None
+    stack: list[Section] = []
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal root
+        line = parser.CurrentLineNumber
+        name = attributes.get("name", "").strip()
+        if tag not in ("ParameterList", "Parameter"):
+            raise CaseError(f"Line {line} of the deck {path} has <{tag}>; parameter lists have Parameter alone.")
+        if not stack:
+            if tag != "ParameterList" or root is not None:
+                raise CaseError(f"The deck {path} is no ParameterList.")
+            root = Section("", line)
+            stack.append(root)
+            return
+        above = stack[-1]
+        here = f"{above.path}/{name}" if above.path else name
+        if not name:
+            raise CaseError(f"Line {line} of the deck {path} has a {tag} without name.")
+        same = name in above.entries and above.entries[name].text == attributes.get("value", "").strip()
+        if name in above and not (same and tag == "Parameter"):
+            raise CaseError(f"The deck {path} has {here} twice, the second time in line {line}.")
+        if tag == "ParameterList":
+            above.sections[name] = Section(here, line)
+            stack.append(above.sections[name])
+            return
+        if "value" not in attributes:
+            raise CaseError(f"{here} (line {line}) of the deck {path} has no value.")
+        above.entries[name] = Entry(here, line, attributes["value"].strip())
+        stack.append(above)
+
+    def end(tag: str) -> None:
+        stack.pop()
+
+    def refuse(*_: object) -> None:
+        raise CaseError(f"The deck {path} declares XML entities, which parameter lists do not have.")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise CaseError(f"Cannot read the deck {path}: {error}.") from None
+    if root is None:
+        raise CaseError(f"The deck {path} is no ParameterList.")
+    return root

@@ -1,0 +1,345 @@
+"""Particles from text files, as Peridigm, PeriLab and scripts write them.
+
+Every rank reads the whole file and keeps its own part of the particles.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.particles import Arrays, Chunk, Particles
+from pdpetsc.declare.surface import Facets
+from pdpetsc.errors import CaseError
+
+# What the columns of a text cloud are called; PeriLab says block_id.
+_COLUMNS = {"x": "x", "y": "y", "z": "z", "block": "block", "block_id": "block", "volume": "volume"}
+# A place this near to a particle, as a share of the extent of the cloud, is that of the particle.
+_THERE = 1e-9
+
+
+@dataclass(frozen=True)
+class TextFile(Particles):
+    """Particles from a text file with lines ``x y z block volume``, as Peridigm and PeriLab use it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Lines of ``dim`` coordinates [length], a block number and a volume; ``#`` starts a comment. Columns are parted
+        by blanks or tabs, or by commas, or by semicolons. A first line such as ``header: x y block_id volume``, one of
+        these words alone, or a comment of them says what the columns are: they may then stand in any order, there may
+        be others, and no block. A plane cloud may have three coordinates, of which the last is constant. Block ``b``
+        becomes the set ``block_b``.
+    node_sets : mapping of str to str, Path or sequence of int
+        Particle numbers, counted from 1 in the order of the file, or files with them; each becomes a set.
+    thickness : float
+        Out-of-plane thickness [length] already contained in the volumes.
+    dim : int, optional
+        How many of the coordinates are those of the body. By default those at the end that are the same for all
+        particles are left out: particles in a plane are a plane body then, which ``dim=3`` says they are not.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> cloud = pd.TextFile("cloud.txt", node_sets={"clamped": "clamped.txt", "corner": [1]})
+    """
+
+    path: str | Path
+    node_sets: Mapping[str, str | Path | Sequence[int]] = field(default_factory=dict)
+    thickness: float = 1.0
+    dim: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_thickness("TextFile", self.thickness)
+        if self.dim is not None and self.dim not in (1, 2, 3):
+            raise CaseError(f"A TextFile has dim 1, 2 or 3, not {self.dim}.")
+
+    def chunk(self, part: int, parts: int) -> Chunk:
+        """Return part ``part`` of ``parts`` of the file."""
+        return self._arrays().chunk(part, parts)
+
+    @property
+    def irregular(self) -> bool:
+        """Return whether the particles do not fill the cells of a lattice."""
+        return self._arrays().irregular
+
+    def faces(self, part: int, parts: int, normal: Float) -> Float:
+        """Return what Arrays of the same particles return."""
+        return self._arrays().faces(part, parts, normal)
+
+    def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
+        """Return what Arrays of the same particles return."""
+        return self._arrays().surface(part, parts, cracks)
+
+    def column(self, name: str) -> Float:
+        r"""Return a column of the file by its name, one number per particle (n,) in the order of creation.
+
+        It is what ``horizon=`` and ``pd.Temperature`` take.
+
+        Raises
+        ------
+        CaseError
+            The file has no such column, or no names.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> import pdpetsc as pd
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "cloud.csv"
+        >>> _ = path.write_text("x,y,volume,angle\n0,0,1,0.1\n1,0,1,0.3\n")
+        >>> pd.TextFile(path).column("angle")
+        array([0.1, 0.3])
+        """
+        _, names, table = _read(Path(self.path))
+        wanted = _COLUMNS.get(name.lower(), name.lower())
+        if names is None or wanted not in names:
+            has = f"its columns are {', '.join(names)}" if names else "its columns have no names"
+            raise CaseError(f"{self.path} has no column {name!r}: {has}.")
+        found = np.asarray(table[:, names.index(wanted)])
+        if not np.isfinite(found).all():
+            raise CaseError(f"Column {name!r} of {self.path} has values that are not numbers.")
+        return found
+
+    def has(self, name: str) -> bool:
+        """Return whether the file has such a column, by its names or, without names, as ``x y z block volume``."""
+        _, names, table = _read(Path(self.path))
+        have = names if names is not None else [*"xyz"[: table.shape[1] - 2], "block", "volume"]
+        return _COLUMNS.get(name.lower(), name.lower()) in have
+
+    def function(self, name: str) -> Column:
+        """Return a column of the file as a function of the positions of particles, as orientations and loads take it.
+
+        Raises
+        ------
+        CaseError
+            The file has no such column, or no names.
+        """
+        return Column(self.path, name, self.dim)
+
+    def _arrays(self) -> Arrays:
+        path = Path(self.path)
+        _, names, table = _read(path)
+        x, block, volume = _columns(path, names, table)
+        sets = {}
+        if block is not None:
+            wrong = np.flatnonzero(~(np.isfinite(block) & (block == np.round(block))))
+            if len(wrong):
+                raise CaseError(
+                    f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, and blocks are whole numbers; if the "
+                    f"columns are not x y z block volume, name them in a first line 'header: x y z block_id volume'."
+                )
+            sets = {f"block_{int(b)}": block == b for b in np.unique(block)}
+        for name, given in self.node_sets.items():
+            sets[name] = _members(given if isinstance(given, str | Path) else None, given, name, len(table))
+        return Arrays(self._of_dim(x), volume, sets, self.thickness)
+
+    def _of_dim(self, x: Float) -> Float:
+        """Return the coordinates of the body (n, dim)."""
+        if self.dim is None:
+            return without_constant(x)
+        if x.shape[1] < self.dim:
+            raise CaseError(f"{self.path} has {x.shape[1]} coordinates, not {self.dim}.")
+        if without_constant(x).shape[1] > self.dim:
+            raise CaseError(f"{self.path} has particles out of the {self.dim} dimensions that it is to have.")
+        return x[:, : self.dim]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a text cloud as a function of positions; ``TextFile.function`` makes it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    name : str
+        The column.
+    dim : int, optional
+        As for ``TextFile``.
+    """
+
+    path: str | Path
+    name: str
+    dim: int | None = None
+
+    def __post_init__(self) -> None:
+        self._cloud.column(self.name)
+
+    @property
+    def __name__(self) -> str:
+        """Return the name of the column, for messages."""
+        return self.name
+
+    @property
+    def _cloud(self) -> TextFile:
+        return TextFile(self.path, dim=self.dim)
+
+    def __call__(self, x: Float, t: float = 0.0) -> Float:
+        """Return the values (n,) of the particles at positions ``x`` (n, dim), at any step time.
+
+        Raises
+        ------
+        CaseError
+            There is no particle at one of them.
+        """
+        tree, values, extent = _placed(self, _version(Path(self.path)))
+        distance, which = tree.query(x)
+        off = np.flatnonzero(distance > _THERE * extent)
+        if len(off):
+            raise CaseError(
+                f"Column {self.name!r} of {self.path} has no value at {list(x[off[0]])}: no particle is there."
+            )
+        return np.asarray(values[which])
+
+
+@lru_cache(maxsize=8)
+def _placed(column: Column, version: tuple[int, int]) -> tuple[Any, Float, float]:
+    """Return a search tree of the particles, a column and the extent of the cloud, as long as the file is the same."""
+    x = np.asarray(column._cloud._arrays().x, dtype=float)
+    return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
+
+
+def refuse_thickness(what: str, thickness: float) -> None:
+    """Raise CaseError unless a thickness is positive."""
+    if not (math.isfinite(thickness) and thickness > 0.0):
+        raise CaseError(f"A {what} needs a positive thickness, not {thickness}.")
+
+
+def without_constant(x: Float, at_least: int = 1) -> Float:
+    """Drop trailing coordinates (n, dim) that are the same for all points."""
+    dim = x.shape[1]
+    while dim > at_least and np.ptp(x[:, dim - 1]) <= 1e-12 * max(float(np.ptp(x)), 1e-300):
+        dim -= 1
+    return x[:, :dim]
+
+
+def _members(path: str | Path | None, given: object, name: str, count: int) -> Mask:
+    """Return the flags of a set of particles (count,) that a file or a list has by numbers from 1 on."""
+    if path is None:
+        what = f"Node set {name!r}"
+        try:
+            members = np.asarray(given, dtype=float).ravel()
+        except (TypeError, ValueError):
+            raise CaseError(f"{what} takes a file or particle numbers, not {given!r}.") from None
+    else:
+        what = str(path)
+        rows = [row for row in _lines(Path(path)) if row.split("#", 1)[0].strip()]
+        first = 1 if rows and rows[0].lstrip().lower().startswith("header:") else 0
+        # Several numbers may stand in a line, and not as many in each.
+        text = " ".join(row.split("#", 1)[0].replace(",", " ") for row in rows[first:])
+        members = np.ravel(_table(Path(path), [text])) if text.strip() else np.zeros(0)
+        if not len(members):
+            raise CaseError(f"{path} has no lines of numbers.")
+    if not (members == np.round(members)).all():
+        raise CaseError(f"{what} holds particle numbers that are not whole.")
+    if len(members) and (members.min() < 1 or members.max() > count):
+        raise CaseError(f"{what} names particles outside 1 to {count}.")
+    flags = np.zeros(count, dtype=bool)
+    flags[members.astype(np.int64) - 1] = True
+    return flags
+
+
+def _read(path: Path) -> tuple[list[str], list[str] | None, Float]:
+    """Return the lines of a cloud, what its columns are called, None where nothing says so, and the table."""
+    lines = _lines(path)
+    names, start = _header(path, lines)
+    return lines, names, _table(path, lines[start:])
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise CaseError(f"Cannot read {path}: {error.strerror or 'file not found'}.") from None
+    except ValueError:
+        raise CaseError(f"{path} is not a table of numbers: it is not text.") from None
+
+
+def _words(line: str) -> list[str]:
+    """Return the words of a line, parted by commas, semicolons or blanks, small."""
+    mark = _separator(line)
+    return [word.strip().lower() for word in (line.split(mark) if mark else line.split())]
+
+
+def _separator(line: str) -> str | None:
+    """Return what parts the columns: a comma, a semicolon, or None for blanks."""
+    return next((mark for mark in ";," if mark in line), None)
+
+
+def _header(path: Path, lines: list[str]) -> tuple[list[str] | None, int]:
+    """Return what the columns are called, None where nothing says so, and where the table starts."""
+    start = 0
+    while start < len(lines) and (not lines[start].strip() or lines[start].lstrip().startswith("#")):
+        words = _words(lines[start].lstrip("# \t"))
+        if len(words) >= 3 and set(words) <= set(_COLUMNS):
+            return _known(path, words), start + 1
+        start += 1
+    if start == len(lines):
+        return None, start
+    if lines[start].lstrip().lower().startswith("header:"):
+        return _known(path, _words(lines[start].split(":", 1)[1])), start + 1
+    words = _words(lines[start])
+    # A line of names: all of them words, two of which every cloud has.
+    if {"x", "volume"} <= set(words) and all(re.fullmatch(r"[a-z_][\w .()/%-]*", word) for word in words):
+        return _known(path, words), start + 1
+    return None, start
+
+
+def _known(path: Path, words: list[str]) -> list[str]:
+    names = [_COLUMNS.get(word, word) for word in words]
+    dim = sum(axis in names for axis in "xyz")
+    twice = [name for name in names if names.count(name) > 1]
+    if twice or dim == 0 or not {*"xyz"[:dim], "volume"} <= set(names):
+        raise CaseError(
+            f"The header of {path} needs x, y and z as far as there are, and volume, and every name once; it has "
+            f"{' '.join(words)}."
+        )
+    return names
+
+
+def _columns(path: Path, names: list[str] | None, table: Float) -> tuple[Float, Float | None, Float]:
+    """Return coordinates (n, dim), blocks (n,), None where there are none, and volumes (n,)."""
+    width = table.shape[1]
+    if names is None:
+        if not 3 <= width <= 5:
+            raise CaseError(
+                f"{path} has {width} columns; it needs 1 to 3 coordinates, a block number and a volume, or a first "
+                f"line such as 'header: x y z block_id volume' that names them."
+            )
+        names = [*"xyz"[: width - 2], "block", "volume"]
+    if len(names) != width:
+        raise CaseError(f"{path} has {width} columns, and its header names {len(names)}.")
+    x = table[:, [names.index(axis) for axis in "xyz" if axis in names]]
+    block = table[:, names.index("block")] if "block" in names else None
+    return x, block, table[:, names.index("volume")]
+
+
+def _table(path: Path, lines: list[str]) -> Float:
+    rows = [line for line in lines if line.split("#", 1)[0].strip()]
+    if not rows:
+        raise CaseError(f"{path} has no lines of numbers.")
+    # One separator for the whole table: a decimal comma would otherwise make two numbers of one.
+    mark = _separator(rows[0].split("#", 1)[0])
+    try:
+        return np.asarray(np.loadtxt(rows, ndmin=2, delimiter=mark))
+    except (ValueError, OverflowError) as error:
+        raise CaseError(f"{path} is not a table of numbers: {' '.join(str(error).split()).rstrip('.')}.") from None

@@ -1,0 +1,101 @@
+"""Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png``.
+
+Where there is no display, and no OpenGL without one, VTK may end the process that it is in. It is therefore not that of
+the run, and this file imports nothing of pdpetsc, so that it starts at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import numpy as np
+
+# Corners of a cell and their order in VTK.
+_CORNERS = np.array(
+    [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
+)
+# More spheres than this are drawn as splats of the same size.
+SPHERES = 30_000
+
+
+def main(source: str, target: str) -> None:
+    """Draw the arrays of one file into another."""
+    pyvista: Any = importlib.import_module("pyvista")
+    scene = np.load(source)
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=[1300, 850])
+    plotter.set_background("white")
+    low, high = scene["limits"]
+    label = str(scene["label"])
+    bar = {"title": label, "vertical": True, "title_font_size": 24, "label_font_size": 22, "color": "black",
+           "fmt": "%.3g", "height": 0.6, "width": 0.04, "position_x": 0.86, "position_y": 0.15}  # fmt: skip
+    look = {
+        "scalars": "values",
+        "clim": [low, high],
+        "cmap": "viridis",
+        "scalar_bar_args": bar,
+        "ambient": 0.55,
+        "diffuse": 0.5,
+        "specular": 0.0,
+    }
+    y, values, size = scene["y"], scene["values"], scene["size"]
+    if scene["steps"].size:
+        shown = ~scene["inside"]
+        half = 0.5 * scene["steps"] * _CORNERS
+        corners = y[shown][:, None] + np.einsum("nij,cj->nci", scene["F"][shown], half)
+        n = len(corners)
+        cells = np.column_stack([np.full(n, 8), np.arange(8 * n).reshape(n, 8)]).ravel()
+        body = pyvista.UnstructuredGrid(cells, np.full(n, 12, dtype=np.uint8), corners.reshape(-1, 3))
+        body.cell_data["values"] = values[shown]
+        edges = n < 6000
+        plotter.add_mesh(body, show_edges=edges, edge_color="grey", line_width=0.5, **look)
+    else:
+        body = pyvista.PolyData(y)
+        body["values"], body["size"] = values, size
+        if len(y) <= SPHERES:
+            ball = pyvista.Sphere(radius=0.5, theta_resolution=10, phi_resolution=10)
+            plotter.add_mesh(body.glyph(scale="size", orient=False, geom=ball), smooth_shading=True, **look)
+        else:
+            actor = plotter.add_mesh(body, style="points_gaussian", render_points_as_spheres=True, **look)
+            actor.mapper.scale_factor = 0.5 * float(np.median(size))
+    for crack in scene["crack"]:
+        if crack:
+            plotter.add_mesh(pyvista.read(str(crack)), color="black", opacity=0.8)
+    box = scene["box"]
+    # Round numbers at the ends of the axes.
+    tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0
+    bounds = (tick * np.array([np.floor(box[0] / tick + 1e-6), np.ceil(box[1] / tick - 1e-6)])).T.ravel().tolist()
+    horizon = float(scene["horizon"])
+    if horizon > 0.0:
+        # To scale, beside the corner that is next to the eye.
+        away = 1.5 * horizon + 0.08 * float(np.linalg.norm(box[1] - box[0]))
+        at = np.array([box[1, 0] + away, box[0, 1] - away, box[0, 2]])
+        plotter.add_mesh(pyvista.Sphere(radius=horizon, center=at), color="tomato", opacity=0.6)
+        plotter.add_point_labels(
+            at[None] + [[1.3 * horizon, 0.0, -horizon]], ["horizon"], show_points=False, shape=None, font_size=18,
+            text_color="black", always_visible=True,
+        )  # fmt: skip
+    plotter.add_text(str(scene["title"]), position="upper_left", font_size=13, color="black")
+    # Last: whatever is added after them moves the axes.
+    letters = {f"{letter}title": str(text) for letter, text in zip("xyz", scene["axes"], strict=True)}
+    plotter.show_bounds(
+        bounds=bounds, color="black", location="outer", ticks="outside", font_size=14, n_xlabels=4, n_ylabels=2,
+        n_zlabels=2, fmt="%.3g", bold=False, use_3d_text=False, **letters,
+    )  # fmt: skip
+    middle, reach = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
+    plotter.camera_position = [tuple(middle + reach * np.array([0.9, -1.3, 0.75])), tuple(middle), (0.0, 0.0, 1.0)]
+    plotter.camera.parallel_projection = True
+    plotter.reset_camera()
+    # The body left of the scale of colours.
+    right = np.cross(plotter.camera.direction, (0.0, 0.0, 1.0))
+    shift = 0.05 * reach * right / np.linalg.norm(right)
+    plotter.camera.position = tuple(np.array(plotter.camera.position) + shift)
+    plotter.camera.focal_point = tuple(np.array(plotter.camera.focal_point) + shift)
+    plotter.camera.zoom(1.02)
+    plotter.screenshot(target)
+    plotter.close()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])

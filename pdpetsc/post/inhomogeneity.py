@@ -1,0 +1,288 @@
+"""How the energy density of a body depends on place at a constant deformation gradient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.material.expanded import ExpandedAtPoints
+from pdpetsc.post.bonds_left import pairs_of
+from pdpetsc.post.solution import Solution
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.material_points import MaterialPoints
+
+# Numbers that differ by less than this share are the same: round-off of sums.
+SAME = 1e-12
+# Neighbours are next to each other up to this many times the least distance.
+NEXT = 1.3
+# What a slope leaves unexplained grows with the square of the distance where a field is smooth, and falls with it where
+# the field jumps: next neighbours have less than this share of what the farthest ones have, or a jump lies between.
+SMOOTH = 0.5
+# It does not count below this share of the range of a field; nor does it, where all neighbours are next, below the
+# second.
+NOTHING, ROUGH = 1e-5, 0.05
+# A temperature is changed by this share of its range for the derivative of the energy of a law by it.
+LAW_STEP = 1e-4
+# Within so many horizons of a crack tip a temperature may have a singular slope.
+SINGULAR = 2.0
+
+
+@dataclass(frozen=True)
+class OfPlace:
+    """What the energy density reads besides the deformation gradient.
+
+    Attributes
+    ----------
+    solution : Solution
+        A state.
+    strain : (n_local, 4) float64 or None
+        Strain without stress, xx, yy, xy and zz [-]; of bodies of bonds what the body shows of it.
+    factor : (n_local,) float64
+        What multiplies the moduli, of place and of temperature [-].
+    temperature : (n_local,) float64 or None
+        Where a law depends on it otherwise.
+    """
+
+    solution: Solution
+    strain: Float | None
+    factor: Float
+    temperature: Float | None
+
+    @cached_property
+    def columns(self) -> list[tuple[str, Float]]:
+        """Return all its numbers (n_local,) with what they are."""
+        found = [] if self.strain is None else [("strain without stress", column) for column in self.strain.T]
+        found.append(("moduli", self.factor))
+        if self.temperature is not None:
+            found.append(("a temperature", self.temperature))
+        return found
+
+
+def of_place(solution: Solution) -> OfPlace:
+    """Return what the energy density reads besides the deformation gradient (collective)."""
+    return solution.state.kept("of place", lambda: _of_place(solution))
+
+
+def _of_place(solution: Solution) -> OfPlace:
+    cloud, expansion, t = solution.cloud, solution.problem.body.expansion, solution.state.t
+    _, factor = materials_of(solution)
+    if expansion is None:
+        return OfPlace(solution, None, _with_ghosts(solution, factor), None)
+    of_temperature = expansion.factor(t)
+    if of_temperature is not None:
+        factor = factor * of_temperature
+    strain = np.zeros((cloud.n_local, 3, 3))
+    strain[: cloud.n_owned] = expansion.strain(t)
+    if isinstance(solution.problem.matter, BondForces):
+        strain[: cloud.n_owned, :2, :2] = expansion.in_body(t)
+    cloud.halo.forward(strain)
+    # Behind a mirror plane a shear has the other sign.
+    if len(cloud.sign):
+        strain[cloud.n_owned :, 0, 1] *= cloud.sign.prod(axis=1)
+    shown = np.stack([strain[:, 0, 0], strain[:, 1, 1], strain[:, 0, 1], strain[:, 2, 2]], axis=1)
+    by_law = any(one is not None and one.law is not None for one in expansion.thermals)
+    temperature = expansion.temperature(t) if by_law else None
+    kept = None if temperature is None else _with_ghosts(solution, temperature)
+    return OfPlace(solution, shown, _with_ghosts(solution, factor), kept)
+
+
+def explicit_derivative(solution: Solution) -> Float:
+    """Return the derivative of the energy density by place at constant F (n_owned, 2) [energy / volume / length].
+
+    ``psi_,m = S : eps_,m + psi / c c_,m + psi_,T T_,m`` with the strain without stress eps, the factor c of the moduli,
+    the temperature T where a law depends on it otherwise, and the slopes of all of them by the weights of the body,
+    which are exact where they are linear; ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` of linear bodies and bonds
+    (``ExpandedAtPoints.energy_by_strain``). Collective.
+    """
+    return solution.state.kept("explicit derivative", lambda: _explicit_derivative(solution))
+
+
+def _explicit_derivative(solution: Solution) -> Float:
+    matter, state, place = solution.problem.matter, solution.state, of_place(solution)
+    factor = place.factor[: len(solution.x)]
+    if not isinstance(matter, MaterialPoints):
+        assert isinstance(matter, BondForces)
+        found = (matter.energy_density(state) / factor)[:, None] * _of_families(solution, place.factor[:, None])[:, 0]
+        if place.strain is not None:
+            found += _of_bonds(solution, _of_families(solution, place.strain))
+        return np.asarray(found)
+    operator, owner = matter.operator, matter.operator.owner
+    F, _, psi = matter.conjugates(state)
+    found = (psi / factor[owner])[:, None] * _of_points(matter, place.factor[:, None])[:, 0]
+    if place.strain is not None:
+        S, slope = np.zeros((len(F), 3, 3)), _of_points(matter, place.strain)
+        for one in matter.materials:
+            assert isinstance(one, ExpandedAtPoints)
+            S[one.points] = one.energy_by_strain(F[one.points])
+        by_strain = np.stack([S[:, 0, 0], S[:, 1, 1], S[:, 0, 1] + S[:, 1, 0], S[:, 2, 2]], axis=1)
+        found += np.einsum("pc,pcm->pm", by_strain, slope)
+    if place.temperature is not None:
+        by, slope = np.zeros(len(F)), _of_points(matter, place.temperature[:, None])[:, 0]
+        low, high = _range(solution, place.temperature)
+        step = LAW_STEP * (high - low) if high > low else 1.0
+        for one in matter.materials:
+            assert isinstance(one, ExpandedAtPoints)
+            at = place.temperature[owner[one.points]]
+            by[one.points] = one.energy_by_temperature(F[one.points], at, step)
+        found += by[:, None] * slope
+    share = operator.volume / solution.volume[owner]
+    return operator.sum_over_points(share[:, None] * found)
+
+
+def _of_points(matter: MaterialPoints, values: Float) -> Float:
+    """Return the slopes (n_points, columns, dim) of numbers of the local particles (n_local, columns)."""
+    dim, n = matter.body.dim, values.shape[1]
+    padded = np.zeros((len(values), -(-n // dim) * dim))
+    padded[:, :n] = values
+    parts = [
+        matter.operator.gradient(np.ascontiguousarray(padded[:, first : first + dim]))
+        for first in range(0, padded.shape[1], dim)
+    ]
+    return np.concatenate(parts, axis=1)[:, :n]
+
+
+def _of_families(solution: Solution, values: Float) -> Float:
+    """Return the slopes (n_owned, columns, dim) that fit families of bonds best, over bonds that are left."""
+    cloud, families, matter = solution.cloud, solution.problem.body.families, solution.problem.matter
+    assert isinstance(matter, BondForces)
+    xi, damage = families.bonds(cloud.x), solution.problem.damage
+    weight = matter.omega * cloud.volume[families.neighbours]
+    if damage is not None:
+        weight = weight * damage.bonds.intact
+    change = values[families.neighbours] - values[families.centres]
+    K = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, xi, xi), cloud.n_owned)
+    N = sum_by(families.centres, np.einsum("b,bc,bj->bcj", weight, change, xi), cloud.n_owned)
+    return np.asarray(N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
+
+
+def _of_bonds(solution: Solution, slope: Float) -> Float:
+    """Return what strain without stress of a slope (n_owned, 4, dim) does to the energy of bonds (n_owned, dim).
+
+    Bonds have the energy of their elongation beyond ``|(I + eps) xi| - |xi|``, or ``n . eps xi`` at small strain.
+    """
+    cloud, families, matter = solution.cloud, solution.problem.body.families, solution.problem.matter
+    assert isinstance(matter, BondForces)
+    xi, expansion = families.bonds(cloud.x), solution.problem.body.expansion
+    assert expansion is not None
+    along = xi
+    if matter.finite:
+        along = xi + np.einsum("bij,bj->bi", expansion.in_body(solution.state.t)[families.centres], xi)
+    n = along / np.linalg.norm(along, axis=1)[:, None]
+    moment = sum_by(families.centres, np.einsum("b,bi,bj->bij", matter.tension(solution.state), n, xi), cloud.n_owned)
+    moment /= cloud.volume[: cloud.n_owned, None, None]
+    shear = moment[:, 0, 1] + moment[:, 1, 0]
+    by = np.stack([moment[:, 0, 0], moment[:, 1, 1], shear, np.zeros(len(moment))], axis=1)
+    return -np.asarray(np.einsum("pc,pcm->pm", by, slope))
+
+
+def uneven(solution: Solution, inside: Mask) -> list[str]:
+    """Return what the energy density reads that differs between some own particles (n_owned,) (collective)."""
+    found = []
+    for name, column in of_place(solution).columns:
+        low, high = _range(solution, column[: len(inside)][inside])
+        if high - low > SAME * max(abs(high), abs(low)) and name not in found:
+            found.append(name)
+    return found
+
+
+def jumping(solution: Solution, inside: Mask, tips: list[Float]) -> str:
+    """Return what of it jumps between some own particles (n_owned,) and their neighbours; empty where nothing does.
+
+    A jump has no slope: what it does to the energy lies between the particles. Collective.
+
+    Parameters
+    ----------
+    tips : list of (2,) float64
+        Crack tips, near which slopes may be singular [length].
+    """
+    cloud = solution.cloud
+    reach = cloud.reach[: len(inside)]
+    zone = inside.copy()
+    for tip in tips:
+        zone &= np.linalg.norm(solution.x - tip, axis=1) > SINGULAR * reach
+    chosen = np.flatnonzero(zone)
+    pairs, left = pairs_of(solution, chosen)
+    pairs = pairs[left == 1.0]
+    xi = cloud.x[pairs[:, 1]] - cloud.x[pairs[:, 0]]
+    length = np.linalg.norm(xi, axis=1)
+    least = np.full(len(inside), np.inf)
+    np.minimum.at(least, pairs[:, 0], length)
+    near, far = length < NEXT * least[pairs[:, 0]], length > 1.0 / SMOOTH * least[pairs[:, 0]] * (1.0 - 1e-9)
+    some_far = solution.largest(float(np.count_nonzero(far))) > 0.0
+    for name, column in of_place(solution).columns:
+        low, high = _range(solution, column[: len(inside)][inside])
+        if high - low <= SAME * max(abs(high), abs(low)):
+            continue
+        slope = slopes_of_particles(solution, column[:, None])[pairs[:, 0], 0]
+        rest = np.abs(column[pairs[:, 1]] - column[pairs[:, 0]] - np.einsum("bi,bi->b", slope, xi))
+        close = solution.largest(float(rest[near].max(initial=0.0)))
+        wide = solution.largest(float(rest[far].max(initial=0.0)))
+        allowed = max(SMOOTH * wide, NOTHING * (high - low)) if some_far else ROUGH * (high - low)
+        if close > allowed:
+            return name
+    return ""
+
+
+def slopes_of_particles(solution: Solution, values: Float) -> Float:
+    """Return the slopes (n_owned, columns, dim) of numbers of the local particles, means over the points of each."""
+    matter = solution.problem.matter
+    if isinstance(matter, MaterialPoints):
+        return matter.operator.mean_over_points(_of_points(matter, values), len(solution.x))
+    return _of_families(solution, values)
+
+
+def _range(solution: Solution, values: Float) -> tuple[float, float]:
+    """Return the least and the largest of numbers on all ranks (collective)."""
+    return (
+        -solution.largest(float((-values).max(initial=-np.inf))),
+        solution.largest(float(values.max(initial=-np.inf))),
+    )
+
+
+def _with_ghosts(solution: Solution, values: Float) -> Float:
+    """Return numbers of the own particles (n_owned,) with those of their ghosts (n_local,) (collective)."""
+    cloud = solution.cloud
+    local = np.empty(cloud.n_local)
+    local[: cloud.n_owned] = values
+    cloud.halo.forward(local)
+    return local
+
+
+def materials_of(solution: Solution) -> tuple[GlobalIndex, Float]:
+    """Return the number of the material of each own particle, and what multiplies its moduli by place [-]."""
+    matter, n = solution.problem.matter, len(solution.x)
+    numbers, factor = np.zeros(n, dtype=np.int64), np.ones(n)
+    if isinstance(matter, MaterialPoints):
+        for number, at_points in enumerate(matter.materials):
+            of = matter.operator.owner[at_points.points]
+            numbers[of] = number
+            if at_points.factor is not None:
+                factor[of] = at_points.factor
+    elif isinstance(matter, BondForces):
+        numbers[:], factor[:] = matter.material_of, matter.factor
+    return numbers, factor
+
+
+def remembers(solution: Solution) -> bool:
+    """Return whether a material has a history; the same on all ranks (not collective)."""
+    matter = solution.problem.matter
+    return isinstance(matter, MaterialPoints) and any(one.has_history for one in matter.materials)
+
+
+def turned_by_place(solution: Solution, inside: Mask) -> bool:
+    """Return whether a law reads numbers of the place, as directions of fibres, that differ between own particles.
+
+    The same on all ranks (collective).
+    """
+    matter, number = solution.problem.matter, np.zeros(len(solution.x))
+    if isinstance(matter, MaterialPoints):
+        for one in matter.materials:
+            if not one.has_history and one.history.shape[1]:
+                # Any that differ will do.
+                number[matter.operator.owner[one.points]] = one.history @ np.arange(1.0, 1.0 + one.history.shape[1])
+    low, high = _range(solution, number[inside])
+    return bool(high > low)

@@ -1,0 +1,352 @@
+"""Runs beside each other: a table, their histories in one figure, their fields at the same points."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.errors import CaseError
+from pdpetsc.output.curves import curve, panels
+from pdpetsc.output.labels import Labels
+from pdpetsc.post.sampling import sampled
+from pdpetsc.running.result import Result, open_run, optional_module
+
+# What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
+PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
+# Results that are drawn against the time they take.
+ERRORS = ("error", "w_error", "max_F_error")
+
+
+class Ran(Protocol):
+    """A run as the figure reads it: what tells it from the others, its named results, and its seconds."""
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Return what tells it from the others."""
+
+    @property
+    def results(self) -> Mapping[str, float]:
+        """Return its named results."""
+
+    @property
+    def seconds(self) -> float:
+        """Return the seconds of set-up and solve."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run gave.
+
+    Attributes
+    ----------
+    parameters : mapping of str to object
+        What tells it from the others.
+    status : str
+        ``"converged"``, or why it ended.
+    results : mapping of str to float
+        Its named results.
+    seconds, memory : float
+        Of set-up and solve [s], and of all ranks [MiB].
+    """
+
+    parameters: Mapping[str, Any]
+    status: str
+    results: Mapping[str, float]
+    seconds: float
+    memory: float
+
+
+def working_seconds(summary: Mapping[str, Any]) -> float:
+    """Return the seconds of set-up and solve of a run from its ``summary.json``."""
+    return sum(float(value) for phase, value in (summary.get("timings") or {}).items() if phase in PHASES)
+
+
+def mebibytes(summary: Mapping[str, Any]) -> float:
+    """Return the memory of all ranks of a run from its ``summary.json``."""
+    return float(sum(summary.get("peak_memory_bytes") or [])) / 2**20
+
+
+def names_of_results(done: Sequence[Ran]) -> list[str]:
+    """Return the names of the results of all runs, each once."""
+    return list(dict.fromkeys(name for outcome in done for name in outcome.results))
+
+
+def columns_of(done: Sequence[Outcome]) -> dict[str, list[Any]]:
+    """Return the table of runs by columns: parameters, results (None where a run has none), time, memory, status."""
+    parameters = list(dict.fromkeys(name for outcome in done for name in outcome.parameters))
+    columns = {name: [outcome.parameters.get(name) for outcome in done] for name in parameters}
+    for name in names_of_results(done):
+        # A result that is named as a parameter does not take its column.
+        columns[f"{name} (result)" if name in columns else name] = [outcome.results.get(name) for outcome in done]
+    return {
+        **columns,
+        "seconds": [outcome.seconds for outcome in done],
+        "MiB": [outcome.memory for outcome in done],
+        "status": [outcome.status for outcome in done],
+    }
+
+
+def results_figure(done: Sequence[Ran], along: str | None, title: str = "") -> Any:
+    """Return a figure of every result against a parameter, and of error against seconds where there is an error.
+
+    Parameters
+    ----------
+    along : str or None
+        A parameter that is a number; the number of the run where None.
+    """
+    names = names_of_results(done)
+    error = next((name for name in ERRORS if name in names), None)
+    figure, axes = panels(max(len(names) + (error is not None), 1))
+    groups: dict[str, list[Ran]] = {}
+    for outcome in done:
+        rest = {name: value for name, value in outcome.parameters.items() if name != along}
+        groups.setdefault(",".join(f"{name}={value}" for name, value in rest.items()), []).append(outcome)
+    for label, outcomes in groups.items():
+        for axis, name in zip(axes, names, strict=False):
+            have = [outcome for outcome in outcomes if name in outcome.results]
+            if along:
+                have.sort(key=lambda one: float(one.parameters[along]))
+            x = [float(one.parameters[along]) for one in have] if along else list(range(len(have)))
+            axis.plot(x, [one.results[name] for one in have], "o-", markersize=4, label=label)
+            axis.set(xlabel=along or "run", ylabel=name)
+        if error is not None:
+            have = [outcome for outcome in outcomes if error in outcome.results]
+            errors = [abs(one.results[error]) for one in have]
+            axes[-1].loglog([one.seconds for one in have], errors, "o-", markersize=4, label=label)
+            axes[-1].set(xlabel="seconds", ylabel=f"|{error}|")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].set_title(title)
+    if len(groups) > 1:
+        axes[0].legend(fontsize=7)
+    return figure
+
+
+class Comparison:
+    """Runs beside each other, as ``compare`` returns it.
+
+    Attributes
+    ----------
+    runs : dict of str to Result
+        The runs by name.
+
+    Notes
+    -----
+    Not collective: it reads folders.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> both = pd.compare(["out/coarse", "out/fine"])       # doctest: +SKIP
+    >>> print(both)                                         # doctest: +SKIP
+    """
+
+    def __init__(self, runs: Mapping[str, Result]) -> None:
+        self.runs = dict(runs)
+        self._labels = {name: Labels.of(run.summary) for name, run in self.runs.items()}
+        units = {name: labels.units for name, labels in self._labels.items() if labels.units is not None}
+        for name, one in units.items():
+            first = next(iter(units))
+            if one != units[first]:
+                raise CaseError(
+                    f"{first} is in {units[first].length} and {units[first].force}, {name} in {one.length} and "
+                    f"{one.force}; their numbers cannot be compared."
+                )
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """Return what each run gave, told from the others by its name and the parameters in which they differ."""
+        given = {name: dict(run.summary.get("parameters") or {}) for name, run in self.runs.items()}
+        known = list(dict.fromkeys(key for parameters in given.values() for key in parameters))
+        missing = object()
+        differ = [key for key in known if len({repr(one.get(key, missing)) for one in given.values()}) > 1]
+        return [
+            Outcome(
+                {"run": name, **{key: given[name].get(key) for key in differ}}, str(run.summary.get("status")),
+                run.results, working_seconds(run.summary), mebibytes(run.summary),
+            )
+            for name, run in self.runs.items()
+        ]  # fmt: skip
+
+    @property
+    def table(self) -> dict[str, list[Any]]:
+        """Return the table by columns: run, parameters that differ, results, seconds, MiB, status."""
+        return columns_of(self.outcomes)
+
+    def frame(self) -> Any:
+        """Return the table as a pandas data frame, a row a run.
+
+        Raises
+        ------
+        CaseError
+            pandas is not installed.
+        """
+        pandas = optional_module("pandas", "the table is a dictionary of lists without it")
+        return pandas.DataFrame(self.table).set_index("run")
+
+    def __str__(self) -> str:
+        texts = {name: [_text(value) for value in column] for name, column in self.table.items()}
+        widths = {name: max(map(len, [name, *column])) for name, column in texts.items()}
+        rows = [list(texts), *map(list, zip(*texts.values(), strict=True))]
+        return "\n".join(
+            "  ".join(f"{word:>{widths[name]}}" for name, word in zip(texts, row, strict=True)) for row in rows
+        )
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {', '.join(self.runs)}>\n{self}"
+
+    def _repr_html_(self) -> str:
+        return table_html(self.table)
+
+    def difference(self, field: str, t: float | None = None, points: Any = None) -> dict[str, Float]:
+        """Return a field of every run less that of the first one, at the same points.
+
+        Parameters
+        ----------
+        field : str
+            The field, as for ``Result.field``.
+        t : float, optional
+            Step time [-]; the last one of each run by default, which has to be the same.
+        points : (m, d) array, optional
+            Where, as for ``Result.sample``; the particles of the first run by default.
+
+        Returns
+        -------
+        dict of str to (m, ...) float64
+            Of all runs but the first; nan at points outside of their bodies, or of that of the first.
+
+        Raises
+        ------
+        CaseError
+            A run has no such field, or not at this step time.
+        """
+        names = list(self.runs)
+        steps = {name: self._step(name, t) for name in names}
+        times = {name: self.runs[name].fields.time(step) for name, step in steps.items()}
+        for name in names[1:]:
+            if not math.isclose(times[name], times[names[0]], rel_tol=1e-9, abs_tol=1e-12):
+                raise CaseError(
+                    f"{names[0]} ends at step time {times[names[0]]:g} and {name} at {times[name]:g}; say at which t "
+                    f"their fields are compared."
+                )
+        first = self.runs[names[0]]
+        at = first.x if points is None else points
+        values = {}
+        for name in names:
+            run = self.runs[name]
+            found = np.asarray(run.field(field, steps[name]), dtype=float)
+            own = points is None and np.array_equal(run.x, first.x)
+            values[name] = found if own else sampled(run.x, found, at)
+        shapes = {array.shape for array in values.values()}
+        if len(shapes) > 1:
+            raise CaseError(f"The field {field} has not the same components in all of {', '.join(names)}.")
+        return {name: values[name] - values[names[0]] for name in names[1:]}
+
+    def figure(self, y: str | None = None, x: str = "t") -> Any:
+        """Return a figure of the columns that all histories share, against one of them, a curve a run.
+
+        Parameters
+        ----------
+        y : str, optional
+            One column only.
+        x : str
+            What they are drawn against.
+
+        Raises
+        ------
+        CaseError
+            A history has no such column.
+        """
+        histories = [run.history for run in self.runs.values()]
+        shared = [name for name in histories[0] if all(name in history for history in histories)]
+        for name in (x, *([y] if y else [])):
+            if name not in shared:
+                raise CaseError(f"The histories do not all have a column {name!r}; they share {', '.join(shared)}.")
+        chosen = [y] if y else [name for name in shared if name not in ("step", "t", x)]
+        labels = next(iter(self._labels.values()))
+        figure, axes = panels(max(len(chosen), 1))
+        for axis, name in zip(axes, chosen, strict=False):
+            for run, result in self.runs.items():
+                curve(axis, result.history[x], result.history[name], run)
+            axis.set(xlabel=labels.column(x), ylabel=labels.column(name))
+            axis.autoscale()
+        axes[0].legend(fontsize=8)
+        return figure
+
+    def draw(self, path: str | Path, y: str | None = None, x: str = "t") -> Path:
+        """Draw the figure into a file and return its path."""
+        path = Path(path)
+        self.figure(y, x).savefig(path, dpi=150)
+        return path
+
+    def _step(self, name: str, t: float | None) -> int:
+        stored = self.runs[name].fields
+        if t is None:
+            return stored.steps[-1]
+        times = [stored.time(step) for step in stored.steps]
+        near = int(np.argmin(np.abs(np.array(times) - t)))
+        if not math.isclose(times[near], t, rel_tol=1e-9, abs_tol=1e-12):
+            known = ", ".join(f"{time:g}" for time in times[:12])
+            raise CaseError(f"{name} has no fields at step time {t:g}; it has some at {known}.")
+        return stored.steps[near]
+
+
+def compare(runs: Mapping[str, Result | str | Path] | Sequence[Result | str | Path]) -> Comparison:
+    """Return runs beside each other: a table, their histories in one figure, differences of their fields.
+
+    Parameters
+    ----------
+    runs : sequence or mapping of names to Result, str or Path
+        Results, or folders of runs.
+
+    Raises
+    ------
+    CaseError
+        A folder holds no run, there are fewer than two, or they are in different units.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> both = pd.compare(["out/coarse", "out/fine"])       # doctest: +SKIP
+    >>> both.frame(), both.figure("force", x="end")         # doctest: +SKIP
+    >>> both.difference("displacement")["fine"]             # doctest: +SKIP
+    """
+    if isinstance(runs, str | Path | Result):
+        raise CaseError("compare takes several runs; put them into a list.")
+    listed = list(runs.values()) if isinstance(runs, Mapping) else list(runs)
+    opened = [run if isinstance(run, Result) else open_run(run) for run in listed]
+    if len(opened) < 2:
+        raise CaseError(f"compare takes two runs or more, not {len(opened)}.")
+    names = list(map(str, runs)) if isinstance(runs, Mapping) else _names(opened)
+    return Comparison(dict(zip(names, opened, strict=True)))
+
+
+def _names(runs: Sequence[Result]) -> list[str]:
+    """Return the names of the folders, with as much of their paths as tells them apart."""
+    parts = [run.folder.resolve().parts for run in runs]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(one[-count:]) for one in parts]
+        if len(set(names)) == len(names):
+            return names
+    raise CaseError(f"{runs[0].folder} is given twice; a run cannot be compared with itself.")
+
+
+def table_html(columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return a table by columns as HTML."""
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
+    rows = zip(*columns.values(), strict=True)
+    body = "".join(f"<tr>{''.join(f'<td>{html.escape(_text(value))}</td>' for value in row)}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

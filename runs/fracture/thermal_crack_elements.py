@@ -1,0 +1,77 @@
+"""Held strip with a crack in its cold edge by finite elements: python runs/fracture/thermal_crack_elements.py.
+
+Biquadratic quadrilaterals (scikit-fem), smaller towards the tip; ``G`` from the strain energy of cracks of two lengths
+between held ends, ``K = sqrt(G E / (1 - nu^2))``. Writes ``thermal_crack_elements.json``: ``K1_over`` as
+``thermal_crack.py`` has it, on two meshes.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad, condense, solve
+from skfem.helpers import ddot, sym_grad, trace
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+import study  # noqa: E402
+
+study.start("fracture")
+
+import thermal_crack as strip  # noqa: E402
+
+STORE = Path(__file__).with_suffix(".json")
+STEP = 0.002
+LAM = strip.E * strip.NU / ((1.0 + strip.NU) * (1.0 - 2.0 * strip.NU))
+MU = 0.5 * strip.E / (1.0 + strip.NU)
+THERMAL = (3.0 * LAM + 2.0 * MU) * strip.ALPHA
+
+
+def temperature(x):
+    return 2.0 * x[0] - 1.0
+
+
+@BilinearForm
+def stiffness(u, v, w):
+    return LAM * trace(sym_grad(u)) * trace(sym_grad(v)) + 2.0 * MU * ddot(sym_grad(u), sym_grad(v))
+
+
+@LinearForm
+def heated(v, w):
+    return THERMAL * temperature(w.x) * trace(sym_grad(v))
+
+
+def energy(a, n):
+    """Return the strain energy of half the strip with a crack of length ``a``, n elements on both sides of the tip."""
+    s = np.linspace(-1.0, 1.0, 2 * n + 1)
+    graded = np.sign(s) * np.abs(s) ** 3
+    x = np.where(graded < 0.0, a * (1.0 + graded), a + (1.0 - a) * graded)
+    y = 2.0 * np.linspace(0.0, 1.0, 2 * n + 1) ** 3
+    basis = Basis(MeshQuad.init_tensor(x, y), ElementVector(ElementQuad2()), intorder=6)
+    K, f = stiffness.assemble(basis), heated.assemble(basis)
+    vertical = [group[1::2].ravel() for group in (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs)]
+    vertical = np.concatenate(vertical)
+    at = basis.doflocs[:, vertical]
+    held = vertical[(at[1] > 2.0 - 1e-9) | ((at[1] < 1e-9) & (at[0] > a - 1e-9))]
+    corner = basis.nodal_dofs[0, np.argmin(np.linalg.norm(basis.mesh.p - np.array([[1.0], [2.0]]), axis=0))]
+    u = solve(*condense(K, f, D=np.append(held, corner)))
+    # The part of the temperature alone does not depend on the crack.
+    return 0.5 * u @ (K @ u) - f @ u
+
+
+def factor(n, a=0.5):
+    """Return the stress intensity factor over ``E alpha / (1 - nu) sqrt(pi a)``."""
+    G = -2.0 * (energy(a + STEP, n) - energy(a - STEP, n)) / (2.0 * STEP)
+    return float(
+        np.sqrt(G * strip.E / (1.0 - strip.NU**2)) / (strip.E * strip.ALPHA / (1.0 - strip.NU) * np.sqrt(np.pi * a))
+    )
+
+
+def main():
+    found = {"K1_over": factor(24), "K1_over_coarse": factor(12)}
+    STORE.write_text(json.dumps({name: float(f"{value:.5g}") for name, value in found.items()}) + "\n")
+    print(found)
+
+
+if __name__ == "__main__":
+    main()

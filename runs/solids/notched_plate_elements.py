@@ -1,0 +1,59 @@
+"""Double-edge notched plate by finite elements in plane stress: python runs/solids/notched_plate_elements.py.
+
+Writes ``notched_plate_elements.json``: the force on the whole width at every step time, on a fine mesh, with its change
+from elements twice as large. Units mm, GPa, kN.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from skfem import MeshQuad
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+import study  # noqa: E402
+
+study.start("solids")
+
+import elements  # noqa: E402
+import notched_plate as plate  # noqa: E402
+
+STORE = Path(__file__).with_suffix(".json")
+STEPS = 20
+
+
+def hardening(alpha):
+    return plate.YIELD + plate.HARDENING * alpha, np.full_like(alpha, plate.HARDENING)
+
+
+def forces(n):
+    """Return step times and forces with n elements across the quarter, smaller ones at the tip of the notch."""
+    s = np.linspace(-1.0, 1.0, n + 1)
+    x = plate.LIGAMENT * (1.0 + np.sign(s) * np.abs(s) ** 1.5)
+    y = plate.LENGTH * np.linspace(0.0, 1.0, 2 * n + 1) ** 2
+    body = elements.Body(MeshQuad.init_tensor(x, y), plate.E, plate.NU, hardening, False, law=elements.PlaneStress)
+    at, vertical = body.x, body.vertical
+    top = vertical & np.isclose(at[1], plate.LENGTH)
+    ligament = vertical & np.isclose(at[1], 0.0) & (at[0] < plate.LIGAMENT + 1e-9)
+    middle = ~vertical & np.isclose(at[0], 0.0)
+    held = np.flatnonzero(top | ligament | middle)
+    found = {"t": [0.0], "force": [0.0]}
+    for step in range(1, STEPS + 1):
+        values = np.where(top, plate.PULL * step / STEPS, 0.0)[held]
+        if not body.step(held, values, 0.0, 0.0 if step == 1 else 1.0):
+            sys.exit(f"Newton's method did not converge in step {step}.")
+        found["t"].append(step / STEPS)
+        found["force"].append(float(f"{2.0 * body.force[top].sum():.7g}"))
+    return found
+
+
+def main():
+    coarse, fine = forces(10), forces(20)
+    fine["change_from_twice_the_mesh_size"] = fine["force"][-1] / coarse["force"][-1] - 1.0
+    STORE.write_text(json.dumps(fine) + "\n")
+    print(fine["force"], fine["change_from_twice_the_mesh_size"])
+
+
+if __name__ == "__main__":
+    main()

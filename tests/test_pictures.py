@@ -1,0 +1,248 @@
+"""Pictures of runs: what is drawn where, to scale, with which words; films; solid bodies with and without PyVista."""
+
+import logging
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pdpetsc as pd
+from pdpetsc.command_line.plot import plot
+from pdpetsc.output import picture
+from pdpetsc.output.curves import curve_figure, history_figure
+from pdpetsc.output.labels import Labels
+from pdpetsc.output.picture import draw_field, draw_film
+from pdpetsc.output.reading import read_history, read_summary
+from pdpetsc.output.scene import about, faces_between, lattice_steps, limits_of, scene_of
+
+GRADIENT = np.array([[0.1, -0.02], [0.03, 0.05]])
+
+
+def moved(particles, gradient, **given):
+    """Return a case whose body is deformed by a constant gradient."""
+    dim = len(gradient)
+    everywhere = pd.region.All()
+    place = {axis: (lambda x, t, row=row: t * (x @ row)) for axis, row in zip("xyz", gradient, strict=False)}
+    return pd.Case(
+        particles=particles, horizon=1.0075, material=pd.BondBased(E=1000.0),
+        conditions=[pd.Displacement(everywhere, **{axis: place[axis] for axis in "xyz"[:dim]})],
+        history={"force": pd.Reaction("x", pd.region.Slab("x", high=1.0)),
+                 "end": pd.Mean(pd.displacement, "x", pd.region.Slab("x", low=5.0))},
+        **given,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory):
+    case = moved(
+        pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT, steps=pd.Steps(2), units=pd.Units("mm", "N"),
+        cracks=[pd.Segment((0.0, 1.5), (2.0, 1.5))],
+    )  # fmt: skip
+    folder = tmp_path_factory.mktemp("plane") / "bar"
+    pd.run(case, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def solid(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("solid") / "block"
+    gradient = np.diag([0.1, -0.05, 0.0])
+    pd.run(moved(pd.Lattice((0.0,) * 3, (6.0, 2.0, 2.0), 0.5), gradient, units=pd.Units("m", "MN")), folder)
+    return folder
+
+
+def test_a_scene_has_the_places_the_gradients_and_the_words_of_its_step(plane):
+    scene = scene_of(plane, "stress", "xx", 2.0, "bar", step=1)
+    assert np.allclose(scene.y[:, :2], scene.x[:, :2] + 2.0 * 0.5 * scene.x[:, :2] @ GRADIENT.T, atol=1e-12)
+    assert np.allclose(scene.F, np.eye(2) + GRADIENT, atol=1e-9)
+    assert np.allclose(scene.steps, 0.5) and scene.horizon == pytest.approx(1.0075)
+    force = read_history(plane)["force"][1]
+    assert (
+        scene.title
+        == f"bar: stress xx [MPa]\nstep 1, load t = 0.5, force = {force:.4g} N, displacements \N{MULTIPLICATION SIGN} 2"
+    )
+    assert scene_of(plane, "von_mises", "", 1.0, "bar").label == "von Mises stress [MPa]"
+    assert scene_of(plane, "stress_xy", "", 1.0, "bar").label == "stress xy [MPa]"
+
+
+def test_a_crack_is_drawn_as_both_of_its_faces_where_they_have_moved_to(plane):
+    cracks = scene_of(plane, "stress", "xx", 1.0, "bar").cracks
+    assert cracks.shape == (8, 2, 2)  # four cells on either side
+    back = np.linalg.solve(np.eye(2) + GRADIENT, cracks.reshape(-1, 2).T).T
+    # A face moves with the particle on its side, half a spacing away from it.
+    lower, upper = back[:8], back[8:]
+    shift = np.linalg.solve(np.eye(2) + GRADIENT, GRADIENT @ [0.0, 0.25])
+    assert np.allclose(np.ptp(lower[:, 0]), 2.0, atol=0.2)
+    assert np.allclose(sorted([lower[:, 1].mean(), upper[:, 1].mean()]), [1.5 - shift[1], 1.5 + shift[1]], atol=0.01)
+
+
+def test_bonds_that_broke_are_crack_faces_from_their_step_on():
+    x = np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    opening = np.where(x[:, 1:] > 1.5, [0.0, 1.0], 0.0)
+    across = np.array([[4 * i + 1, 4 * i + 2] for i in range(6)])
+    faces = faces_between(x, opening, across, [])
+    assert len(faces) == 12
+    assert np.allclose(np.unique(faces[..., 1]), [1.5, 2.5])
+    assert faces[..., 0].min() == pytest.approx(-0.5) and faces[..., 0].max() == pytest.approx(5.5)
+    # Bonds that are no neighbours have no face, and nothing broken no crack.
+    assert len(faces_between(x, opening, np.array([[0, 23]]), [])) == 0
+    assert len(faces_between(x, opening, np.empty((0, 2), dtype=np.int64), [])) == 0
+    # Neither side of a crack is fitted through it.
+    F, inside = about(x, opening, np.concatenate([across, across + np.array([0, 1]), across - np.array([1, 0])]), [])
+    assert not inside[np.unique(across)].any() and np.allclose(F[inside], np.eye(2))
+
+
+def test_lattices_are_told_from_other_clouds(rng):
+    x = np.stack(np.meshgrid(np.arange(8.0), 1.5 * np.arange(5.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    assert np.allclose(lattice_steps(1e-9 * x), [1e-9, 1.5e-9])
+    hole = np.hypot(x[:, 0] - 3.5, x[:, 1] - 3.0) > 1.6
+    assert np.allclose(lattice_steps(x[hole]), [1.0, 1.5])
+    assert lattice_steps(x + rng.uniform(-0.2, 0.2, x.shape)) is None
+
+
+def test_round_off_does_not_fill_the_scale_of_colours():
+    low, high = limits_of(100.0 + 1e-9 * np.arange(50.0))
+    assert low == pytest.approx(95.0) and high == pytest.approx(105.0)
+    assert limits_of(np.array([np.nan, 1.0, 2.0])) == pytest.approx((1.005, 1.995))
+    assert limits_of(np.full(3, np.nan)) == (0.0, 1.0)
+
+
+def colours(path):
+    """Return how many points of a picture are neither white, grey nor black."""
+    pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    return int((np.ptp(pixels, axis=-1) > 40).sum())
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_a_plane_body_is_drawn(plane, tmp_path, suffix):
+    path = tmp_path / f"p{suffix}"
+    draw_field(plane, path, "stress", "xx", 1.0, "bar")
+    assert path.stat().st_size > 5_000
+    if suffix == ".png":
+        assert colours(path) > 50_000
+
+
+def test_the_size_of_the_horizon_is_drawn_to_scale(plane):
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    scene = scene_of(plane, "stress", "xx", 1.0, "bar")
+    figure = Figure()
+    axes = figure.add_subplot()
+    low, high = picture._framed(scene, None)
+    picture._plane(figure, axes, scene, low, high)
+    (circle,) = [patch for patch in axes.patches if isinstance(patch, Circle)]
+    assert circle.radius == pytest.approx(1.0075) and axes.get_aspect() == 1.0
+    assert circle.center[1] + circle.radius < scene.y[:, 1].min() and circle.center[1] - circle.radius > low[1]
+
+
+def test_a_film_has_a_frame_for_each_step_with_the_same_axes(plane, tmp_path):
+    path = tmp_path / "film.gif"
+    assert draw_film(plane, path, "displacement", "x", 1.0, "bar") == 3
+    film = Image.open(path)
+    assert film.n_frames == 3
+    frames = []
+    for number in range(3):
+        film.seek(number)
+        frames.append(np.asarray(film.convert("RGB")).astype(int))
+    assert not np.array_equal(frames[0], frames[2])
+    # Ticks and frame stay where they are.
+    below = int(0.9 * frames[0].shape[0])
+    assert np.abs(frames[0][below:] - frames[2][below:]).mean() < 1.0
+    with pytest.raises(pd.CaseError, match=r"a \.gif or an \.mp4"):
+        draw_film(plane, tmp_path / "film.avi", "displacement", "x", 1.0, "bar")
+
+
+def test_a_solid_body_is_drawn_by_pyvista_without_a_display(solid, tmp_path, monkeypatch, caplog):
+    pytest.importorskip("pyvista")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with caplog.at_level(logging.INFO, "pdpetsc"):
+        draw_field(solid, tmp_path / "p.png", "von_mises", "", 1.0, "block")
+    if "PyVista cannot draw here" in caplog.text:
+        pytest.skip(f"no OpenGL here: {caplog.text}")
+    image = Image.open(tmp_path / "p.png")
+    assert image.size == (1300, 850) and image.info["Software"] == "pdpetsc"
+    assert colours(tmp_path / "p.png") > 30_000
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("import os; os.abort()", "exit status -6"),
+        ("raise OSError('no OpenGL')", "OSError: no OpenGL"),
+        ("", "no picture"),
+    ],
+)
+def test_a_solid_body_is_drawn_also_where_pyvista_fails(script, why, solid, tmp_path, monkeypatch, caplog):
+    pytest.importorskip("pyvista")
+    (tmp_path / "solid.py").write_text(script)
+    monkeypatch.setattr(picture, "_SOLID", tmp_path / "solid.py")
+    draw_field(solid, tmp_path / "p.png", "stress", "xx", 1.0, "block")
+    assert "PyVista cannot draw here" in caplog.text and why in caplog.text
+    assert (tmp_path / "p.png").stat().st_size > 10_000
+
+
+def test_a_solid_body_is_drawn_also_without_pyvista(solid, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(picture.importlib.util, "find_spec", lambda name: None)
+    with caplog.at_level(logging.INFO, "pdpetsc"):
+        draw_field(solid, tmp_path / "p.png", "displacement", "x", 1.0, "block")
+    assert "pip install pyvista" in caplog.text and colours(tmp_path / "p.png") > 5_000
+
+
+def test_curves_have_names_and_units_at_their_axes(plane):
+    columns, labels = read_history(plane), Labels.of(read_summary(plane))
+    (axis,) = curve_figure(columns, labels).axes
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("end [mm]", "force [N]")
+    assert np.array_equal(axis.lines[0].get_xydata(), np.column_stack([columns["end"], columns["force"]]))
+    first, second = history_figure(columns, labels).axes
+    assert (first.get_ylabel(), second.get_ylabel(), second.get_xlabel()) == ("force [N]", "end [mm]", "load t")
+    # Runs of earlier versions say nothing of units.
+    assert Labels.of({}).column("force") == "force" and Labels.of({"units": {"size": "m"}}).units is None
+    assert curve_figure(columns, Labels()) is None
+
+
+def test_a_later_run_puts_away_what_was_drawn_of_the_one_before(plane, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(plane, folder)
+    drawn = plot(folder, {"component": "yy"}, animate=True)
+    names = {path.name for path in drawn}
+    assert names == {"deformed.png", "deformed.gif", "history.png", "curve.png", "newton.png"}
+    (folder / "curve.png").write_bytes(b"\x89PNG mine")
+    pd.run(moved(pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT), folder)
+    assert {path.name for path in (folder / "earlier").glob("*.*") if path.name in names} == names - {"curve.png"}
+    assert (folder / "curve.png").read_bytes() == b"\x89PNG mine"
+    assert not (folder / "deformed.gif").exists()
+
+
+@pytest.mark.parametrize(
+    ("length", "force", "stress", "energy", "release"),
+    [
+        ("mm", "N", "MPa", "mJ", "N/mm"), ("m", "N", "Pa", "J", "N/m"), ("mm", "kN", "GPa", "J", "kN/mm"),
+        ("m", "kN", "kPa", "kJ", "kN/m"), ("um", "uN", "MPa", "pJ", "uN/um"), ("nm", "nN", "GPa", "nN nm", "nN/nm"),
+        ("in", "lbf", "psi", "lbf in", "lbf/in"), ("cm", "kN", "kN/cm^2", "kN cm", "kN/cm"),
+        ("L", "F", "F/L^2", "F L", "F/L"),
+    ],
+)  # fmt: skip
+def test_units_of_stress_and_energy_follow_from_length_and_force(length, force, stress, energy, release):
+    units = pd.Units(length, force)
+    assert (units.of("stress"), units.of("energy"), units.of("energy per area")) == (stress, energy, release)
+    assert units.of("length") == length and units.of("area") == f"{length}^2" and units.of("") == ""
+    assert units.of("stress intensity") == f"{stress} {length}^0.5" and units.of("temperature") == ""
+
+
+@pytest.mark.parametrize("words", [("", "N"), ("mm", ""), ("a b", "N"), ("mm", "N", "K C"), ("[mm]", "N")])
+def test_units_are_words(words):
+    with pytest.raises(pd.CaseError, match="Units takes a word"):
+        pd.Units(*words)
+
+
+def test_units_do_not_change_a_number_nor_what_a_restart_accepts(plane, tmp_path):
+    case = moved(
+        pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5), GRADIENT, steps=pd.Steps(2), units=pd.Units("km", "GN"),
+        cracks=[pd.Segment((0.0, 1.5), (2.0, 1.5))],
+    )  # fmt: skip
+    result = pd.run(case, tmp_path)
+    assert np.array_equal(result.history["force"], read_history(plane)["force"])
+    assert np.array_equal(result.field("stress"), pd.open(plane).field("stress"))
+    pd.run(case, tmp_path, restart=plane)

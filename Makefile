@@ -4,7 +4,7 @@ PYTHON := .venv/bin/python
 
 .PHONY: run test long lint types docs clean
 
-.venv/ready: pyproject.toml .ci/setup
+.venv/ready: pyproject.toml .ci/setup packaging/debian
 	.ci/setup
 
 run: .venv/ready

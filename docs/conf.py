@@ -24,6 +24,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "links",
+    "usage",
 ]
 root_doc = "index"
 exclude_patterns = ["_ext", "_templates"]
@@ -40,7 +41,7 @@ autosummary_imported_members = True
 # Classes whose methods a user calls, or writes for something of his own; of the others the parameters say all.
 autosummary_context = {
     "with_members": {
-        "Control", "ElasticMaterial", "ExtraTerm", "GradientOperator", "Hardening", "HistoryKernels",
+        "Comparison", "Control", "ElasticMaterial", "ExtraTerm", "GradientOperator", "Hardening", "HistoryKernels",
         "HistoryMaterial", "Horizon", "IsotropicMaterial", "KeptArray", "LagrangianMaterial", "LinearisedTerm",
         "LogarithmicMaterial", "Material", "PointKernels", "PointTangent", "Prepared", "Quantity", "RateLaw", "Region",
         "Response", "Result", "Scheme", "SillingMicromodulus", "Solution", "State", "TensorResponse", "Term", "View",
@@ -57,6 +58,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "pdpetsc"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_sidebars = {"index": [], "start": []}
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
@@ -82,6 +84,7 @@ mathjax3_config = {"options": {"enableMenu": False}, "svg": {"fontCache": "globa
 def without_gallery(app, docname, source):
     """Leave the gallery out where it has not been generated: the rest builds without it."""
     if not (HERE / "examples" / "index.md").exists():
+        source[0] = re.sub(r"^% gallery\n.*?^% end of gallery\n", "", source[0], flags=re.MULTILINE | re.DOTALL)
         source[0] = re.sub(r"^.*\bexamples/index\b.*\n", "", source[0], flags=re.MULTILINE)
 
 

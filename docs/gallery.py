@@ -77,7 +77,7 @@ SECTIONS = {
         Example("Twisted rubber column", "solids/twisting_column.py", "steps=2"),
         Example("Material of your own", "own/material.py", curve=("t", "force"), quick=True),
         Example("Elastic-plastic plate", "plasticity/plate.py", curve=("t", "force")),
-        Example("Necking bar", "solids/necking.py", "n=2 end=8 steps=16", ("t", "quarter_force")),
+        Example("Necking bar", "solids/yielding_neck.py", "n=6 steps=20", ("t", "pull")),
     ],
     "Heat": [
         Example("Bimetal strip", "thermal/bimetal.py"),
@@ -166,6 +166,13 @@ def first_sentence(text: str) -> str:
     return " ".join(text.split("\n\n")[0].split())
 
 
+def code(source: str) -> str:
+    """Return the source of a file behind its docstring, which its page begins with."""
+    first = ast.parse(source).body[0]
+    told = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
+    return "\n".join(source.split("\n")[first.end_lineno if told else 0 :]).strip()
+
+
 def page(example: Example, work: Path, images: Path) -> str:
     """Return the page of an example that has been run; its pictures are copied to ``images``."""
     folder = work / example.name
@@ -184,7 +191,7 @@ def page(example: Example, work: Path, images: Path) -> str:
         lines.append(f"| `{check['result']}` | {' | '.join(numbers)} | {check['source'].replace('|', '/')} |")
     seconds = sum(summary["timings"].values())
     lines += ["", f"{summary['particles']:,} particles, {seconds:.2g} seconds on one core.", ""]
-    lines += [f"`runs/{example.file}`:", "", "```python", source.rstrip(), "```", ""]
+    lines += [f"`runs/{example.file}` goes on after these words:", "", "```python", code(source), "```", ""]
     return "\n".join(lines)
 
 
@@ -202,7 +209,11 @@ def index(sections: dict[str, list[Example]], images: Path) -> str:
             picture = f"{example.name}_picture.png"
             told = first_sentence(ast.get_docstring(ast.parse(example.path.read_text())) or "")
             lines += [f"```{{grid-item-card}} {example.title}", f":link: {example.name}", ":link-type: doc"]
-            lines += [f":img-top: {images.name}/{picture}"] if (images / picture).is_file() else []
+            lines += (
+                [f":img-top: {images.name}/{picture}", ":class-img-top: thumbnail"]
+                if (images / picture).is_file()
+                else []
+            )
             lines += ["", told, "```", ""]
         lines += ["````"]
     lines += ["", "```{toctree}", ":hidden:", ""]

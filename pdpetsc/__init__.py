@@ -6,6 +6,7 @@ A case file defines ``case(...) -> Case`` from the names below; ``run`` runs it.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import pdpetsc.loading  # noqa: F401 - first: it says what cannot be loaded
 from pdpetsc import control, gradient, material
 from pdpetsc.bond_based import BondBased, LinearSolid
 from pdpetsc.control import *  # noqa: F403

@@ -16,7 +16,7 @@ import pdpetsc as pd
 # What a user meets but does not compose: what a run returns or raises, and what a new term is built of. The examples of
 # a ``Case`` are the files under ``runs/``.
 NOT_COMPOSED = {
-    "Case", "CaseError", "CheckError", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray",
+    "Case", "CaseError", "CheckError", "Comparison", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray",
     "LinearisedTerm", "OutputError", "PointKernels", "PointTangent", "Prepared", "Response", "RunError", "Solution",
     "SolveError", "State", "TensorResponse", "region.View",
 }  # fmt: skip

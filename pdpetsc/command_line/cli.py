@@ -12,6 +12,7 @@ import inspect
 import io
 import os
 import re
+import shlex
 import signal
 import sys
 import traceback
@@ -20,8 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import petsc4py
-
+from pdpetsc.command_line.start import start_petsc
 from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart
   --restart-anyway  go on from it also where material, loads or cracks of the case have changed
   --solver NAME   newton, relaxation (dynamic), events (bond by bond) or path (following), not the case's
   --check         compare the results with what the case expects; exit status 1 where one is off
+  --report        write report.html at the end: what was asked, what came out, convergence, timing, pictures
   --quiet         print errors only
   --version       print the version
   -h              print this, and the parameters of CASE.py if it is given
@@ -44,13 +45,12 @@ Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 python -m pdpetsc new FILE.py                    writes a commented case to begin with
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
 python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
+python -m pdpetsc report DIR                     writes report.html of a run, one page with all of it
 python -m pdpetsc study CASE.py NAME=A,B ...     the same, some side by side, with orders of convergence
 python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history is that of a measured curve
 python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
 python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
 
-# PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
-PETSC = ["pdpetsc", "-skip_petscrc"]
 # How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
 LONGEST_END = 120
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
@@ -67,6 +67,7 @@ class Arguments:
     restart: Path | None = None
     restart_anyway: bool = False
     check: bool = False
+    report: bool = False
     solver: str | None = None
     quiet: bool = False
     version: bool = False
@@ -97,14 +98,14 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version", "--restart-anyway", "--check"):
+        elif word in ("--quiet", "--version", "--restart-anyway", "--check", "--report"):
             setattr(found, word[2:].replace("-", "_"), True)
         elif word in ("-h", "--help"):
             found.help = True
         elif word.startswith("--"):
             raise CaseError(
-                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --check, --quiet, "
-                f"--version, -h."
+                f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --check, --report, "
+                f"--quiet, --version, -h."
             )
         elif _OPTION.match(word):
             found.petsc.append(word)
@@ -282,7 +283,7 @@ def _run(argv: list[str]) -> int:
     if argv and argv[0] in COMMANDS:
         return COMMANDS[argv[0]](argv[1:])
     arguments = split(argv)
-    petsc4py.init([*PETSC, *arguments.petsc])
+    start_petsc(arguments.petsc)
     from pdpetsc.discrete.communicator import world
     from pdpetsc.running.signals import watched
 
@@ -327,16 +328,45 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
-    run(
-        case,
-        output,
-        restart=arguments.restart,
-        parameters=parameters,
-        restart_anyway=arguments.restart_anyway,
-        report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
-        check=arguments.check,
-    )
+    try:
+        run(
+            case,
+            output,
+            restart=arguments.restart,
+            parameters=parameters,
+            restart_anyway=arguments.restart_anyway,
+            report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
+            check=arguments.check,
+            asked=_asked(arguments.path, argv),
+        )
+    except CaseError:  # nothing was run: what the folder holds is of another run
+        raise
+    except BaseException:  # what a run that failed has left is worth a page too
+        _report_on(output, arguments.report and is_root(comm))
+        raise
+    _report_on(output, arguments.report and is_root(comm))
     return 0
+
+
+def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
+    """Return what the summary keeps of the command: its words and the text of the case file."""
+    text = ""
+    with contextlib.suppress(OSError):
+        text = path.read_text(errors="replace")
+    return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
+
+
+def _report_on(folder: Path, asked: bool) -> None:
+    """Write the report of a run that has ended, if asked; whatever fails here, results and exit status stand."""
+    if not asked:
+        return
+    from pdpetsc.output.report import write_report
+
+    try:
+        print(f"report in {write_report(folder)}", flush=True)
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            print(f"pdpetsc: The report could not be written: {described(error)}", file=sys.stderr, flush=True)
 
 
 def _described(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> str:
@@ -393,17 +423,20 @@ def _import(argv: list[str]) -> int:
 
 
 def _doctor(argv: list[str]) -> int:
-    petsc4py.init(PETSC)
-    _take_signals()
     from pdpetsc.command_line import doctor
-    from pdpetsc.discrete.communicator import is_root, world
 
-    comm = world()
     if argv:
-        if is_root(comm):
-            print(doctor.USAGE)
+        print(doctor.USAGE)
         return 0 if argv in (["-h"], ["--help"]) else 2
-    return doctor.doctor(comm)
+    # Without MPI or PETSc there is nothing to start; saying so is what this is for.
+    if told := doctor.unloadable():
+        doctor.tell(told)
+        return 1
+    start_petsc()
+    _take_signals()
+    from pdpetsc.discrete.communicator import world
+
+    return doctor.doctor(world())
 
 
 def _plot(argv: list[str]) -> int:
@@ -420,6 +453,24 @@ def _plot(argv: list[str]) -> int:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
     for path in plot.plot(arguments.path, arguments.parameters, animate):
         print(path)
+    return 0
+
+
+def _report(argv: list[str]) -> int:
+    usage = "usage: python -m pdpetsc report DIR [field=NAME] [component=xx] [scale=1]"
+    arguments = split(argv)
+    if arguments.help or not argv:
+        print(f"{usage}\n\nWrites DIR/report.html: what was asked, what came out, convergence, timing, pictures.")
+        return 0 if argv else 2
+    unknown = [name for name in arguments.parameters if name not in ("field", "component", "scale")]
+    others = arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check
+    if arguments.path is None or unknown or others:
+        raise CaseError(f"report takes a folder, field, component and scale; {usage}.")
+    from pdpetsc.output.report import write_report
+
+    given = arguments.parameters
+    scale = _convert("scale", given.get("scale", "1"), 1.0)
+    print(write_report(arguments.path, given.get("field"), given.get("component", ""), scale))
     return 0
 
 
@@ -446,7 +497,8 @@ def _fit(argv: list[str]) -> int:
 
 # What the command line does besides running a case, by its first word.
 COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
-    "plot": _plot, "compare": _compare, "study": _study, "fit": _fit, "new": _new, "import": _import, "doctor": _doctor,
+    "plot": _plot, "report": _report, "compare": _compare, "study": _study, "fit": _fit, "new": _new,
+    "import": _import, "doctor": _doctor,
 }  # fmt: skip
 
 

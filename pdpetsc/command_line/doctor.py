@@ -10,19 +10,25 @@ import time
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from pdpetsc.discrete.communicator import Comm, is_root, mpi_library, total
-from pdpetsc.errors import described
+from pdpetsc.command_line.start import start_petsc
+from pdpetsc.errors import RunError, described
+
+if TYPE_CHECKING:  # the doctor looks first whether MPI can be loaded
+    from pdpetsc.discrete.communicator import Comm
 
 USAGE = """usage: [mpirun -n N] python -m pdpetsc doctor
 
-Looks at versions, MPI, PETSc, its direct solver, BLAS, HDF5, the cache of compiled kernels and the disk, and says what
-to do about each. Ends with status 1 where pdpetsc cannot work."""
+Looks at versions, MPI, PETSc, its direct solver and BLAS, HDF5, the cache of compiled kernels, cores and the disk, and
+says what to do about each. Ends with status 1 where pdpetsc cannot work. With mpirun it looks whether ranks hear each
+other."""
 
 NEEDED = ("numpy", "scipy", "numba", "mpi4py", "petsc4py", "h5py", "meshio", "matplotlib", "rich", "sympy")
+# The oldest that the tests have been run with.
+OLDEST_PETSC = (3, 18)
 # What each of these gives.
 OPTIONAL = {
     "netCDF4": "meshes in Exodus files",
@@ -34,6 +40,10 @@ LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_SIZE", "SLURM_STEP_NUM_TAS
 # A product of matrices below this many operations a second is that of the reference BLAS [1 / s].
 SLOW_BLAS = 5e9
 SIDE = 600
+# The direct solver that pdpetsc takes by default.
+DIRECT = "mumps"
+# What ranks send each other, more than goes without the other's agreement [bytes], and how long it may take [s].
+MESSAGE, PATIENCE = 2**22, 30.0
 # Room for results below which a warning is due [bytes].
 LITTLE = 2**30
 
@@ -59,14 +69,24 @@ class Finding(NamedTuple):
     advice: str = ""
 
 
-def versions(comm: Comm) -> list[Finding]:
+def unloadable() -> list[Finding]:
+    """Return what is found where PETSc cannot be loaded; nothing where it can. Without it there is no more to see."""
+    try:
+        start_petsc()
+    except RunError as error:
+        what, _, advice = error.what.partition("; ")
+        return [*versions(None), Finding("broken", "petsc4py", what, advice)]
+    return []
+
+
+def versions(comm: Comm | None) -> list[Finding]:
     """Return the versions of what is needed, and of what is useful."""
     found = [Finding("ok", "Python", f"{platform.python_version()} on {platform.machine()}")]
     there, missing = [], []
     for name in NEEDED:
         try:
             there.append(f"{name} {_version(name)}")
-        except ImportError:
+        except Exception:  # the cause of one that is there and broken is told of apart
             missing.append(name)
     found.append(Finding("ok", "packages", ", ".join(there)))
     if missing:
@@ -76,6 +96,8 @@ def versions(comm: Comm) -> list[Finding]:
             found.append(Finding("ok", name, _version(name)))
         except ImportError:
             found.append(Finding("look", name, "not there", f"pip install {name} for {use}"))
+        except Exception as error:
+            found.append(Finding("look", name, str(described(error)), f"install it anew for {use}"))
     return found
 
 
@@ -89,8 +111,10 @@ def _version(name: str) -> str:
 
 
 def ranks(comm: Comm) -> list[Finding]:
-    """Return whether the processes that were started are ranks of one job, and whether PETSc sees them too."""
+    """Return whether the processes that were started are ranks of one job that hear each other, and PETSc sees them."""
     from petsc4py import PETSc
+
+    from pdpetsc.discrete.communicator import mpi_library, total
 
     library, size = mpi_library(), int(total(comm, 1))
     started = max((int(os.environ[name]) for name in LAUNCHED if os.environ.get(name, "").isdigit()), default=1)
@@ -108,15 +132,45 @@ def ranks(comm: Comm) -> list[Finding]:
                 "build mpi4py and petsc4py with the same MPI",
             )
         ]  # fmt: skip
-    return [Finding("ok", "MPI", f"{f'{size} ranks that hear each other' if size > 1 else '1 rank'}, {library}")]
+    if size == 1:
+        return [Finding("ok", "MPI", f"1 rank, {library}; mpirun -n 2 python -m pdpetsc doctor looks at more")]
+    spent = _around(comm)
+    if spent is None:
+        return [
+            Finding(
+                "broken", "MPI", f"a message of {MESSAGE // 2**20} MiB has not come in {PATIENCE:.0f} s ({library})",
+                "in a container set OMPI_MCA_btl_vader_single_copy_mechanism=none; between nodes ask for the network "
+                "that MPI should take",
+            )
+        ]  # fmt: skip
+    speed = MESSAGE / spent / 2**30
+    return [Finding("ok", "MPI", f"{size} ranks that hear each other at {speed:.1f} GiB/s, {library}")]
+
+
+def _around(comm: Comm) -> float | None:
+    """Return how long a message to the next rank takes [s]; None where it does not come, or not as it was sent."""
+    sent = np.full(MESSAGE // 8, float(comm.rank))
+    got = np.empty_like(sent)
+    ahead, behind = (comm.rank + 1) % comm.size, (comm.rank - 1) % comm.size
+    for _ in range(2):  # the first message also connects
+        before = time.perf_counter()
+        waiting = [comm.Irecv(got, source=behind), comm.Isend(sent, dest=ahead)]
+        while not all(one.Test() for one in waiting):
+            if time.perf_counter() - before > PATIENCE:
+                return None
+        spent = time.perf_counter() - before
+    return spent if bool(np.all(got == float(behind))) else None
 
 
 def petsc(comm: Comm) -> list[Finding]:
     """Return how PETSc was built, and whether its direct solver factors a matrix."""
     from petsc4py import PETSc
 
-    bits = 8 * np.dtype(PETSc.IntType).itemsize
-    found = [Finding("ok", "PETSc", f"{'.'.join(str(n) for n in PETSc.Sys.getVersion())}, {bits}-bit indices")]
+    bits, version = 8 * np.dtype(PETSc.IntType).itemsize, PETSc.Sys.getVersion()
+    words = f"{'.'.join(str(n) for n in version)}, {bits}-bit indices"
+    if version[:2] < OLDEST_PETSC:
+        return [Finding("broken", "PETSc", words, "install PETSc and petsc4py 3.18 or later")]
+    found = [Finding("ok", "PETSc", words)]
     if PETSc.ScalarType is not np.float64:
         kind = np.dtype(PETSc.ScalarType).name
         return [
@@ -148,7 +202,7 @@ def _factored(comm: Comm) -> float:
     ksp.setOperators(A)
     ksp.setType("preonly")
     ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")
+    ksp.getPC().setFactorSolverType(DIRECT)
     exact, b, x = A.createVecRight(), A.createVecLeft(), A.createVecRight()
     exact.set(1.0)
     A.mult(exact, b)
@@ -161,20 +215,45 @@ def _factored(comm: Comm) -> float:
 
 
 def blas(comm: Comm) -> list[Finding]:
-    """Return how fast matrices are multiplied, on how many threads."""
-    A = np.ones((SIDE, SIDE))
-    spent = []
+    """Return how fast PETSc multiplies matrices, which is what its direct solver does all the time.
+
+    numpy may have a BLAS of its own, as the one from PyPI does; it tells nothing of that of PETSc.
+    """
+    from petsc4py import PETSc
+
+    values = np.ones((SIDE, SIDE))
+    A = PETSc.Mat().createDense((SIDE, SIDE), array=values, comm=PETSc.COMM_SELF)
+    A.assemble()
+    C, spent = None, []
     for _ in range(4):
         before = time.perf_counter()
-        A @ A
+        C = A.matMult(A, C)
         spent.append(time.perf_counter() - before)
+    A.destroy()
+    if C is not None:
+        C.destroy()
     speed, threads = 2.0 * SIDE**3 / min(spent), os.environ.get("OMP_NUM_THREADS", "as many as it likes")
-    found = f"{speed / 1e9:.0f} GFlop/s, OMP_NUM_THREADS {threads}"
+    found = f"PETSc multiplies matrices at {speed / 1e9:.0f} GFlop/s, OMP_NUM_THREADS {threads}"
     if speed < SLOW_BLAS:
-        return [
-            Finding("look", "BLAS", found, "install OpenBLAS in the place of the reference BLAS: MUMPS lives on it")
-        ]
+        advice = (
+            "install OpenBLAS in the place of the reference BLAS, on which MUMPS is 4 to 6 times as slow: on Debian "
+            "apt-get install libopenblas0-serial; or nothing, where other programs keep the cores busy now"
+        )
+        return [Finding("look", "BLAS", found, advice)]
     return [Finding("ok", "BLAS", found)]
+
+
+def cores(comm: Comm) -> list[Finding]:
+    """Return whether every rank on this machine has a core of its own."""
+    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    there = os.cpu_count() or 1
+    beside = comm.allgather(platform.node()).count(platform.node())
+    text = os.environ.get("OMP_NUM_THREADS", "1")
+    threads = int(text) if text.isdigit() else 1
+    found = f"{there} for {beside} ranks x {threads} threads" if comm.size > 1 else f"{there}, {here} for this process"
+    if beside * threads > there:
+        return [Finding("look", "cores", found, "start fewer ranks, or set OMP_NUM_THREADS=1")]
+    return [Finding("ok", "cores", found)]
 
 
 def hdf5(comm: Comm) -> list[Finding]:
@@ -182,9 +261,30 @@ def hdf5(comm: Comm) -> list[Finding]:
     import h5py
 
     version = h5py.version.hdf5_version
-    if h5py.get_config().mpi:
+    if not h5py.get_config().mpi:
+        return [
+            Finding("ok", "HDF5", f"{version}, serial here: rank 0 writes for all"),
+        ]
+    if comm.size == 1:
         return [Finding("ok", "HDF5", f"{version}, parallel")]
-    return [Finding("ok", "HDF5", f"{version}, serial here: rank 0 writes for all")]
+    path = comm.bcast(str(Path.cwd() / f".pdpetsc-doctor-{os.getpid()}.h5"))
+    wrong = ""
+    try:
+        with h5py.File(path, "w", driver="mpio", comm=comm) as file:
+            data = file.create_dataset("rank", (comm.size,), dtype="i8")
+            data[comm.rank] = comm.rank
+        with h5py.File(path, "r", driver="mpio", comm=comm) as file:
+            if file["rank"][...].tolist() != list(range(comm.size)):
+                wrong = "what ranks wrote together is not what they read"
+    except Exception as error:
+        wrong = str(described(error))
+    wrong = next(filter(None, comm.allgather(wrong)), "")
+    if comm.rank == 0:
+        Path(path).unlink(missing_ok=True)
+    if wrong:
+        advice = "give runs a folder on a file system that all ranks reach with -o, or install a serial h5py"
+        return [Finding("look", "HDF5", f"{version}, parallel, but not in {Path.cwd()}: {wrong}", advice)]
+    return [Finding("ok", "HDF5", f"{version}, parallel: {comm.size} ranks wrote one file")]
 
 
 def kernels(comm: Comm) -> list[Finding]:
@@ -196,7 +296,7 @@ def kernels(comm: Comm) -> list[Finding]:
     determinant_kernel(2)(np.eye(2)[None])
     spent, trouble = time.perf_counter() - before, cache_trouble()
     if trouble:
-        advice = "set NUMBA_CACHE_DIR to a folder that can be written to; kernels are compiled in every run otherwise"
+        advice = "set NUMBA_CACHE_DIR to a folder that can be written to: every run compiles its kernels otherwise"
         return [Finding("look", "compiled kernels", trouble, advice)]
     return [Finding("ok", "compiled kernels", f"kept on disk; the first one came in {spent:.2f} s")]
 
@@ -210,7 +310,7 @@ def disk(comm: Comm) -> list[Finding]:
     return [Finding("look" if advice else "ok", "disk", f"{free / 2**30:.1f} GiB free here", advice)]
 
 
-CHECKS: tuple[Callable[[Comm], list[Finding]], ...] = (versions, ranks, petsc, blas, hdf5, kernels, disk)
+CHECKS: tuple[Callable[[Comm], list[Finding]], ...] = (versions, ranks, petsc, blas, cores, hdf5, kernels, disk)
 
 
 def examine(comm: Comm) -> list[Finding]:
@@ -231,16 +331,22 @@ def doctor(comm: Comm) -> int:
     -----
     Collective.
     """
+    from pdpetsc.discrete.communicator import is_root
+
     found = examine(comm)
     broken = comm.allgather([one for one in found if one.verdict == "broken"])
     if is_root(comm):
         told = [*found]
         for rank, others in enumerate(broken[1:], 1):
             told += [one._replace(what=f"{one.what} on rank {rank}") for one in others]
-        width = max(len(one.what) for one in told)
-        for one in told:
-            print(
-                f"{one.verdict:6}  {one.what:{width}}  {one.found}"
-                + (f"\n        -> {one.advice}" if one.advice else "")
-            )
+        tell(told)
     return 1 if any(broken) else 0
+
+
+def tell(told: list[Finding]) -> None:
+    """Print findings, a line each, with what to do below."""
+    width = max(len(one.what) for one in told)
+    for one in told:
+        print(f"{one.verdict:6}  {one.what:{width}}  {one.found}")
+        if one.advice:
+            print(f"        -> {one.advice}")

@@ -17,9 +17,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
-import petsc4py
-
-from pdpetsc.command_line.cli import PETSC, arguments_of, load_case, make_case
+from pdpetsc.command_line.cli import arguments_of, load_case, make_case
+from pdpetsc.command_line.start import start_petsc
 from pdpetsc.errors import CaseError, PdpetscError, described
 
 
@@ -28,8 +27,8 @@ def main(path: Path) -> None:
     # What a case prints must not stand between the answers.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    petsc4py.init(PETSC)
     try:
+        start_petsc()
         from pdpetsc.petsc.library import petsc_version
 
         function = load_case(path)

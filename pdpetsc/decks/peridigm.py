@@ -20,6 +20,7 @@ from pdpetsc.decks.script import (
     Script,
     Times,
     Where,
+    cracks,
     elastic_constants,
     quoted,
     refuse_unknown,
@@ -39,7 +40,8 @@ STATIC_STEPS = 10
 _OF_MOTION = ("Density",)
 # What a quasi-static solver is tuned with.
 _TUNING = (
-    "Verbose", "Absolute Tolerance", "Relative Tolerance", "Maximum Solver Iterations", "Belos Linear Solver",
+    "Verbose", "Absolute Tolerance", "Relative Tolerance", "Maximum Solver Iterations", "Max Solver Iterations",
+    "Belos Linear Solver",
     "Belos Maximum Iterations", "Belos Relative Tolerance", "Belos Print Status", "Disable Heuristics", "Damped Newton",
     "Damped Newton Diagonal Scale Factor", "Damped Newton Diagonal Shift Factor", "Preconditioner Type",
     "Solver Type", "Maximum Number of Load Step Reductions", "Adaptive Load-Stepping", "Nonlinear Solver",
@@ -84,6 +86,9 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck.parent, folder)
     script = Script(deck, PROGRAM, body, times, notes)
     _blocks(script, root)
+    if "Bond Filters" in root.section("Discretization").sections:
+        found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
+        script.arguments["cracks"] = f"[{', '.join(found)}]"
     if "Contact" in root:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
     if "Boundary Conditions" in root.sections:
@@ -140,14 +145,12 @@ def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
 def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: int) -> Body:
     """Return the particles of a text file with sets of the deck by file or numbers."""
     whole = TextFile(path, sets, dim=dim).chunk(0, 1)
-    listed = ", ".join(
-        f"{quoted(name)}: {relative(given, folder) if isinstance(given, Path) else given!r}"
-        for name, given in sets.items()
-    )
+    codes = {name: relative(given, folder) if isinstance(given, Path) else repr(given) for name, given in sets.items()}
+    lines = [f"    {quoted(name)}: {code}," for name, code in codes.items()]
     given = (
         f"{relative(path, folder)}, node_sets=NODE_SETS, dim={dim}" if sets else f"{relative(path, folder)}, dim={dim}"
     )
-    helpers = [f"NODE_SETS = {{{listed}}}"] if sets else []
+    helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
     called = {tidy(name): name for name in whole.sets}
     return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called)
 
@@ -327,8 +330,12 @@ def _material(section: Section, script: Script) -> tuple[str, str | None, str]:
         expansion = section.number("Thermal Expansion Coefficient")
         # Temperatures are counted from those at the beginning, as Peridigm does.
         found = f"pd.Thermal({found}, expansion={expansion!r}, reference=0.0)"
-        if not of_gradients:
-            script.notes.differs("A bond expands by the temperature of both of its ends; in Peridigm by that of each.")
+        script.notes.differs(
+            "Thermal strain multiplies the stretch, 1 + alpha dT; Peridigm adds it to the rate of deformation, which "
+            "is the same at small strain."
+            if of_gradients
+            else "A bond expands by the temperature of both of its ends; in Peridigm by that of each."
+        )
     return found, control, "gradients" if of_gradients else "bonds"
 
 
@@ -350,7 +357,7 @@ def _law(model: str, section: Section, script: Script) -> str | None:
         return f'pd.LinearSolid(E={E!r}, nu={nu!r}, kinematics="finite")'
     script.notes.differs(
         "Stress follows from the logarithmic strain at the end of a step; Peridigm adds up Cauchy stresses of the rate "
-        "of deformation at the end of each step, which is the same at small strain."
+        "of deformation at the end of each step: the two differ by about the strain, relatively."
     )
     if model == "Elastic Correspondence":
         return f"pd.Hencky(E={E!r}, nu={nu!r})"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdpetsc.arrays import Float, Mask
+from pdpetsc.arrays import Mask
 from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.peridigm import STATIC_STEPS, exodus_body, history, text_body
 from pdpetsc.decks.script import (
@@ -21,6 +21,7 @@ from pdpetsc.decks.script import (
     Script,
     Times,
     Where,
+    cracks,
     elastic_constants,
     refuse_unknown,
     tidy,
@@ -59,7 +60,9 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
         if name in root.sections:
             raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
     _blocks(script, root, linear, on)
-    _cracks(script, root.section("Discretization"))
+    if "Bond Filters" in root.section("Discretization").sections:
+        found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
+        script.arguments["cracks"] = f"[{', '.join(found)}]"
     _conditions(script, root.section("Boundary Conditions"))
     if "Compute Class Parameters" in root.sections:
         for one in root.section("Compute Class Parameters").sections.values():
@@ -233,12 +236,21 @@ def _bond_based_modulus(section: Section, script: Script) -> float:
         script.notes.differs(
             f"Poisson's ratio of bond-based materials is fixed; PeriLab takes {nu:.4g} to convert moduli."
         )
-    if "Young's Modulus" in given:
-        return given["Young's Modulus"]
-    if "Shear Modulus" in given:
-        return 2.0 * given["Shear Modulus"] * (1.0 + nu)
-    if "Bulk Modulus" in given:
-        return 3.0 * given["Bulk Modulus"] * (1.0 - 2.0 * nu)
+    by = {
+        "Bulk Modulus": 3.0 * given.get("Bulk Modulus", 0.0) * (1.0 - 2.0 * nu),
+        "Shear Modulus": 2.0 * given.get("Shear Modulus", 0.0) * (1.0 + nu),
+        "Young's Modulus": given.get("Young's Modulus", 0.0),
+    }
+    # The first that is given counts, as in PeriLab.
+    for name, E in by.items():
+        if name in given:
+            if len(given) > 1:
+                script.notes.differs(
+                    f"{section.place} has {len(given)} moduli; as in PeriLab the {name.lower()} counts."
+                )
+            if not E > 0.0:
+                raise CaseError(f"{section.entries[name].place} of the deck is no modulus.")
+            return E
     raise CaseError(f"{section.place} of the deck has no modulus.")
 
 
@@ -305,47 +317,6 @@ def _damage(script: Script, models: Section | None, names: set[str], kinds: set[
         "Bonds break one after another with equilibrium between them; PeriLab breaks once in a step all that are too "
         "long."
     )
-
-
-def _cracks(script: Script, section: Section) -> None:
-    if "Bond Filters" not in section.sections:
-        return
-    cracks = []
-    dim = script.body.dim
-    for one in section.section("Bond Filters").sections.values():
-        kind = one.text("Type").replace(" ", "_")
-        if one.flag("Allow Contact"):
-            raise CaseError(f"{one.entries['Allow Contact'].place} of the deck {_NO_PART}.")
-
-        def vector(name: str, one: Section = one) -> Float:
-            found = np.array([one.number(f"{name} {axis}") for axis in "XYZ"[:dim]])
-            for axis in "XYZ"[dim:]:
-                one.number(f"{name} {axis}", 0.0)
-            return found
-
-        if kind == "Rectangular_Plane":
-            normal, corner, bottom = vector("Normal"), vector("Lower Left Corner"), vector("Bottom Unit Vector")
-            along, side = one.number("Bottom Length"), one.number("Side Length")
-            sizes = float(np.linalg.norm(bottom)), float(np.linalg.norm(normal))
-            if min(*sizes, along, side) <= 0.0 or abs(bottom @ normal) > 1e-9 * sizes[0] * sizes[1]:
-                raise CaseError(f"{one.place} of the deck is no rectangle.")
-            bottom, normal = bottom / sizes[0], normal / sizes[1]
-            if dim == 2:
-                ends = (_pair(corner), _pair(corner + along * bottom))
-                cracks.append(f"pd.Segment({ends[0]}, {ends[1]})")
-            else:
-                up = side * np.cross(bottom, normal)
-                corners = [corner, corner + along * bottom, corner + along * bottom + up, corner + up]
-                cracks.append(f"pd.PolygonCrack([{', '.join(_pair(point) for point in corners)}])")
-        elif kind == "Disk" and dim == 3:
-            cracks.append(f"pd.Disc({_pair(vector('Center'))}, {_pair(vector('Normal'))}, {one.number('Radius')!r})")
-        else:
-            raise CaseError(f"{one.entries['Type'].place} of the deck is {kind!r}, which {_NO_PART} in {dim}D.")
-    script.arguments["cracks"] = f"[{', '.join(cracks)}]"
-
-
-def _pair(point: Float) -> str:
-    return f"({', '.join(repr(float(value)) for value in point)})"
 
 
 # --- conditions

@@ -19,6 +19,8 @@ from pdpetsc.errors import CaseError
 
 # Lines of a written file are at most this long.
 _WIDTH = 116
+# An edge of a crack is this wide, as a share of its size.
+_EDGE = 1e-9
 _COORDINATES = {"x": "x[:, 0]", "y": "x[:, 1]", "z": "x[:, 2]", "pi": "np.pi"}
 
 
@@ -337,6 +339,12 @@ class Script:
 
     def _material(self) -> str:
         codes = {code for _, code in self.material}
+        bonds = [code for code in codes if "pd.LinearSolid(" in code or "pd.BondBased(" in code]
+        if len({'kinematics="finite"' in code for code in bonds}) > 1:
+            raise CaseError(
+                "The deck has blocks of linearised and of finite state-based materials, which share no body here; make "
+                "a deck of each."
+            )
         if len(codes) == 1:
             return codes.pop()
         return _listed([f"({where.code}, {code})," for where, code in self.material], marks=False)
@@ -399,6 +407,83 @@ def relative(path: Path, folder: Path) -> str:
     return f"FOLDER / {quoted(Path(found).as_posix())}"
 
 
+def cracks(section: Section, x: Float) -> list[str]:
+    """Return the cracks of bond filters as code; their names have blanks or underscores.
+
+    Bonds through the edge of a rectangle are cut and those through the rim of a disc are not, as in Peridigm.
+
+    Parameters
+    ----------
+    section : Section
+        The filters.
+    x : (n, dim) float64
+        Where the particles are [length].
+
+    Raises
+    ------
+    CaseError
+        One is neither rectangle nor disc, or not flat, or particles lie on its plane.
+    """
+    found, dim = [], x.shape[1]
+    for one in section.sections.values():
+        kind = one.text("Type").replace(" ", "_")
+
+        def named(name: str, one: Section = one) -> str:
+            return name if name in one.entries else name.replace(" ", "_")
+
+        def vector(name: str, one: Section = one) -> Float:
+            values = [
+                one.number(named(f"{name} {axis}", one), 0.0 if k >= dim else None) for k, axis in enumerate("XYZ")
+            ]
+            return np.array(values[:dim])
+
+        if one.flag("Allow Contact"):
+            raise CaseError(f"{one.entries['Allow Contact'].place} of the deck has no counterpart here.")
+        if kind == "Rectangular_Plane":
+            normal, corner, bottom = vector("Normal"), vector("Lower Left Corner"), vector("Bottom Unit Vector")
+            along, side = one.number(named("Bottom Length")), one.number(named("Side Length"))
+            sizes = float(np.linalg.norm(bottom)), float(np.linalg.norm(normal))
+            if min(*sizes, along, side) <= 0.0 or abs(bottom @ normal) > 1e-9 * sizes[0] * sizes[1]:
+                raise CaseError(f"{one.place} of the deck is no rectangle.")
+            bottom, normal = bottom / sizes[0], normal / sizes[1]
+            _refuse_on_plane(one, x, corner, normal)
+            if dim == 2:
+                found.append(f"pd.Segment({_point(corner)}, {_point(corner + along * bottom)})")
+            else:
+                up = side * np.cross(bottom, normal)
+                corner, along, up = (
+                    corner - _EDGE * (along * bottom + up),
+                    along * (1 + 2 * _EDGE),
+                    up * (1 + 2 * _EDGE),
+                )
+                corners = [corner, corner + along * bottom, corner + along * bottom + up, corner + up]
+                found.append(f"pd.PolygonCrack([{', '.join(_point(point) for point in corners)}])")
+        elif kind == "Disk" and dim == 3:
+            centre, normal, radius = vector("Center"), vector("Normal"), one.number("Radius")
+            if not (np.linalg.norm(normal) > 0.0 and radius > 0.0):
+                raise CaseError(f"{one.place} of the deck is no disc.")
+            _refuse_on_plane(one, x, centre, normal / np.linalg.norm(normal))
+            found.append(f"pd.Disc({_point(centre)}, {_point(normal)}, {radius * (1.0 - _EDGE)!r})")
+        else:
+            raise CaseError(f"{one.entries['Type'].place} of the deck is {kind!r}, which has no counterpart in {dim}D.")
+    return found
+
+
+def _refuse_on_plane(one: Section, x: Float, point: Float, normal: Float) -> None:
+    """Raise CaseError where particles lie on the plane of a crack: which of their bonds it cuts nobody knows."""
+    extent = max(float(np.ptp(x, axis=0).max()), 1e-300)
+    on = np.flatnonzero(np.abs((x - point) @ normal) <= _EDGE * extent)
+    if len(on):
+        raise CaseError(
+            f"{len(on)} particles lie on the plane of {one.place} of the deck, such as {x[on[0]].tolist()}; move it "
+            f"between particles."
+        )
+
+
+def _point(point: Float) -> str:
+    return f"({', '.join(repr(float(value)) for value in point)})"
+
+
 def elastic_constants(section: Section) -> tuple[float, float]:
     """Return Young's modulus and Poisson's ratio from two of the constants of a material.
 
@@ -438,12 +523,12 @@ def elastic_constants(section: Section) -> tuple[float, float]:
 
 def refuse_unknown(root: Section) -> None:
     """Raise CaseError where an entry of the deck has neither been read nor noted."""
-    left = [entry for entry in root.leaves() if not entry.used]
+    left = root.unread()
     if left:
-        more = f" and {len(left) - 1} more ({', '.join(entry.path for entry in left[1:6])})" if len(left) > 1 else ""
+        more = ", ".join(one.path for one in left[1:6]) + (", ..." if len(left) > 6 else "")
         raise CaseError(
-            f"The deck has {left[0].place}, {left[0].text!r},{more} which {'have' if more else 'has'} no counterpart "
-            f"here; give --ignore {left[0].path!r} if the answer does not depend on it."
+            f"The deck has {left[0].place}{f' and {more}' if more else ''}, which {'have' if more else 'has'} no "
+            f"counterpart here; give --ignore '{left[0].path}' and so on if the answer does not depend on it."
         )
 
 

@@ -119,6 +119,15 @@ class Section:
                 continue
             yield from section.leaves()
 
+    def unread(self) -> list[Entry | Section]:
+        """Return the entries that have not been read, and sections in the place of all of theirs."""
+        found: list[Entry | Section] = [entry for entry in self.entries.values() if not entry.used]
+        for section in self.sections.values():
+            leaves = list(section.leaves())
+            whole = leaves and not any(entry.used for entry in leaves)
+            found += [section] if whole else section.unread()
+        return found
+
     def without(self, names: Sequence[str]) -> list[str]:
         """Take out the entries and sections whose name or path is among the names, and return them as text."""
         out = []
@@ -221,7 +230,8 @@ def _read_xml(path: Path, text: str) -> Section:
         here = f"{above.path}/{name}" if above.path else name
         if not name:
             raise CaseError(f"Line {line} of the deck {path} has a {tag} without name.")
-        if name in above:
+        same = name in above.entries and above.entries[name].text == attributes.get("value", "").strip()
+        if name in above and not (same and tag == "Parameter"):
             raise CaseError(f"The deck {path} has {here} twice, the second time in line {line}.")
         if tag == "ParameterList":
             above.sections[name] = Section(here, line)

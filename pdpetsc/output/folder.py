@@ -284,6 +284,30 @@ def set_history_aside(comm: Comm, folder: Path) -> None:
                 ) from error
 
 
+def set_pictures_aside(comm: Comm, folder: Path) -> None:
+    """Move pictures and the report into ``earlier/``, where a run goes on in its folder: they show it as it was.
+
+    Collective. What pdpetsc did not draw stays.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be moved.
+    """
+    with agreed(comm):
+        if is_root(comm):
+            paths = [folder / name for name in ("picture.png", *DRAWN)]
+            try:
+                for path in paths:
+                    if not path.is_symlink() and path.is_file() and _is_drawn(path):
+                        (folder / EARLIER).mkdir(exist_ok=True)
+                        os.replace(path, folder / EARLIER / path.name)
+            except OSError as error:
+                raise OutputError(
+                    f"Cannot move pictures of {folder} to {folder / EARLIER}: {error.strerror or error}."
+                ) from error
+
+
 def _of_earlier_run(folder: Path) -> list[Path]:
     """Return the files of a run in a folder, the checkpoint first; raises CaseError where one is not pdpetsc's."""
     names = (

@@ -12,7 +12,7 @@ from pdpetsc.output.checkpoint import Origin, Record, write_checkpoint
 from pdpetsc.output.crack import write_crack
 from pdpetsc.output.fields import FieldWriter
 from pdpetsc.output.files import InCreationOrder
-from pdpetsc.output.folder import set_history_aside
+from pdpetsc.output.folder import set_history_aside, set_pictures_aside
 from pdpetsc.output.records import HistoryWriter, whole_rows
 from pdpetsc.post.quantities import Quantity
 from pdpetsc.post.solution import Field, Solution
@@ -92,6 +92,8 @@ class Keeper:
         if own and rows is None:
             # A table of other columns, or of another run, is not lost to the one that begins.
             set_history_aside(comm, folder)
+        if own:
+            set_pictures_aside(comm, folder)
         self._broken = None if damage is None else BrokenBonds(comm, folder, damage.bonds, broken)
         first = start.step if own else 0
         self._fields = FieldWriter(cloud, order, folder, fields, self.run, first) if fields else None

@@ -103,6 +103,16 @@ def draw_field(
         _draw_scene(scene, aside, path.suffix.removeprefix(".") or "png", crack=crack)
 
 
+def kept_picture(folder: Path) -> bytes | None:
+    """Return the picture that a run has drawn at its end; None where it has not come there, or drawn none."""
+    try:
+        path = folder / "picture.png"
+        # It is drawn after the last summary; an older one is of the part of a run before a restart.
+        return path.read_bytes() if path.stat().st_mtime >= (folder / "summary.json").stat().st_mtime else None
+    except OSError:
+        return None
+
+
 def draw_film(
     folder: Path, path: Path, name: str, component: str, scale: float, title: str
 ) -> int:  # fmt: skip

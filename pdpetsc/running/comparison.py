@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,6 +22,22 @@ from pdpetsc.running.result import Result, open_run, optional_module
 PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
 # Results that are drawn against the time they take.
 ERRORS = ("error", "w_error", "max_F_error")
+
+
+class Ran(Protocol):
+    """A run as the figure reads it: what tells it from the others, its named results, and its seconds."""
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Return what tells it from the others."""
+
+    @property
+    def results(self) -> Mapping[str, float]:
+        """Return its named results."""
+
+    @property
+    def seconds(self) -> float:
+        """Return the seconds of set-up and solve."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +65,7 @@ class Outcome:
 
 def working_seconds(summary: Mapping[str, Any]) -> float:
     """Return the seconds of set-up and solve of a run from its ``summary.json``."""
-    return sum(float(value) for phase, value in summary.get("timings", {}).items() if phase in PHASES)
+    return sum(float(value) for phase, value in (summary.get("timings") or {}).items() if phase in PHASES)
 
 
 def mebibytes(summary: Mapping[str, Any]) -> float:
@@ -57,7 +73,7 @@ def mebibytes(summary: Mapping[str, Any]) -> float:
     return float(sum(summary.get("peak_memory_bytes") or [])) / 2**20
 
 
-def names_of_results(done: Sequence[Outcome]) -> list[str]:
+def names_of_results(done: Sequence[Ran]) -> list[str]:
     """Return the names of the results of all runs, each once."""
     return list(dict.fromkeys(name for outcome in done for name in outcome.results))
 
@@ -77,7 +93,7 @@ def columns_of(done: Sequence[Outcome]) -> dict[str, list[Any]]:
     }
 
 
-def results_figure(done: Sequence[Outcome], along: str | None, title: str = "") -> Any:
+def results_figure(done: Sequence[Ran], along: str | None, title: str = "") -> Any:
     """Return a figure of every result against a parameter, and of error against seconds where there is an error.
 
     Parameters
@@ -88,13 +104,15 @@ def results_figure(done: Sequence[Outcome], along: str | None, title: str = "") 
     names = names_of_results(done)
     error = next((name for name in ERRORS if name in names), None)
     figure, axes = panels(max(len(names) + (error is not None), 1))
-    groups: dict[str, list[Outcome]] = {}
+    groups: dict[str, list[Ran]] = {}
     for outcome in done:
         rest = {name: value for name, value in outcome.parameters.items() if name != along}
         groups.setdefault(",".join(f"{name}={value}" for name, value in rest.items()), []).append(outcome)
     for label, outcomes in groups.items():
         for axis, name in zip(axes, names, strict=False):
             have = [outcome for outcome in outcomes if name in outcome.results]
+            if along:
+                have.sort(key=lambda one: float(one.parameters[along]))
             x = [float(one.parameters[along]) for one in have] if along else list(range(len(have)))
             axis.plot(x, [one.results[name] for one in have], "o-", markersize=4, label=label)
             axis.set(xlabel=along or "run", ylabel=name)
@@ -122,6 +140,12 @@ class Comparison:
     Notes
     -----
     Not collective: it reads folders.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> both = pd.compare(["out/coarse", "out/fine"])       # doctest: +SKIP
+    >>> print(both)                                         # doctest: +SKIP
     """
 
     def __init__(self, runs: Mapping[str, Result]) -> None:

@@ -18,7 +18,7 @@ from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import Labels
-from pdpetsc.output.picture import draw_field
+from pdpetsc.output.picture import draw_field, kept_picture
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
@@ -231,11 +231,10 @@ class Result(Mapping[str, float]):
 
     def _picture_html(self) -> str:
         """Return the picture of the run, or a sentence why there is none; empty where it has nothing to draw."""
-        path = self.folder / "picture.png"
         try:
             # Asking for the fields finds out whether a later run has taken the folder.
             names = self.fields.names()
-            data = path.read_bytes() if path.exists() else _drawn(self.folder, names)
+            data = kept_picture(self.folder) or _drawn(self.folder, names)
         except (CaseError, OSError):
             return ""
         encoded = base64.b64encode(data).decode()

@@ -55,6 +55,7 @@ def run(
     comm: Any = None,
     report: Callable[[Comm], Report] = LogReport,
     check: bool = False,
+    asked: Mapping[str, Any] | None = None,
 ) -> Result:
     """Run a case and return what came out.
 
@@ -78,6 +79,8 @@ def run(
         Makes what takes the words of the run from its ranks: the logger ``pdpetsc`` by default.
     check : bool
         Compare the results with ``Case.expect``, and say and record how they compare.
+    asked : mapping, optional
+        Written to the summary too, for the report: the command and the text of the case file.
 
     Returns
     -------
@@ -117,6 +120,7 @@ def run(
     with messages_apart(ranks), holding(ranks, folder), report(ranks) as said:
         given = dict(options or {}), restart, restart_anyway, said, dict(parameters or {})
         one = _Run(case, ranks, folder, *given, check)
+        one.summary = {**(asked or {}), **one.summary}
         result = one()
         if (wrong := failure(one.checks)) is not None:
             wrong.agreed = ranks.size

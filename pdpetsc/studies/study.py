@@ -16,6 +16,7 @@ from typing import Any
 from pdpetsc.discrete.communicator import alone
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.folder import holder_of, holding, set_aside
+from pdpetsc.running.comparison import working_seconds
 from pdpetsc.studies import table
 from pdpetsc.studies.asking import CaseFile, Question
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
@@ -23,8 +24,6 @@ from pdpetsc.studies.place import LOG, RECORD, Outcome, folder_of, keep, kept, n
 from pdpetsc.studies.refinement import Convergence, converging
 from pdpetsc.studies.sets import Set, grid, text_of
 
-# What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
-PHASES = ("particles", "families", "model", "pattern", "allocation", "solve")
 # How long a run that an earlier study left behind may take to end [s].
 PATIENCE = 60.0
 # What tells that a launcher of MPI has started this process.
@@ -250,11 +249,6 @@ def _are_numbers(results: Any) -> bool:
     )
 
 
-def working_seconds(summary: Mapping[str, Any]) -> float:
-    """Return the seconds of set-up and solve of a run from its ``summary.json``."""
-    return sum(float(value) for phase, value in (summary.get("timings") or {}).items() if phase in PHASES)
-
-
 @dataclass(frozen=True)
 class Study:
     """What a study has given.
@@ -295,6 +289,13 @@ class Refinement:
         Values of results from elsewhere, that errors are of; what the case expects counts as such where ``expected``.
     expected : bool
         Take what the case expects where ``exact`` has no value.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> by_number = pd.Refinement("1/n", exact={"tip": 7.4})
+    >>> by_number.name
+    'n'
     """
 
     of: str

@@ -68,5 +68,5 @@ def case(n=40, load="across", horizon=1.515, strain=1e-3, scheme="sub_horizons")
         history={"stress": pd.CellStress(component)},
         results=lambda h: {"modulus": h["stress"][-1] / strain},
         expect={"modulus": pd.Expected(exact, relative=0.05, source="laminate theory")},
-        picture=pd.Picture(pd.stress, "xy" if load == "shear" else "xx"),
+        picture=pd.Picture(*((pd.stress, "xx") if load == "along" else (pd.deformation_gradient, component))),
     )

@@ -1,0 +1,616 @@
+"""Decks of Peridigm and PeriLab: what they say, what is refused, and forces by the formulas of those programs."""
+
+import itertools
+import os
+import re
+import runpy
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.command_line.cli import COMMANDS
+from pdpetsc.command_line.import_deck import import_deck
+from pdpetsc.control.base import Stiffness
+from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.sections import read
+from pdpetsc.discrete.cloud import distribute
+from pdpetsc.discrete.communicator import world
+from pdpetsc.discrete.families import find_families
+from tests.commands import ROOT
+
+# A block of 4 x 3 x 3 particles that is pulled and sheared at finite strain, in millimetres.
+PERIDIGM = """\
+Peridigm:
+  Verbose: false
+  Discretization:
+    Type: "PdQuickGrid"
+    TensorProduct3DMeshGenerator:
+      Type: "PdQuickGrid"
+      X Origin: 0.0
+      Y Origin: 0.0
+      Z Origin: -1.0
+      X Length: 4.0
+      Y Length: 3.0
+      Z Length: 3.0
+      Number Points X: 4
+      Number Points Y: 3
+      Number Points Z: 3
+  Materials:
+    Steel:
+      Material Model: "Elastic"
+      Density: 7800.0
+      Bulk Modulus: 130.0e3
+      Shear Modulus: 78.0e3
+  Blocks:
+    All Of It:
+      Block Names: "block_1"
+      Material: "Steel"
+      Horizon: 1.8
+  Boundary Conditions:
+    Left Node Set: "1 5 9 13 17 21 25 29 33"
+    Right Node Set: "4 8 12 16 20 24 28 32 36"
+    Hold X:
+      Type: "Prescribed Displacement"
+      Node Set: "Left Node Set"
+      Coordinate: "x"
+      Value: "0.0"
+    Hold Y:
+      Type: "Prescribed Displacement"
+      Node Set: "Left Node Set"
+      Coordinate: "y"
+      Value: "0.0"
+    Hold Z:
+      Type: "Prescribed Displacement"
+      Node Set: "Left Node Set"
+      Coordinate: "z"
+      Value: "0.0"
+    Pull:
+      Type: "Prescribed Displacement"
+      Node Set: "right  node set"
+      Coordinate: "x"
+      Value: "value = 0.02*x*t/5.0;"
+    Shear:
+      Type: "Prescribed Displacement"
+      Node Set: "Right Node Set"
+      Coordinate: "y"
+      Value: "0.01*(y + 1.0)*t/5.0"
+    Weight:
+      Type: "Body Force"
+      Node Set: "Left Node Set"
+      Coordinate: "z"
+      Value: "-3.0*t"
+  Solver:
+    Initial Time: 0.0
+    Final Time: 5.0
+    QuasiStatic:
+      Number of Load Steps: 2
+      Absolute Tolerance: 1.0
+  Compute Class Parameters:
+    Pulled:
+      Compute Class: "Block_Data"
+      Calculation Type: "Sum"
+      Block: "block_1"
+      Variable: "Force"
+      Output Label: "Sum of Forces"
+    Gage:
+      Compute Class: "Nearest_Point_Data"
+      X: 3.4
+      Y: 1.5
+      Z: 0.5
+      Variable: "Displacement"
+      Output Label: "Gage"
+  Output:
+    Output Filename: "block"
+    Output Variables:
+      Displacement: true
+"""
+
+PERILAB = """\
+PeriLab:
+  Discretization:
+    Type: Text File
+    Input Mesh File: plate.txt
+    Node Sets:
+      Left: x < 0.6
+      Right: right.txt
+      Corner: 1
+  Blocks:
+    One:
+      Block ID: 1
+      Density: 1e-9
+      Horizon: 2.1
+      Material Model: Soft
+    Two:
+      Block ID: 2
+      Density: 1e-9
+      Horizon: 2.1
+      Material Model: Hard
+  Models:
+    Pre Calculation Global:
+      Shape Tensor: true
+    Material Models:
+      Soft:
+        Material Model: Correspondence Elastic
+        Symmetry: isotropic plane stress
+        Young's Modulus: 1.0e+3
+        Poisson's Ratio: 0.3
+        Zero Energy Control: "Global"
+      Hard:
+        Material Model: Correspondence Elastic
+        Symmetry: isotropic plane stress
+        Young's Modulus: 3e3
+        Poisson's Ratio: 0.2
+        Zero Energy Control: "Global"
+  Boundary Conditions:
+    Held:
+      Variable: Displacements
+      Node Set: Left
+      Coordinate: x
+      Value: 0.0
+      Type: Dirichlet
+    Corner:
+      Variable: Displacements
+      Node Set: Corner
+      Coordinate: y
+      Value: 0.0
+      Type: Dirichlet
+    Bent:
+      Variable: Displacements
+      Node Set: Right
+      Coordinate: x
+      Value: -0.001*y^2*t + 0.002
+      Type: Dirichlet
+  Solver:
+    Initial Time: 0.0
+    Final Time: 2.0
+    Number of Steps: 4
+    Linear Static Matrix Based:
+      Matrix Update: false
+  Outputs:
+    Output1:
+      Output Filename: plate
+      Output Variables:
+        Displacements: true
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, rng):
+    """Return a folder with the decks and a plate of 6 x 5 particles that are no lattice."""
+    monkeypatch.chdir(tmp_path)
+    x = np.array(list(itertools.product(np.arange(6) + 0.5, np.arange(5) + 0.5)))
+    moved = x + 0.05 * rng.uniform(-1.0, 1.0, x.shape)
+    volume = 1.0 + 0.2 * rng.uniform(-1.0, 1.0, len(x))
+    rows = [f"{a} {b} {1 + (i > 14)} {v}" for i, ((a, b), v) in enumerate(zip(moved.tolist(), volume, strict=True))]
+    (tmp_path / "plate.txt").write_text("# a plate\n\nheader: x y block_id volume\n" + "\n".join(rows) + "\n")
+    (tmp_path / "right.txt").write_text("header: global_id\n" + "\n".join(str(i) for i in range(26, 31)) + "\n")
+    (tmp_path / "block.yaml").write_text(PERIDIGM)
+    (tmp_path / "plate.yaml").write_text(PERILAB)
+    return tmp_path
+
+
+def changed(folder, name, *changes):
+    """Write a deck with some of its text changed and return it."""
+    path = folder / name
+    text = path.read_text()
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    other = folder / f"other_{name}"
+    other.write_text(text)
+    return other
+
+
+def pdpetsc(*words, cwd):
+    """Run a command of pdpetsc in a folder."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    words = [sys.executable, "-m", "pdpetsc", *words]
+    return subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, timeout=100, check=False)
+
+
+def case_of(path, **parameters):
+    return runpy.run_path(str(path))["case"](**parameters)
+
+
+# --- expressions
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0.001*y*t", 0.001 * 2.0 * 0.5), ("value = 2.0*x;", 3.0), ("-x^2", -2.25), ("2^-1", 0.5), ("2^3^2", 512.0),
+        ("1 - 2 - 3", -4.0), ("1 - (2 - 3)", 2.0), ("8/4/2", 1.0), ("8/(4/2)", 4.0), ("x - -y", 3.5),
+        ("-(x + y)*z", -10.5),
+        ("273.0+1000.0*(t/3600.0)", 273.0 + 1000.0 * 0.5 / 3600.0), ("3.*x", 4.5), ("x.*y", 3.0),
+        ("sin.(t)", np.sin(0.5)),
+        ("pow(x, 2)*3", 6.75), ("ifelse(t > 0.4, 1.5e-3, 0)", 1.5e-3), ("min(x, y) + max(x, y)", 3.5),
+        ("2*pi", 2.0 * np.pi),
+        ("sqrt(abs(-y))*exp(0)", np.sqrt(2.0)), ("(x+y)^2*t", 12.25 * 0.5), ("-x*-y", 3.0),
+        ("2 - x^2^0.5", 2.0 - 1.5 ** (2.0**0.5)),
+    ],
+)  # fmt: skip
+def test_expressions_have_their_value_before_and_after_translation(text, value):
+    node = parse(text, "a value", set("xyzt"))
+    at = {"x": 1.5, "y": 2.0, "z": 3.0, "t": 0.5}
+    assert node.value(at) == pytest.approx(value, rel=1e-15)
+    names = {**{name: f"({number})" for name, number in at.items()}, "pi": "np.pi"}
+    assert eval(node.python(names), {"np": np}) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "2x", "x.real", "__import__('os')", "x; y", "(x", "x)", "w*t", "f(x)", "sin(x, y)", "x < 1", "1 < x < 2",
+     "x = 2",
+     "x[0]", "lambda: 1", "1 + (x > 2)", "x if t else y", "'a'", "x ** ", "*".join(["(" * 60 + "x" + ")" * 60])],
+)  # fmt: skip
+def test_expressions_of_no_grammar_are_refused_with_their_place(text):
+    with pytest.raises(pd.CaseError, match="Pull/Value") as error:
+        parse(text, "Pull/Value (line 3)", set("xyzt"))
+    assert "\n" not in str(error.value)
+
+
+# --- forces by the formulas of the other programs
+
+
+def forces_lps(x, volume, u, horizon, K, G):
+    """Return internal forces (n, 3) as ``computeInternalForceLinearElastic`` of Peridigm has them, times volumes."""
+    n = len(x)
+    y = x + u
+    pairs = [
+        (i, j) for i in range(n) for j in range(n) if i != j and np.linalg.norm(x[j] - x[i]) <= horizon * (1 + 1e-9)
+    ]
+    m, theta, force = np.zeros(n), np.zeros(n), np.zeros((n, 3))
+    for i, j in pairs:
+        m[i] += np.linalg.norm(x[j] - x[i]) ** 2 * volume[j]
+    for i, j in pairs:
+        zeta = np.linalg.norm(x[j] - x[i])
+        theta[i] += 3.0 / m[i] * zeta * (np.linalg.norm(y[j] - y[i]) - zeta) * volume[j]
+    for i, j in pairs:
+        zeta, along = np.linalg.norm(x[j] - x[i]), y[j] - y[i]
+        alpha = 15.0 * G / m[i]
+        t = theta[i] * (3.0 * K / m[i] - alpha / 3.0) * zeta + alpha * (np.linalg.norm(along) - zeta)
+        force[i] += t * along / np.linalg.norm(along) * volume[i] * volume[j]
+        force[j] -= t * along / np.linalg.norm(along) * volume[i] * volume[j]
+    return force
+
+
+def test_a_deck_of_peridigm_is_solved_by_its_formulas(folder):
+    path, said = import_deck(folder / "block.yaml")
+    assert path.name == "block.py"
+    assert any("support forces" in line for line in said)
+    case = case_of(path)
+    assert case.steps.count == 2
+    result = pd.run(case, folder / "out")
+    x, u = result.x, result.gathered(pd.displacement)
+    # Particles along x first, as their numbers have it.
+    assert x[:5].tolist() == [[0.5, 0.5, -0.5], [1.5, 0.5, -0.5], [2.5, 0.5, -0.5], [3.5, 0.5, -0.5], [0.5, 1.5, -0.5]]
+    right, left = x[:, 0] > 3.0, x[:, 0] < 1.0
+    assert u[right][:, 0] == pytest.approx(0.02 * x[right][:, 0], rel=1e-14)
+    assert u[right][:, 1] == pytest.approx(0.01 * (x[right][:, 1] + 1.0), rel=1e-14)
+    assert np.abs(u[left]).max() == 0.0
+    force = forces_lps(x, np.ones(len(x)), u, 1.8, 130e3, 78e3)
+    scale = np.abs(force).max()
+    free = ~(left | right)
+    assert np.abs(force[free]).max() < 1e-7 * scale
+    assert np.abs(force[right][:, 2]).max() < 1e-7 * scale
+    # Support forces: the opposite of internal forces, less the weight of the held particles.
+    assert result.history["Sum_of_Forces_x"][-1] == pytest.approx(-force[left | right][:, 0].sum(), abs=1e-6 * scale)
+    assert result.history["Sum_of_Forces_z"][-1] == pytest.approx(3.0 * 5.0 * 9.0, rel=1e-6)
+    assert result.history["Gage_x"][-1] == pytest.approx(0.02 * 3.5)
+
+
+def test_xml_says_the_same_as_yaml(folder):
+    def lines(section, indent):
+        for name, entry in section.entries.items():
+            yield f'{indent}<Parameter name="{name}" type="string" value="{entry.text.replace(">", "&gt;")}"/>'
+        for name, inner in section.sections.items():
+            yield f'{indent}<ParameterList name="{name}">'
+            yield from lines(inner, indent + "  ")
+            yield f"{indent}</ParameterList>"
+
+    root = read(folder / "block.yaml").sections["Peridigm"]
+    text = "\n".join(["<ParameterList>", *lines(root, "  "), "</ParameterList>"])
+    (folder / "same.xml").write_text(text)
+    one, _ = import_deck(folder / "block.yaml", folder / "one.py")
+    other, _ = import_deck(folder / "same.xml", folder / "other.py")
+
+    def code(path):
+        return [line for line in path.read_text().split("# Of the deck")[0].splitlines()[1:] if "(line" not in line]
+
+    assert code(one) == code(other)
+    (folder / "twice.xml").write_text(text.replace('name="Bulk Modulus"', 'name="Shear Modulus"'))
+    with pytest.raises(pd.CaseError, match="Shear Modulus twice"):
+        import_deck(folder / "twice.xml")
+    (folder / "entity.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]>\n' + text)
+    with pytest.raises(pd.CaseError, match="entities"):
+        import_deck(folder / "entity.xml")
+
+
+def forces_correspondence(x, volume, u, horizon, stiffness):
+    """Return internal forces (n, 2) of PeriLab's plane correspondence with its global control, times volumes."""
+    n = len(x)
+    force = np.zeros((n, 2))
+    for i in range(n):
+        family = [j for j in range(n) if j != i and np.linalg.norm(x[j] - x[i]) <= horizon]
+        xi, eta, V = x[family] - x[i], u[family] - u[i], volume[family]
+        inverse = np.linalg.inv(np.einsum("j,ja,jb->ab", V, xi, xi))
+        H = np.einsum("j,ja,jb->ab", V, eta, xi) @ inverse
+        C = stiffness[i]
+        sigma = np.einsum("abcd,cd->ab", C, 0.5 * (H + H.T))
+        Z = np.einsum("abcd,cd->ab", C, inverse)
+        for row, j in enumerate(family):
+            T = sigma @ inverse @ xi[row] - Z @ (H @ xi[row] - eta[row])
+            force[i] += T * volume[i] * volume[j]
+            force[j] -= T * volume[i] * volume[j]
+    return force
+
+
+def plane_stress(E, nu):
+    one = np.eye(2)
+    lam, mu = E * nu / (1.0 - nu**2), E / (2.0 * (1.0 + nu))
+    both = np.einsum("ac,bd->abcd", one, one) + np.einsum("ad,bc->abcd", one, one)
+    return lam * np.einsum("ab,cd->abcd", one, one) + mu * both
+
+
+def test_a_deck_of_perilab_is_solved_by_its_formulas(folder):
+    path, _ = import_deck(folder / "plate.yaml")
+    case = case_of(path)
+    assert case.steps.count == 4
+    result = pd.run(case, folder / "out")
+    u = result.gathered(pd.displacement)
+    table = np.array([row.split() for row in (folder / "plate.txt").read_text().splitlines()[3:]], dtype=float)
+    x, block, volume = table[:, :2], table[:, 2], table[:, 3]
+    assert np.array_equal(result.x[:, :2], x)
+    right = np.arange(30) >= 25
+    # At time 2 of the deck.
+    assert u[right, 0] == pytest.approx(-0.002 * x[right, 1] ** 2 + 0.002, rel=1e-13)
+    stiffness = [plane_stress(1e3, 0.3) if b == 1 else plane_stress(3e3, 0.2) for b in block]
+    force = forces_correspondence(x, volume, u, 2.1, stiffness)
+    scale = np.abs(force).max()
+    left = x[:, 0] < 0.6
+    assert left.any()
+    assert np.abs(force[~(left | right)]).max() < 1e-8 * scale
+    assert np.abs(force[right | left][1:, 1]).max() < 1e-8 * scale
+
+
+# --- nothing is ignored silently
+
+
+def sections(root):
+    yield root
+    for inner in root.sections.values():
+        yield from sections(inner)
+
+
+@pytest.mark.parametrize("name", ["block.yaml", "plate.yaml"])
+def test_an_entry_that_nobody_knows_is_named_wherever_it_stands(folder, name):
+    text = (folder / name).read_text().splitlines()
+    root = read(folder / name)
+    places = [section for section in sections(root) if section.path]
+    assert len(places) > 15
+    for section in places:
+        # The line after its own begins with its own indent and two more.
+        at = section.line
+        indent = re.match(r" *", text[at])[0]
+        (folder / "bogus.yaml").write_text("\n".join([*text[:at], f"{indent}Bogus Thing: 7", *text[at:]]) + "\n")
+        try:
+            import_deck(folder / "bogus.yaml", folder / "bogus.py", overwrite=True)
+        except pd.CaseError as error:
+            assert "Bogus Thing" in str(error) and "line" in str(error), section.path
+        else:
+            # A node set is one of the case, whatever its name.
+            known = '"Bogus Thing": [7]' if section.path.endswith("Node Sets") else "Bogus Thing: 7"
+            assert known in (folder / "bogus.py").read_text(), section.path
+
+
+def test_what_is_unknown_may_be_ignored_by_name_and_is_listed(folder):
+    deck = changed(folder, "block.yaml", ("  Solver:\n", "  Contact:\n    Radius: 0.1\n  Solver:\n"))
+    with pytest.raises(pd.CaseError, match=r"Contact \(line"):
+        import_deck(deck)
+    path, said = import_deck(deck, ignore=["Contact"])
+    assert any("ignored Peridigm/Contact" in line for line in said)
+    assert "Peridigm/Contact" in path.read_text()
+    with pytest.raises(pd.CaseError, match="nothing called 'Contacts'"):
+        import_deck(deck, folder / "b.py", ignore=["Contacts"])
+
+
+REFUSED = [
+    ("block.yaml", ('"Elastic"', '"Pals"'), "'Pals', which has no counterpart"),
+    ("block.yaml", ("Shear Modulus: 78.0e3", "Poisson's Ratio: 0.3\n      Shear Modulus: 78.0e3"), "needs two of"),
+    ("block.yaml", ("78.0e3", "-78.0e3"), "as no material has"),
+    ("block.yaml", ("78.0e3", "stiff"), "not a number"),
+    ("block.yaml", ("Horizon: 1.8", "Horizon: 0.0"), "positive"),
+    ("block.yaml", ("QuasiStatic:", "Verlet:"), "give --static"),
+    ("block.yaml", ('"block_1"\n      M', '"block_2"\n      M'), "names the set 'block_2'"),
+    ("block.yaml", ("Type: \"Body Force\"", "Type: \"Thermal Flux\""), "no counterpart in a static case"),
+    ("block.yaml", ('Coordinate: "z"', 'Coordinate: "w"'), "not x, y or z"),
+    ("block.yaml", ("0.02*x*t/5.0", "0.02*w*t"), "w is not known"),
+    ("block.yaml", ("0.02*x*t/5.0", "0.02*x*t/(x - 3.5)"), "not a number at time"),
+    ("block.yaml", ("4 8 12", "4 8 120"), "outside 1 to 36"),
+    ("block.yaml", ("Number Points X: 4", "Number Points X: 4.5"), "not a whole number"),
+    ("block.yaml", ("Number of Load Steps: 2", "Number of Load Steps: 0"), "0 steps"),
+    ("block.yaml", ("Density: 7800.0", "Density: 7800.0\n      Density: 7800.0"), "twice"),
+    ("block.yaml", ("Density: 7800.0", "Plane Stress: true"), "Plane Stress"),
+    ("plate.yaml", ("Symmetry: isotropic plane stress", "Symmetry: isotropic"), "neither plane stress nor"),
+    ("plate.yaml", ("Symmetry: isotropic plane stress", "Symmetry: orthotropic plane stress"), "no counterpart"),
+    ("plate.yaml", ("Coordinate: y", "Coordinate: z"), "of a 2D body"),
+    ("plate.yaml", ("Linear Static Matrix Based:", "Verlet:"), "give --static"),
+    ("plate.yaml", ("Left: x < 0.6", "Left: x < 0.6 < y"), "two comparisons"),
+    ("plate.yaml", ("Right: right.txt", "Right: wrong.txt"), "wrong.txt"),
+    ("plate.yaml", ('Zero Energy Control: "Global"\n      H', "Bond Associated: true\n      H"), "Bond Associated"),
+    ("plate.yaml", ('        Zero Energy Control: "Global"\n      Hard', "      Hard"), "with and without"),
+    ("plate.yaml", ("Displacements\n      Node Set: Right", "Forces\n      Node Set: Right"), "'Forces'"),
+    ("plate.yaml", ("Node Set: Corner\n      Coordinate: y", "Node Set: Left\n      Coordinate: x"), "HELD"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "change", "message"), REFUSED, ids=[f"{r[0]}-{r[1][1]}"[:50] for r in REFUSED])
+def test_what_has_no_counterpart_is_refused_in_a_sentence(folder, name, change, message):
+    if message == "HELD":
+        # The same value twice is no contradiction; another one is.
+        change, message = (
+            ("Value: 0.0\n      Type: Dirichlet\n    Corner", "Value: 0.1\n      Type: Dirichlet\n    Corner"),
+            "same",
+        )
+        deck = changed(
+            folder, name, change, ("Node Set: Corner\n      Coordinate: y", "Node Set: Left\n      Coordinate: x")
+        )
+    else:
+        deck = changed(folder, name, change)
+    with pytest.raises(pd.CaseError, match=message) as error:
+        import_deck(deck)
+    assert "\n" not in str(error.value)
+    assert not (folder / f"{deck.stem}.py").exists()
+    assert [path.name for path in folder.glob(".*.py")] == []
+
+
+# --- what decks may say besides
+
+
+def test_a_deck_in_time_is_solved_statically_when_asked(folder):
+    deck = changed(folder, "block.yaml", ("QuasiStatic:", "Verlet:"), ("Number of Load Steps: 2", "Fixed dt: 1e-6"))
+    path, said = import_deck(deck, static=True)
+    assert any("Inertia is left out" in line for line in said)
+    assert case_of(path).steps.count == 10
+
+
+def test_times_that_are_listed_and_solvers_that_follow_each_other(folder):
+    deck = changed(folder, "block.yaml", ("Number of Load Steps: 2", 'Time Steps: "0.0 1.0 5.0"'))
+    module = runpy.run_path(str(import_deck(deck)[0]))
+    assert [module["time"](t) for t in (0.0, 0.5, 0.75, 1.0)] == [0.0, 1.0, 3.0, 5.0]
+    deck = changed(
+        folder, "block.yaml", ("  Solver:\n", "  Solver1:\n"),
+        ("  Compute Class Parameters", "  Solver2:\n    Initial Time: 5.0\n    Final Time: 6.0\n    QuasiStatic:\n"
+         "      Number of Load Steps: 1\n  Compute Class Parameters"),
+    )  # fmt: skip
+    module = runpy.run_path(str(import_deck(deck, folder / "two.py")[0]))
+    assert module["case"]().steps.count == 3
+    assert [module["time"](t) for t in (0.0, 1.0 / 3.0, 1.0)] == pytest.approx([0.0, 2.5, 6.0])
+
+
+def test_blocks_have_their_own_horizons_and_influence(folder):
+    deck = changed(
+        folder, "plate.yaml", ("Horizon: 2.1\n      Material Model: Hard", "Horizon: 3.2\n      Material Model: Hard")
+    )
+    case = case_of(import_deck(deck)[0])
+    block = np.loadtxt(folder / "plate.txt", skiprows=3)[:, 2]
+    assert case.horizon.tolist() == np.where(block == 1, 2.1, 3.2).tolist()
+    deck = changed(
+        folder,
+        "block.yaml",
+        ('"PdQuickGrid"\n    T', '"PdQuickGrid"\n    Influence Function: "Parabolic Decay"\n    T'),
+    )
+    influence = case_of(import_deck(deck, folder / "b.py")[0]).influence
+    assert influence(np.array([0.2, 0.5, 0.75, 1.0])) == pytest.approx([1.0, 1.0, 0.75, 0.0])
+
+
+def test_correspondence_has_the_hourglass_force_of_peridigm(folder, rng):
+    deck = changed(
+        folder, "block.yaml", ('"Elastic"', '"Elastic Correspondence"'),
+        ("Density: 7800.0", "Hourglass Coefficient: 0.03"),
+    )  # fmt: skip
+    case = case_of(import_deck(deck)[0])
+    assert isinstance(case.scheme, pd.Correspondence)
+    assert case.control == pd.Littlewood(0.03, micromodulus="ball")
+    # C 18 K / (pi horizon^4) (n . z) n / |xi| on the bonds of a family whose gradient is zero.
+    x = np.array(list(itertools.product(range(3), repeat=3)), dtype=float)
+    cloud = distribute(world(), x, np.ones(len(x)), {}, 1.8)
+    families = find_families(cloud)
+    n = cloud.n_owned
+    stiffness = Stiffness(np.full(n, 7.0), np.zeros((1, 3, 3, 3, 3)), np.zeros(n, np.int32), np.ones(n))
+    control = case.control.build(cloud, families, np.full(len(families.neighbours), 0.5), stiffness)
+    i = int(np.flatnonzero((cloud.x[:n] == 1.0).all(axis=1))[0])
+    u = np.zeros((len(cloud.x), 3))
+    u[i] = (0.0, 0.0, 1e-3)
+    # All bonds of the middle have eta = -u and, by symmetry, no gradient: energy 1/2 sum s (n . eta)^2.
+    xi = cloud.x - cloud.x[i]
+    length = np.linalg.norm(xi, axis=1)
+    bonds = (length > 0.0) & (length < 1.8)
+    s = 0.03 * 18.0 * 7.0 / (np.pi * 1.8**4) / length[bonds]
+    expected = 0.5 * (s * (xi[bonds, 2] / length[bonds] * 1e-3) ** 2).sum()
+    assert control.force(u, np.zeros_like(u), np.array([i], dtype=np.int32)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_temperature_counts_from_the_beginning(folder):
+    deck = changed(
+        folder, "block.yaml", ("Density: 7800.0", "Thermal Expansion Coefficient: 1.0e-5"),
+        ("    Weight:\n", f'    All Node Set: "{" ".join(map(str, range(1, 37)))}"\n    Heat:\n      Type: "Prescribed '
+         'Temperature"\n      Node Set: "All Node Set"\n      Value: "293.0 + 20.0*t"\n    Weight:\n'),
+    )  # fmt: skip
+    case = case_of(import_deck(deck)[0])
+    heat = next(c for c in case.conditions if isinstance(c, pd.Temperature))
+    assert heat.value(np.zeros((2, 3)), 1.0) == pytest.approx([100.0, 100.0])
+    assert case.material.reference == 0.0
+
+
+def test_cracks_are_those_of_the_bond_filters(folder):
+    crack = """\
+    Bond Filters:
+      Cut:
+        Type: Rectangular_Plane
+        Normal X: 0.0
+        Normal Y: 2.0
+        Normal Z: 0.0
+        Lower Left Corner X: -1.0
+        Lower Left Corner Y: 2.02
+        Lower Left Corner Z: -1.0
+        Bottom Unit Vector X: 1.0
+        Bottom Unit Vector Y: 0.0
+        Bottom Unit Vector Z: 0.0
+        Bottom Length: 3.0
+        Side Length: 2.0
+"""
+    deck = changed(folder, "plate.yaml", ("  Blocks:\n", f"{crack}  Blocks:\n"))
+    assert case_of(import_deck(deck)[0]).cracks == [pd.Segment((-1.0, 2.02), (2.0, 2.02))]
+    deck = changed(folder, "block.yaml", ("  Materials:\n", f"{crack}  Materials:\n".replace("2.02", "1.0")))
+    (cut,) = case_of(import_deck(deck, folder / "b.py")[0]).cracks
+    a = np.array([[1.5, 0.5, -0.5], [1.5, 0.5, -0.5], [2.5, 0.5, -0.5], [1.5, 0.5, -1.5]])
+    b = np.array([[1.5, 1.5, -0.5], [2.5, 1.5, -0.5], [2.5, 1.5, -0.5], [1.5, 1.5, -1.5]])
+    # The rectangle goes from -1 to 2 along x, and by the side length along bottom x normal, from -1 to 1; a bond
+    # through its edge is cut.
+    assert cut.cuts(a, b).tolist() == [True, True, False, False]
+    on = changed(folder, "block.yaml", ("  Materials:\n", f"{crack}  Materials:\n".replace("2.02", "1.5")))
+    with pytest.raises(pd.CaseError, match="12 particles lie on the plane"):
+        import_deck(on, folder / "c.py")
+
+
+def test_sets_that_overlap_take_the_later_value(folder):
+    deck = changed(folder, "block.yaml", ('Left Node Set: "1 5', 'Left Node Set: "4 1 5'))
+    result = pd.run(case_of(import_deck(deck)[0]), folder / "out")
+    u = result.gathered(pd.displacement)
+    assert u[3, 0] == pytest.approx(0.02 * 3.5)
+    assert u[3, 2] == 0.0
+
+
+def test_nothing_is_overwritten_unasked(folder):
+    path = folder / "block.py"
+    path.write_text("mine\n")
+    with pytest.raises(pd.CaseError, match="is there already"):
+        import_deck(folder / "block.yaml")
+    assert path.read_text() == "mine\n"
+    import_deck(folder / "block.yaml", overwrite=True)
+    assert "pd.Case(" in path.read_text()
+
+
+def test_the_command_writes_a_case_that_runs(folder, capsys):
+    answer = pdpetsc("import", "plate.yaml", "-o", "bent.py", cwd=folder)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert answer.stdout.splitlines()[0] == "bent.py"
+    command = COMMANDS["import"]
+    for words, message in (
+        (["plate.yaml", "-o", "bent.py"], "is there already"),
+        (["plate.yaml", "-o", "bent.txt"], "ends in .py"),
+        (["none.yaml"], "Cannot read the deck none.yaml"),
+        (["plate.txt"], "Cannot read the deck plate.txt"),
+        (["plate.yaml", "--ignore"], "needs a name"),
+        (["plate.yaml", "block.yaml"], "does not know 'block.yaml'"),
+        (["--static"], "No deck"),
+    ):
+        with pytest.raises(pd.CaseError, match=message) as error:
+            command(words)
+        assert "\n" not in str(error.value)
+    assert command(["-h"]) == 0
+    assert "--overwrite" in capsys.readouterr().out

@@ -48,7 +48,7 @@ def case(dx=1.0, strain=0.01):
         fields=[pd.displacement, pd.stress],
         # One number a step, in history.csv.
         history={{"force": pd.Reaction("x", right)}},
-        # What the run prints at its end; expect={{"force": pd.Expected(...)}} and --check compare it with what is known.
+        # What the run prints; expect={{"force": pd.Expected(...)}} and --check compare it with what is known.
         results=lambda history: {{"force": history["force"][-1]}},
         picture=pd.Picture(pd.stress, "xx"),
     )

@@ -1016,3 +1016,54 @@ def test_quadratic_cells_of_gmsh_are_in_its_own_order(tmp_path, rng):
         lines += ["1 " + " ".join(str(k + 1) for k in range(len(x))), "$EndElements"]
         (tmp_path / "cell.msh").write_text("\n".join(lines) + "\n")
         assert pd.Mesh(tmp_path / "cell.msh").chunk(0, 1).volume == pytest.approx([volume], rel=1e-12)
+
+
+# --- spheres of Exodus
+
+
+def spheres(path, attributes, names=()):
+    """Write a file of spheres in two blocks with a node set."""
+    with netCDF4.Dataset(path, "w") as file:
+        sizes = {"num_nodes": 4, "num_el_blk": 2, "num_el_in_blk1": 3, "num_el_in_blk2": 1, "one": 1}
+        sizes |= {"num_node_sets": 1, "num_nod_ns1": 2, "len_name": 33}
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        for axis, values in zip("xyz", ([0, 1, 2, 3], [0, 1, 0, 1], [5, 5, 5, 5]), strict=True):
+            file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = values
+        for number, nodes in ((1, [[4], [2], [1]]), (2, [[3]])):
+            connect = file.createVariable(f"connect{number}", "i4", (f"num_el_in_blk{number}", "one"))
+            connect.elem_type = "SPHERE"
+            connect[:] = nodes
+            if attributes:
+                file.createDimension(f"num_att_in_blk{number}", len(attributes[0]))
+                shape = (f"num_el_in_blk{number}", f"num_att_in_blk{number}")
+                rows = attributes[:3] if number == 1 else attributes[3:]
+                file.createVariable(f"attrib{number}", "f8", shape)[:] = rows
+                if names:
+                    texts = file.createVariable(f"attrib_name{number}", "S1", (shape[1], "len_name"))
+                    texts[:] = np.array([list(name.ljust(33, "\0")) for name in names], dtype="S1")
+        file.createVariable("ns_prop1", "i4", ("num_node_sets",))[:] = 7
+        file.createVariable("node_ns1", "i4", ("num_nod_ns1",))[:] = [2, 3]
+
+
+def test_spheres_of_exodus_have_their_own_volumes(tmp_path):
+    path = tmp_path / "spheres.g"
+    table = [[0.1, 0.5], [0.1, 0.25], [0.1, 0.75], [0.1, 2.0]]
+    for attributes, names in ((table, ()), ([row[::-1] for row in table], ("Volume", "Radius"))):
+        spheres(path, attributes, names)
+        x, volume, sets = whole(pd.Mesh(path))
+        # A plane of spheres is a solid, as the file has three coordinates.
+        assert x.tolist() == [[3.0, 1.0, 5.0], [1.0, 1.0, 5.0], [0.0, 0.0, 5.0], [2.0, 0.0, 5.0]]
+        assert volume.tolist() == [0.5, 0.25, 0.75, 2.0]
+        assert sets["group_1"].tolist() == [True, True, True, False]
+        assert sets["node_set_7"].tolist() == [False, True, False, True]
+    with pytest.raises(pd.CaseError, match="spheres, whose faces"):
+        pd.Mesh(path).surface()
+    with pytest.raises(pd.CaseError, match="spheres, whose faces"):
+        pd.MeshNodes(path).chunk(0, 1)
+    spheres(path, [[0.1, 0.0]] * 4)
+    with pytest.raises(pd.CaseError, match="volume 0"):
+        pd.Mesh(path).chunk(0, 1)
+    spheres(path, [])
+    with pytest.raises(pd.CaseError, match="no cells"):
+        pd.Mesh(path).chunk(0, 1)

@@ -97,10 +97,8 @@ def draw_field(
         The picture cannot be written.
     """
     scene = scene_of(folder, name, component, scale, title, step)
-    last = step is None or step == StoredFields(folder).steps[-1]
-    crack = folder / "crack.vtk" if last and (folder / "crack.vtk").exists() else None
     with replacing(path) as aside:
-        _draw_scene(scene, aside, path.suffix.removeprefix(".") or "png", crack=crack)
+        _draw_scene(scene, aside, path.suffix.removeprefix(".") or "png")
 
 
 def kept_picture(folder: Path) -> bytes | None:
@@ -188,10 +186,9 @@ def _mp4(frames: list[Path], path: Path) -> None:
 
 def _draw_scene(
     scene: Scene, path: Path, kind: str, box: tuple[Float, Float] | None = None, dpi: int = DPI,
-    crack: Path | None = None,
 ) -> None:  # fmt: skip
     """Draw a step into a file of this kind; ``box`` are the corners of all that a film shows."""
-    if scene.dim == 3 and kind == "png" and _drawn_by_pyvista(scene, path, box, crack):
+    if scene.dim == 3 and kind == "png" and _drawn_by_pyvista(scene, path, box):
         return
     from matplotlib.figure import Figure
 
@@ -316,7 +313,7 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     _scale_of_colours(figure, axes, drawn, scene)
 
 
-def _drawn_by_pyvista(scene: Scene, path: Path, box: tuple[Float, Float] | None, crack: Path | None) -> bool:
+def _drawn_by_pyvista(scene: Scene, path: Path, box: tuple[Float, Float] | None) -> bool:
     """Draw a solid body with PyVista, if it is there and works without a display; return whether it did."""
     if importlib.util.find_spec("pyvista") is None:
         LOG.info("PyVista is not installed: the solid body is drawn as points (pip install pyvista)")
@@ -329,7 +326,7 @@ def _drawn_by_pyvista(scene: Scene, path: Path, box: tuple[Float, Float] | None,
             source, y=scene.y, values=scene.values, size=scene.size, F=scene.F, inside=scene.inside,
             steps=np.empty(0) if scene.steps is None else scene.steps, limits=np.array(scene.limits),
             label=scene.label, title=scene.title, horizon=scene.horizon or 0.0,
-            box=np.array([low - margin, high + margin]), crack=np.array(["" if crack is None else str(crack)]),
+            box=np.array([low - margin, high + margin]),
             axes=np.array([scene.labels.axis(letter) for letter in "xyz"]),
         )  # fmt: skip
         # Of MPI's variables the other process must not know: it would take itself for a rank.

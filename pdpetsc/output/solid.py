@@ -59,9 +59,6 @@ def main(source: str, target: str) -> None:
         else:
             actor = plotter.add_mesh(body, style="points_gaussian", render_points_as_spheres=True, **look)
             actor.mapper.scale_factor = 0.5 * float(np.median(size))
-    for crack in scene["crack"]:
-        if crack:
-            plotter.add_mesh(pyvista.read(str(crack)), color="black", opacity=0.8)
     box = scene["box"]
     # Round numbers at the ends of the axes.
     tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0

@@ -246,3 +246,13 @@ def test_units_do_not_change_a_number_nor_what_a_restart_accepts(plane, tmp_path
     assert np.array_equal(result.history["force"], read_history(plane)["force"])
     assert np.array_equal(result.field("stress"), pd.open(plane).field("stress"))
     pd.run(case, tmp_path, restart=plane)
+
+
+@pytest.mark.long
+def test_a_film_of_a_solid_body_is_drawn_in_one_process(solid, tmp_path, monkeypatch):
+    pytest.importorskip("pyvista")
+    started = []
+    run = picture.subprocess.run
+    monkeypatch.setattr(picture.subprocess, "run", lambda *words, **given: started.append(1) or run(*words, **given))
+    assert draw_film(solid, tmp_path / "film.gif", "displacement", "x", 1.0, "block") == 2
+    assert len(started) == 1 and Image.open(tmp_path / "film.gif").n_frames == 2

@@ -120,6 +120,29 @@ def scene_of(
     )  # fmt: skip
 
 
+def frame_of(
+    folder: Path, name: str, component: str, scale: float, steps: Sequence[int]
+) -> tuple[tuple[float, float], tuple[Float, Float]]:
+    """Return the ends of the scale of colours and the corners of all that steps show, one step after another.
+
+    Raises
+    ------
+    CaseError
+        There is no such step, field or component.
+    """
+    stored = StoredFields(folder)
+    stride = max(1, -(-stored.n_particles // MOST))
+    x = stored.of_particles("position", stride)
+    ends, lows, highs = [], [], []
+    for step in steps:
+        ends.append(limits_of(component_of(stored.field(name, step, stride), component)))
+        y = x + scale * stored.field("displacement", step, stride)
+        lows.append(y.min(axis=0))
+        highs.append(y.max(axis=0))
+    limits = float(np.min(ends)), float(np.max(ends))
+    return limits, (np.min(lows, axis=0), np.max(highs, axis=0))
+
+
 def limits_of(values: Float) -> tuple[float, float]:
     """Return the ends of a scale of colours: all but the outermost values, which may be those of few particles."""
     finite = values[np.isfinite(values)]

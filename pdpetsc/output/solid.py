@@ -1,4 +1,4 @@
-"""Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png``.
+"""Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png ...``.
 
 Where there is no display, and no OpenGL without one, VTK may end the process that it is in. It is therefore not that of
 the run, and this file imports nothing of pdpetsc, so that it starts at once.
@@ -41,13 +41,12 @@ def main(source: str, target: str) -> None:
     }
     y, values, size = scene["y"], scene["values"], scene["size"]
     if scene["steps"].size:
-        shown = ~scene["inside"]
         half = 0.5 * scene["steps"] * _CORNERS
-        corners = y[shown][:, None] + np.einsum("nij,cj->nci", scene["F"][shown], half)
+        corners = y[:, None] + np.einsum("nij,cj->nci", scene["F"], half)
         n = len(corners)
         cells = np.column_stack([np.full(n, 8), np.arange(8 * n).reshape(n, 8)]).ravel()
         body = pyvista.UnstructuredGrid(cells, np.full(n, 12, dtype=np.uint8), corners.reshape(-1, 3))
-        body.cell_data["values"] = values[shown]
+        body.cell_data["values"] = values
         edges = n < 6000
         plotter.add_mesh(body, show_edges=edges, edge_color="grey", line_width=0.5, **look)
     else:
@@ -95,4 +94,5 @@ def main(source: str, target: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2])
+    for pair in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
+        main(*pair)

@@ -232,6 +232,14 @@ def test_a_run_that_does_not_reach_the_curve_is_no_number(history, message):
         read_off(history, curve([0.5, 1.5, 2.0], [1.0, 1.0, 1.0]))
 
 
+def test_a_measured_curve_is_cut():
+    measured = curve([0.0, 0.5, 1.5, 2.0], [1.0, 2.0, 3.0, 4.0], sigma=np.array([1.0, 2.0, 3.0, 4.0]))
+    part = measured.within(0.5, 1.9)
+    assert part.x.tolist() == [0.5, 1.5] and part.y.tolist() == [2.0, 3.0] and part.sigma.tolist() == [2.0, 3.0]
+    with pytest.raises(pd.CaseError, match="No measured place lies between 3 and 4"):
+        measured.within(3.0, 4.0)
+
+
 def test_measured_curves_are_read_by_the_names_of_their_columns(tmp_path):
     path = tmp_path / "m.csv"
     path.write_text("force,displacement,s\n1.0,0.1,0.5\n\n2.0,0.2,0.5\n")
@@ -535,3 +543,88 @@ def test_a_study_that_is_killed_goes_on_and_two_are_not_in_one_folder(tmp_path):
     rows = [(row["n"], row["n (result)"], row["status"]) for row in table(out)]
     assert rows == [("4", "4.0", "finished"), ("8", "8.0", "finished")]
     assert when(out)["n=4"] == before["n=4"]
+
+
+BAR = """
+import pdpetsc as pd
+
+def case(E=1500.0, yield_stress=8.0, H=60.0, length=10.0, n=12, strain=0.05, steps=50):
+    dx = length / n
+    ends = pd.region.Slab("x", high=4.2 * dx) | pd.region.Slab("x", low=length - 4.2 * dx)
+    return pd.Case(
+        particles=pd.Lattice((0.0,), (length,), dx), horizon=2.015 * dx, fields=[], checkpoints=0,
+        material=pd.J2(E=E, nu=0.3, yield_stress=yield_stress, hardening=H), scheme=pd.Correspondence(),
+        conditions=[pd.Displacement(ends, x=lambda x, t: strain * t * x[:, 0])],
+        steps=pd.Steps(steps),
+        history={
+            "u": pd.Mean(pd.displacement, "x", pd.region.Nearest((length,))),
+            "F": pd.Reaction("x", pd.region.Slab("x", low=length - 4.2 * dx)),
+        },
+    )
+"""
+# Where the last particle of it lies.
+GAUGE = 10.0 - 5.0 / 12.0
+
+
+def tensile_force(u, E, yield_stress, H):
+    """Return the force of a bar that yields and hardens linearly, in logarithmic strain and Kirchhoff stress."""
+    stretch = 1.0 + u / GAUGE
+    return hardening(np.log(stretch), E, yield_stress, H) / stretch
+
+
+@pytest.mark.long
+def test_parameters_are_found_again_from_a_noisy_closed_form(tmp_path, rng):
+    """With the solver in the loop: E, yield stress and hardening within three standard errors, which are small."""
+    truth = {"E": 1000.0, "yield_stress": 10.0, "H": 100.0}
+    u = np.linspace(0.0, 0.45, 46)
+    rows = np.column_stack([u, tensile_force(u, **truth) + rng.normal(0.0, 0.05, len(u))])
+    np.savetxt(tmp_path / "measured.csv", rows, delimiter=",", header="u,force", comments="")
+    (tmp_path / "bar.py").write_text(BAR)
+    words = ("fit", tmp_path / "bar.py", "E=500:3000", "yield_stress=1:30", "H=10:1000:log", "--to")
+    words = (
+        *words,
+        tmp_path / "measured.csv",
+        "--columns",
+        "u,F:force",
+        "--jobs",
+        "2",
+        "--picture",
+        "-o",
+        tmp_path / "out",
+    )
+    finished = tool(*words)
+    assert finished.returncode == 0, finished.stderr
+    found = json.loads((tmp_path / "out/fit.json").read_text())
+    for name, value in truth.items():
+        one = found["parameters"][name]
+        assert abs(one["value"] - value) < 3.0 * one["standard_error"]
+        assert one["standard_error"] < 0.02 * value
+    assert found["rms"] == pytest.approx(0.05, rel=0.3) and found["failed"] == 0
+    # The same command reads what is there.
+    before = when(tmp_path / "out")
+    assert tool(*words).returncode == 0
+    assert when(tmp_path / "out") == before
+    assert json.loads((tmp_path / "out/fit.json").read_text()) == found
+    # A curve that goes on where the run ends has no residual there.
+    longer = np.vstack([rows, [0.6, 11.0]])
+    np.savetxt(tmp_path / "longer.csv", longer, delimiter=",", header="u,F", comments="")
+    words = ("fit", tmp_path / "bar.py", "E=500:3000", "--to", tmp_path / "longer.csv", "--columns", "u,F")
+    finished = tool(*words, "-o", tmp_path / "out")
+    assert finished.returncode == 1
+    assert "The run goes from u = 0 to 0.479167 and the measured curve to 0.6" in finished.stderr
+
+
+@pytest.mark.long
+def test_runs_side_by_side_on_ranks_give_what_they_give_one_after_another(tmp_path):
+    (tmp_path / "case.py").write_text(BAR)
+    words = ("E=1000,2000", "steps=3", "--ranks", "2", "--jobs", "2", "-pc_type", "lu")
+    finished = tool("study", tmp_path / "case.py", *words, "-o", tmp_path / "two")
+    assert finished.returncode == 0, finished.stderr
+    assert "want 4 cores" in finished.stdout or (os.cpu_count() or 1) >= 4
+    sets = {"E": [1000.0, 2000.0], "steps": [3]}
+    alone = pd.study(tmp_path / "case.py", sets, tmp_path / "one", options=["-pc_type", "lu"])
+    for outcome in alone.outcomes:
+        twin = tmp_path / "two" / outcome.folder.name
+        assert json.loads((twin / "summary.json").read_text())["ranks"] == 2
+        both = [pd.open(folder).history["F"] for folder in (outcome.folder, twin)]
+        assert both[1] == pytest.approx(both[0], rel=1e-9, abs=1e-9)

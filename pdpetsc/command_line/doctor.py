@@ -144,7 +144,7 @@ def ranks(comm: Comm) -> list[Finding]:
             )
         ]  # fmt: skip
     speed = MESSAGE / spent / 2**30
-    return [Finding("ok", "MPI", f"{size} ranks that hear each other at {speed:.1f} GiB/s, {library}")]
+    return [Finding("ok", "MPI", f"{size} ranks that hear each other at {speed:.2g} GiB/s, {library}")]
 
 
 def _around(comm: Comm) -> float | None:

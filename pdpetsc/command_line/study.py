@@ -137,6 +137,9 @@ def run(
     console.print(on_terminal(done.outcomes))
     if done.convergence:
         console.print(of_orders(done.convergence))
+        for one in done.convergence:
+            if one.note:
+                console.print(f"{', '.join(filter(None, [named(one.group), one.result]))}: {one.note}")
     for outcome in done.failed:
         console.print(f"{outcome.name}: exit status {outcome.exit_status}: {outcome.said}")
     console.print(f"table in {folder / f'{name}.csv'}")

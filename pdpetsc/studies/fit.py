@@ -113,7 +113,8 @@ class Fit:
         Squares of residuals over their standard deviations, per degree of freedom, where deviations are given: 1 is
         right, far more means that the model is not that of the measurement.
     interpolation : float
-        What reading off between the steps of the run may be wrong, in the unit of the values.
+        What reading off between the steps of the run may be wrong, in the unit of the values; inf where there are
+        fewer than four of them, which do not tell.
     runs, failed : int
         Runs that were evaluated, and how many of them failed or ended too early.
     best : Path
@@ -279,7 +280,7 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
         )
     found = least_squares(
         search.residual, x, jac=search.jacobian, bounds=(0.0, 1.0), method="trf",
-        ftol=1e-10, xtol=1e-7, gtol=1e-10, max_nfev=max(most, 1),
+        ftol=1e-9, xtol=1e-5, gtol=1e-9, max_nfev=max(most, 1),
     )  # fmt: skip
     if found.status <= 0:
         raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
@@ -317,7 +318,9 @@ def _notes(fit: Fit, ranges: Mapping[str, Range], deviation: Float) -> list[str]
     for name, share in zip(ranges, deviation, strict=True):
         if share > 0.5:
             found.append(f"{name} is hardly determined: its standard error is {share:.1g} of its range")
-    if fit.interpolation > max(0.3 * fit.rms, 1e-4 * float(np.abs(fit.curve.y).max())):
+    if not math.isfinite(fit.interpolation):
+        found.append("the run has too few steps to tell how wrong the lines between them are: take four or more")
+    elif fit.interpolation > max(0.3 * fit.rms, 1e-4 * float(np.abs(fit.curve.y).max())):
         found.append(
             f"between the steps of the run {fit.curve.y_name} may be wrong by {fit.interpolation:.2g}, against "
             f"residuals of {fit.rms:.2g}: take more load steps"

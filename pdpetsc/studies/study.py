@@ -154,8 +154,8 @@ class Runs:
                 tell.again(question, why)
             waiting.append(number)
         self.count["kept"] += len(found)
-        for outcome in found.values():
-            tell.ended(outcome, True)
+        for number, outcome in found.items():
+            tell.ended(outcome, not questions[number].refused)
         running: dict[int, Job] = {}
         try:
             for number, outcome in self._ended(questions, waiting, running, tell):
@@ -280,6 +280,9 @@ class Study:
 @dataclass(frozen=True)
 class Refinement:
     """Which parameter makes a study finer.
+
+    ``study`` puts ``f_0 + C h^p`` through each result, with ``h`` this parameter or one over it, for each set of the
+    other parameters.
 
     Parameters
     ----------

@@ -106,12 +106,12 @@ def on_terminal(outcomes: Sequence[Outcome]) -> Table:
 
 
 def of_orders(found: Sequence[Convergence]) -> Table:
-    """Return the table of orders."""
+    """Return the table of orders; their notes are sentences and stand below it."""
     rows = _order_rows(found)
     table = Table()
-    for name in rows[0]:
-        table.add_column(name, justify="left" if name == "note" else "right")
+    for name in rows[0][:-1]:
+        table.add_column({"extrapolated": "limit", "error_bar": "+/-"}.get(name, name), justify="right")
     for row in rows[1:]:
-        short = [f"{float(value):.6g}" if value else "" for value in row[len(row) - 7 : -1]]
-        table.add_row(*row[: len(row) - 7], *short, row[-1])
+        given, numbers = row[: len(row) - 7], row[len(row) - 7 : -1]
+        table.add_row(*given, *(f"{float(value):.6g}" if value else "" for value in numbers))
     return table

@@ -21,7 +21,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import replacing
 from pdpetsc.output.reading import StoredFields
-from pdpetsc.output.scene import Scene, component_of, frame_of, limits_of, scene_of
+from pdpetsc.output.scene import Scene, component_of, frame_of, scene_of
 from pdpetsc.post.quantities import refuse_component
 from pdpetsc.post.solution import Field, stress
 
@@ -203,6 +203,9 @@ def _draw_scene(scene: Scene, path: Path, kind: str, box: tuple[Float, Float] | 
     figure = Figure(figsize=_size(low, high, scene.dim), layout="constrained")
     axes = figure.add_subplot(projection="3d" if scene.dim == 3 else None)
     (_curve, _plane, _space)[scene.dim - 1](figure, axes, scene, low, high)
+    if scene.dim == 1 and box is not None:
+        edge = 0.05 * (scene.limits[1] - scene.limits[0]) or 1.0
+        axes.set_ylim(scene.limits[0] - edge, scene.limits[1] + edge)
     axes.set_title(scene.title, fontsize=11)
     figure.savefig(path, dpi=dpi, format=kind, metadata=MARK if kind == "png" else None)
 
@@ -236,8 +239,10 @@ def _curve(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     few = len(order) <= 200
     axes.plot(scene.x[order, 0], scene.values[order], ".-" if few else "-", markersize=4, linewidth=1.2)
     axes.set(xlabel=scene.labels.axis("x"), ylabel=scene.label)
-    bottom, top = limits_of(scene.values) if np.ptp(scene.values) <= 1e-9 * np.abs(scene.values).max() else (None, None)
-    axes.set_ylim(bottom, top)
+    if np.ptp(scene.values) <= 1e-9 * np.abs(scene.values).max():
+        # Round-off is no pattern.
+        middle = float(np.median(scene.values))
+        axes.set_ylim(middle - (0.05 * abs(middle) or 1.0), middle + (0.05 * abs(middle) or 1.0))
     axes.grid(alpha=0.3)
     if scene.horizon:
         at = axes.get_xaxis_transform()

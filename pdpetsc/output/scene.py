@@ -133,9 +133,12 @@ def frame_of(
     stored = StoredFields(folder)
     stride = max(1, -(-stored.n_particles // MOST))
     x = stored.of_particles("position", stride)
+    dim = int((np.ptp(x, axis=0) > 0.0).sum())
     ends, lows, highs = [], [], []
     for step in steps:
-        ends.append(limits_of(component_of(stored.field(name, step, stride), component)))
+        values = component_of(stored.field(name, step, stride), component)
+        # A curve is shown with its peaks.
+        ends.append(limits_of(values) if dim > 1 else (float(np.nanmin(values)), float(np.nanmax(values))))
         y = x + scale * stored.field("displacement", step, stride)
         lows.append(y.min(axis=0))
         highs.append(y.max(axis=0))

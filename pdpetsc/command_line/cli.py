@@ -328,6 +328,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
+    before = _stamp(output)
     try:
         run(
             case,
@@ -339,13 +340,21 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             check=arguments.check,
             asked=_asked(arguments.path, argv),
         )
-    except CaseError:  # nothing was run: what the folder holds is of another run
-        raise
-    except BaseException:  # what a run that failed has left is worth a page too
-        _report_on(output, arguments.report and is_root(comm))
+    except BaseException:
+        # What a run that failed has left is worth a page too, but not what another one left where nothing was run.
+        _report_on(output, arguments.report and is_root(comm) and _stamp(output) != before)
         raise
     _report_on(output, arguments.report and is_root(comm))
     return 0
+
+
+def _stamp(folder: Path) -> tuple[int, int]:
+    """Return what tells a summary from one that was there before."""
+    try:
+        found = (folder / "summary.json").stat()
+    except OSError:
+        return 0, 0
+    return found.st_ino, found.st_mtime_ns
 
 
 def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:

@@ -32,7 +32,7 @@ types: .venv/ready
 docs: .venv/docs
 	rm -rf site docs/api/generated docs/examples
 	[ ! -e docs/gallery.py ] || PYTHONPATH=. $(PYTHON) docs/gallery.py docs/examples
-	PYTHONPATH=. $(PYTHON) -m sphinx -W --keep-going -q -j 2 -d out/doctrees docs site
+	PYTHONPATH=. $(PYTHON) -m sphinx -E -W --keep-going -q -j 2 -d out/doctrees docs site
 
 clean:
 	rm -rf .venv site docs/api/generated docs/examples out .pytest_cache .mypy_cache .ruff_cache

@@ -99,9 +99,16 @@ POWERS = {"^2": "²", "^3": "³", "^4": "⁴", "^T": "ᵀ", "^-1": "⁻¹", "^-T
 NO_EQUATION = re.compile(r"pd\.|[\"']|\w=\w|lambda \w+:|>>>")
 
 
+PROGRAM = re.compile(r"^\s*(class|def|return|for|if|import|from|with|@)", re.MULTILINE)
+# A block after two colons, with its indentation.
+BLOCK = re.compile(r"(?<=::\n\n)(?:(?: +\S.*)?\n)+")
+
+
 def equation(code):
     """Return a piece of code of a docstring with the symbols of its equation, where it is one."""
     text = code[0]
+    if PROGRAM.search(text):
+        return text
     if NO_EQUATION.search(text) or not re.search(r" = |\^| / | \. |\(x\)", text):
         return text
     for said, drawn in POWERS.items():
@@ -119,7 +126,8 @@ def short_signature(app, what, name, thing, options, signature, returned):
 
 def draw_equations(app, what, name, thing, options, lines):
     """Write the equations of docstrings with their symbols: ``kappa = lambda + 2 mu / dim`` as κ = λ + 2 μ / dim."""
-    lines[:] = [re.sub(r"``[^`]*``", equation, line) for line in lines]
+    text = BLOCK.sub(equation, "\n".join([*lines, ""]))
+    lines[:] = re.sub(r"``[^`]*``", equation, text).split("\n")[:-1]
 
 
 def setup(app):

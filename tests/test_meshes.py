@@ -9,10 +9,11 @@ import meshio
 import netCDF4
 import numpy as np
 import pytest
+import sympy
 
 import pdpetsc as pd
 from pdpetsc.declare import abaqus as abaqus_format
-from pdpetsc.declare import cells, formats
+from pdpetsc.declare import cells, curved, files, formats
 from pdpetsc.declare import exodus as exodus_format
 from pdpetsc.declare.cells import SIMPLICES
 from tests.test_scene import whole
@@ -655,3 +656,228 @@ def test_sides_that_are_no_facets_are_refused(tmp_path):
     # Elements without a face: all that is free of them.
     loads = [f for term in prepared(plate_with_sides(tmp_path, "abaqus", ",")) for f in getattr(term, "resultants", [])]
     np.testing.assert_allclose(loads[0][2], [2.0 * (0.5 + 0.5 + 1.0 + 1.0), 0.0], atol=1e-12)
+
+
+# --- quadratic cells
+
+X, Y, Z = sympy.symbols("x y z")
+# Corners of the reference cell of each kind, and the integral of a polynomial over it.
+REFERENCE = {
+    "triangle": ([(0, 0), (1, 0), (0, 1)], [(X, 0, 1 - Y), (Y, 0, 1)]),
+    "quad": ([(0, 0), (1, 0), (1, 1), (0, 1)], [(X, 0, 1), (Y, 0, 1)]),
+    "tetra": ([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [(X, 0, 1 - Y - Z), (Y, 0, 1 - Z), (Z, 0, 1)]),
+    "wedge": (
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)], [(X, 0, 1 - Y), (Y, 0, 1), (Z, 0, 1)],
+    ),
+    "hexahedron": (
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
+        [(X, 0, 1), (Y, 0, 1), (Z, 0, 1)],
+    ),
+    "pyramid": (
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 1)],
+        [(X, Z / 2, 1 - Z / 2), (Y, Z / 2, 1 - Z / 2), (Z, 0, 1)],
+    ),
+}  # fmt: skip
+# Kind with the number of its nodes: how many of the faces with four corners, and the cell, have a node within.
+QUADRATIC = [
+    "triangle6",
+    "quad8",
+    "quad9",
+    "tetra10",
+    "wedge15",
+    "wedge18",
+    "hexahedron20",
+    "hexahedron27",
+    "pyramid13",
+]
+
+
+def quadratic(kind, rng):
+    """Return the nodes of one cell in the order of VTK in a random quadratic map, its volume and centroid."""
+    word = kind.rstrip("0123456789")
+    count = int(kind[len(word) :])
+    corners, limits = REFERENCE[word]
+    x = [np.array(corner, dtype=float) for corner in corners]
+    x += [0.5 * (x[a] + x[b]) for a, b in curved.EDGES[word][0]]
+    faces = [face for face in cells.FACETS[word] if len(face) == 4]
+    if word == "hexahedron":  # VTK: -x, +x, -y, +y, -z, +z
+        faces = [(0, 3, 7, 4), (1, 2, 6, 5), (0, 1, 5, 4), (3, 2, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7)]
+    within = [np.mean([x[k] for k in face], axis=0) for face in faces] if len(corners[0]) == 3 else []
+    if count > len(x):
+        x += within
+    if count > len(x):
+        x.append(np.mean(x[: len(corners)], axis=0))
+    assert len(x) == count
+    dim = len(corners[0])
+    axes = (X, Y, Z)[:dim]
+    terms = [a * b for a, b in itertools.combinations_with_replacement(axes, 2)]
+    coefficients = [[sympy.Rational(int(c), 1000) for c in row] for row in rng.integers(-150, 151, (dim, len(terms)))]
+    bent = [sum(c * t for c, t in zip(row, terms, strict=True)) for row in coefficients]
+    image = [axis + part for axis, part in zip(axes, bent, strict=True)]
+    jacobian = sympy.Matrix(image).jacobian(axes).det()
+
+    def integral(integrand):
+        found = sympy.expand(integrand)
+        for limit in limits:
+            found = sympy.integrate(found, limit)
+        return float(found)
+
+    volume = integral(jacobian)
+    centroid = np.array([integral(sympy.expand(part * jacobian)) for part in image]) / volume
+    move = sympy.lambdify(axes, image)
+    return np.array([[float(v) for v in move(*node)] for node in x]), volume, centroid
+
+
+@pytest.mark.parametrize("kind", QUADRATIC)
+def test_curved_cells_have_their_volume_centroid_and_surface(kind, tmp_path, rng, monkeypatch):
+    x, volume, centroid = quadratic(kind, rng)
+    dim = x.shape[1]
+    order = np.arange(len(x))
+    orders = [order]
+    if kind in ("hexahedron20", "hexahedron27", "wedge15", "wedge18"):
+        # Exodus has the upright edges before those of the top.
+        n, m = (8, 4) if kind.startswith("hexahedron") else (6, 3)
+        other = order.copy()
+        other[n + m : n + 3 * m] = np.roll(order[n + m : n + 3 * m], m)
+        orders.append(other)
+    for taken in orders:
+        path = tmp_path / "cell.vtk"
+        if kind in ("wedge15", "pyramid13"):  # which meshio does not write
+            block = formats.block_of(kind, np.arange(len(x))[None])
+            data = cells.MeshData(x[taken], [block])
+            monkeypatch.setattr(files, "read_mesh", lambda path, form: data)
+        else:
+            written(path, x[taken], [(kind, [np.arange(len(x))])])
+        mesh = pd.Mesh(path)
+        found = mesh.chunk(0, 1)
+        assert found.volume == pytest.approx([volume], rel=1e-12)
+        assert found.x[0] == pytest.approx(centroid, rel=1e-12)
+        places, area, particle, _ = mesh.surface().arrays
+        # The divergence theorem for 1 and for x.
+        assert area.sum(axis=0) == pytest.approx(np.zeros(dim), abs=1e-13)
+        assert np.einsum("fi,fj->ij", places, area) == pytest.approx(volume * np.eye(dim), abs=1e-12)
+        assert (particle == 0).all()
+    # The corners alone are another body, which MeshNodes take.
+    word = kind.rstrip("0123456789")
+    straight = abs(cells.volumes_and_moments(x, cells.Block(word, np.arange(cells.CORNERS[word])[None]))[0][0])
+    assert abs(straight - volume) > 1e-4 * volume
+    assert whole(pd.MeshNodes(path))[1].sum() == pytest.approx(straight, rel=1e-12)
+
+
+def test_a_disc_of_curved_triangles_and_its_traction(tmp_path):
+    n = 6
+    angles = np.pi * np.arange(2 * n) / n
+    rim = np.column_stack([np.cos(angles), np.sin(angles)])
+    points = np.vstack([[[0.0, 0.0]], rim, 0.5 * rim[::2]])
+    triangles = [
+        [0, 1 + 2 * k, 1 + (2 * k + 2) % (2 * n), 1 + 2 * n + k, 2 + 2 * k, 1 + 2 * n + (k + 1) % n] for k in range(n)
+    ]
+    mesh = pd.Mesh(written(tmp_path / "disc.vtk", points, [("triangle6", triangles)]), thickness=0.5)
+    # A parabola over the chord of an arc of angle a is 2/3 of chord times sagitta.
+    a = 2.0 * np.pi / n
+    area = n * (0.5 * np.sin(a) + 2.0 / 3.0 * 2.0 * np.sin(a / 2.0) * (1.0 - np.cos(a / 2.0)))
+    assert whole(mesh)[1].sum() == pytest.approx(0.5 * area, rel=1e-14)
+    assert area == pytest.approx(np.pi, rel=3e-3)
+    _, along, _, _ = mesh.surface().arrays
+    assert np.linalg.norm(along, axis=1).sum() == pytest.approx(0.5 * 2.0 * np.pi, rel=1e-2)
+
+
+@pytest.mark.parametrize("form", ["e", "inp"])
+def test_quadratic_hexahedra_of_exodus_and_abaqus_are_the_same_body(form, tmp_path, rng):
+    x, volume, centroid = quadratic("hexahedron20", rng)
+    path = tmp_path / f"cell.{form}"
+    if form == "inp":
+        lines = ["*NODE", *(f"{k + 1}, {a}, {b}, {c}" for k, (a, b, c) in enumerate(x.tolist()))]
+        numbers = [str(k + 1) for k in range(20)]
+        lines += ["*ELEMENT, TYPE=C3D20R, ELSET=all", "1, " + ", ".join(numbers[:12]) + ",", ", ".join(numbers[12:])]
+        path.write_text("\n".join(lines) + "\n")
+    else:
+        with netCDF4.Dataset(path, "w") as file:
+            for name, size in (("num_nodes", 20), ("num_el_blk", 1), ("num_el_in_blk1", 1), ("num_nod_per_el1", 20)):
+                file.createDimension(name, size)
+            for axis, values in zip("xyz", x.T, strict=True):
+                file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = values
+            connect = file.createVariable("connect1", "i4", ("num_el_in_blk1", "num_nod_per_el1"))
+            connect.elem_type = "HEX20"
+            connect[:] = 1 + np.concatenate([np.arange(12), np.arange(16, 20), np.arange(12, 16)])[None]
+    found = pd.Mesh(path).chunk(0, 1)
+    assert found.volume == pytest.approx([volume], rel=1e-12)
+    assert found.x[0] == pytest.approx(centroid, rel=1e-12)
+
+
+def test_cells_with_nodes_in_a_wrong_order_are_refused(tmp_path, rng):
+    x, _, _ = quadratic("hexahedron20", rng)
+    wrong = np.concatenate([np.arange(8), np.roll(np.arange(8, 20), 1)])
+    path = written(tmp_path / "cell.vtk", x[wrong], [("hexahedron20", [np.arange(20)])])
+    with pytest.raises(pd.CaseError, match="not near the middles of their edges"):
+        pd.Mesh(path).chunk(0, 1)
+    points, (hexahedron,) = box("hexahedron", (1, 1, 1))
+    swapped = [*hexahedron[:4], hexahedron[5], hexahedron[4], *hexahedron[6:]]
+    with pytest.raises(pd.CaseError, match="turned inside out at a corner"):
+        pd.Mesh(written(tmp_path / "h.vtk", points, [("hexahedron", [swapped])])).chunk(0, 1)
+    # The other way round everywhere is the same cell.
+    inverted = [*hexahedron[4:], *hexahedron[:4]]
+    assert pd.Mesh(written(tmp_path / "h.vtk", points, [("hexahedron", [inverted])])).chunk(0, 1).volume == 1.0
+    plane = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.5, 1.5]])
+    for order, message in (([0, 1, 2, 3], None), ([1, 0, 2, 3], "turned inside out|no volume")):
+        path = written(tmp_path / "q.vtk", plane, [("quad", [order])])
+        if message is None:
+            assert pd.Mesh(path).chunk(0, 1).volume == pytest.approx([2.25])
+        else:
+            with pytest.raises(pd.CaseError, match=message):
+                pd.Mesh(path).chunk(0, 1)
+
+
+def test_plane_meshes_out_of_the_plane_of_x_and_y_are_refused(tmp_path):
+    points, quads = box("quad", (2, 1))
+    for turned in (np.column_stack([points[:, 0], np.full(len(points), 5.0), points[:, 1]]),
+                   np.column_stack([points, 1e-3 * points[:, 0]])):  # fmt: skip
+        with pytest.raises(pd.CaseError, match="turn the mesh"):
+            pd.Mesh(written(tmp_path / "p.vtk", turned, [("quad", quads)])).chunk(0, 1)
+    above = np.column_stack([points, np.full(len(points), 5.0)])
+    assert pd.Mesh(written(tmp_path / "p.vtk", above, [("quad", quads)])).chunk(0, 1).x.shape == (2, 2)
+
+
+# --- text clouds
+
+
+@pytest.mark.parametrize("mark", [",", ";", " ", "\t", ", "])
+def test_columns_of_text_clouds_have_names_and_separators(mark, tmp_path):
+    path = tmp_path / "cloud.csv"
+    rows = [["x", "y", "temperature", "volume", "fibre angle"]]
+    rows += [[0, 0, 20, 0.5, 0.1], [1, 0, 30, 0.5, 0.2], [0, 1, 40, 1, 0.3]]
+    if mark.isspace():
+        rows[0][-1] = "fibre_angle"
+    path.write_text("\n".join(mark.join(map(str, row)) for row in rows) + "\n")
+    cloud = pd.TextFile(path, {"some": [1, 3]})
+    x, volume, sets = whole(cloud)
+    assert x.tolist() == [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    assert volume.tolist() == [0.5, 0.5, 1.0]
+    assert sets["some"].tolist() == [True, False, True]
+    assert cloud.column("Temperature").tolist() == [20.0, 30.0, 40.0]
+    angle = cloud.function(rows[0][-1])
+    assert angle(x[::-1]).tolist() == [0.3, 0.2, 0.1]
+    assert angle(x[:1], 0.5).tolist() == [0.1]
+    with pytest.raises(pd.CaseError, match="no particle is there"):
+        angle(np.array([[0.5, 0.0]]))
+    with pytest.raises(pd.CaseError, match="no column 'angle'"):
+        cloud.column("angle")
+
+
+def test_decimal_commas_are_refused(tmp_path):
+    path = tmp_path / "cloud.txt"
+    for text in ("0,5 1 0,25\n1,5 1 0,25\n", "0,5;1;0,25\n", "0.5 1 0.25\n0,5 1 0.25\n"):
+        path.write_text(text)
+        with pytest.raises(pd.CaseError, match="not a table of numbers"):
+            whole(pd.TextFile(path))
+
+
+def test_particles_in_a_plane_are_a_solid_where_that_is_said(tmp_path):
+    path = tmp_path / "cloud.txt"
+    path.write_text("0 0 5 1 1\n1 0 5 1 1\n0 1 5 1 1\n")
+    assert whole(pd.TextFile(path))[0].shape == (3, 2)
+    assert whole(pd.TextFile(path, dim=3))[0].shape == (3, 3)
+    with pytest.raises(pd.CaseError, match="out of the 1 dimensions"):
+        whole(pd.TextFile(path, dim=1))
+    with pytest.raises(pd.CaseError, match="dim 1, 2 or 3"):
+        pd.TextFile(path, dim=4)

@@ -1,8 +1,10 @@
 """What users do with a finished run: sampling, data frames, PyVista, a first case, the doctor."""
 
+import contextlib
 import importlib
 import importlib.util
 import os
+import pty
 import subprocess
 import sys
 
@@ -13,6 +15,8 @@ import pdpetsc as pd
 from pdpetsc.command_line import doctor
 from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
+from pdpetsc.output import progress
+from pdpetsc.output.pace import Pace
 from pdpetsc.post.sampling import sampled
 from tests.commands import ROOT, TIMEOUT, results, run
 
@@ -161,6 +165,8 @@ ONE_RANK = """
 import sys
 from pdpetsc.command_line import doctor
 from pdpetsc.discrete.communicator import world
+from pdpetsc.output import progress
+from pdpetsc.output.pace import Pace
 
 def looks(comm):
     if comm.rank == 1:
@@ -408,3 +414,72 @@ def test_a_notebook_shows_a_table_and_a_picture(two, tmp_path):
     assert "<img" in first._repr_html_()
     bar(tmp_path / "taken", steps=1, picture=pd.Picture(pd.displacement, "x"))
     assert "<img" not in first._repr_html_()
+
+
+# How a run goes on.
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_the_pace_tells_what_a_step_takes_and_when_the_run_ends():
+    clock = Clock()
+    pace = Pace(clock)
+    assert np.isnan(pace.per_step) and np.isnan(pace.left)
+    clock.now += 50.0  # set-up is no step
+    pace.begin()
+    for step in range(1, 4):
+        clock.now += 2.0
+        pace.step(0.1 * step)
+    assert (pace.steps, pace.per_step) == (3, pytest.approx(2.0)) and pace.left == pytest.approx(14.0)
+    clock.now += 5.0
+    assert pace.since == pytest.approx(5.0) and pace.left == pytest.approx(9.0)
+    assert pace.words().startswith("step 3, t = 0.3, 2 s a step, ends in 9 s (")
+    # Where the run is quicker now than before, the last steps count.
+    pace = Pace(clock)
+    pace.begin(0.5, 10)
+    clock.now += 100.0
+    pace.step(0.5001)
+    for step in range(20):
+        clock.now += 1.0
+        pace.step(0.51 + 0.01 * step)
+    assert pace.steps == 31 and pace.per_step == pytest.approx(1.0) and pace.left == pytest.approx(30.0)
+    # A load that is sought may fall.
+    pace.step(0.3)
+    assert np.isnan(pace.left) and "ends in" not in pace.words()
+
+
+def test_a_line_at_the_bottom_of_a_terminal_tells_how_the_run_goes_on(tmp_path):
+    new(tmp_path / "bar.py")
+    words = [sys.executable, "-m", "pdpetsc", "bar.py", "dx=0.5", "-o", "out"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"}
+    here, there = pty.openpty()
+    process = subprocess.Popen(words, cwd=tmp_path, env=environment, stdout=there, stderr=there)
+    os.close(there)
+    said = b""
+    with contextlib.suppress(OSError):  # the end of a terminal is an error
+        while part := os.read(here, 4096):
+            said += part
+    os.close(here)
+    assert process.wait(timeout=TIMEOUT) == 0
+    assert "a step, " in said.decode() and "MiB" in said.decode()
+    # A pipe has the lines alone.
+    plain = run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "piped").stdout
+    assert "MiB predicted" in plain and "a step, " not in plain and "\x1b" not in plain
+    # So has one behind mpirun, which gives every rank a terminal of its own.
+    plain = run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "two", ranks=2).stdout
+    assert "step    1" in plain and "a step, " not in plain and "\x1b" not in plain
+
+
+def test_a_log_tells_from_time_to_time_how_the_run_goes_on(monkeypatch, caplog):
+    monkeypatch.setattr(progress, "EVERY", 0.0)
+    with caplog.at_level("INFO", "pdpetsc"), progress.LogReport(world()) as report:
+        report.begin(0.0, 0)
+        report.step(0.5, "one")
+        report.step(1.0, "two")
+    lines = [record.message for record in caplog.records]
+    assert [line.split(",")[0] for line in lines] == ["one", "step 1", "two", "step 2"]

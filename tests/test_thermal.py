@@ -579,3 +579,54 @@ def test_stress_at_points_breaks_bonds_that_are_held_against_cold(kinematics, tm
         if whole:
             drive = run.solution.problem.damage.drive.at(run.solution.state)
             assert np.allclose(drive, 1.0 / share, rtol=1e-9)
+
+
+@pytest.mark.parametrize("material", [pd.LinearElastic(10.0, 0.3, "stress"), pd.Hencky(10.0, 0.3, "stress")])
+def test_a_gradient_tears_bonds_by_the_elongation_that_drives_them(material):
+    """Beside a broken bond, in a uniform state: the stretch of a bond along the pull beyond that without force."""
+    model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.05)), material=material)
+    first = np.flatnonzero(model.cloud.x[:, 0] < 0.5)
+    u = np.zeros((model.cloud.n_owned, 2))
+    u[first, 0] = -0.3
+    assert model.break_bonds(u) > 0
+    model = expanded(model, np.diag([0.2, 0.2, 0.0]))
+    uniform = model.at(model.cloud.x[: model.cloud.n_owned] * [0.5, 0.2])
+    torn = model.matter.tensile_strain(uniform)
+    e, _ = uniform.elongated(True)
+    xi = model.families.bonds(model.cloud.x)
+    along = (np.abs(xi[:, 1]) < 1e-9) & (torn > 0.0)
+    assert along.any()
+    assert np.allclose(torn[along], (e / np.linalg.norm(xi, axis=1))[along], rtol=1e-9)
+
+
+def test_a_particle_without_a_gradient_is_asked_for_no_stress():
+    """A soil that cannot be pulled has none at F = I once it is cold; it is not asked for it where it is lost."""
+    soil = pd.DruckerPrager(E=100.0, nu=0.3, cohesion=0.01, friction=0.4, dilatancy=0.0)
+    model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.5)), material=soil)
+    n = model.cloud.n_owned
+    corner, ends = int(np.argmin(model.cloud.x[:n].sum(axis=1))), model.families
+    model.problem.damage.bonds.integrity[(ends.centres == corner) | (ends.neighbours == corner)] = 0.0
+    model.take_failure()
+    matter = model.matter
+    assert matter.lost.any()
+    lost = np.unique(matter.operator.owner[matter.lost])
+    strain = np.zeros((n, 3, 3))
+    strain[lost] = -0.05 * np.eye(3)
+    cold = expanded(model, strain)
+    still = cold.at(np.zeros((n, 2)))
+    assert not all(one.defined(cold.matter.deformation(still)) for one in cold.matter.materials)
+    assert cold.matter.admissible(still)
+
+
+def test_a_rate_law_with_a_temperature_of_its_own_is_refused_in_a_body_that_has_one():
+    """It would not follow that of the body; a law by temperature does."""
+
+    def steel(T):
+        rate = pd.rate.JohnsonCook(duration=1.0, C=0.01, rate_0=1.0, temperature=T, melting=1800.0)
+        return pd.J2(E=200e3, nu=0.3, yield_stress=250.0, rate=rate)
+
+    for material in (steel(293.0), pd.Graded(steel(293.0), lambda x: 1.0 + x[:, 0])):
+        with pytest.raises(pd.CaseError, match="has a temperature of its own, 293"):
+            pd.Thermal(material, 1.2e-5)
+    pd.Thermal(steel(293.0), 1.2e-5, law=steel)
+    pd.Thermal(dataclasses.replace(steel(293.0), rate=pd.rate.Perzyna(1.0, 1.0, 1.0)), 1.2e-5)

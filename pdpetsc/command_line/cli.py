@@ -44,8 +44,8 @@ Every other -option goes to PETSc: -snes_monitor, -ksp_type gmres, ...
 
 python -m pdpetsc new FILE.py                    writes a commented case to begin with
 python -m pdpetsc plot DIR                       draws a run: deformed body, history, Newton's convergence
-python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
 python -m pdpetsc report DIR                     writes report.html of a run, one page with all of it
+python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and makes one table and picture
 python -m pdpetsc study CASE.py NAME=A,B ...     the same, some side by side, with orders of convergence
 python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history is that of a measured curve
 python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab

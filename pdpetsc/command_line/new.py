@@ -46,8 +46,10 @@ def case(dx=1.0, strain=0.01):
         steps=pd.Steps(4),
         # What goes to the files at every step, for ParaView and pd.open.
         fields=[pd.displacement, pd.stress],
-        # One number a step, in history.csv; the last ones are the results of the run.
+        # One number a step, in history.csv.
         history={{"force": pd.Reaction("x", right)}},
+        # What the run prints; expect={{"force": pd.Expected(...)}} and --check compare it with what is known.
+        results=lambda history: {{"force": history["force"][-1]}},
         picture=pd.Picture(pd.stress, "xx"),
     )
 '''

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare import curved
 
-# Simplices that a cell is divided into, by its corner nodes; nodes between corners are left out: edges are straight.
+# Simplices that a cell is divided into, by its corner nodes.
 SIMPLICES: dict[str, list[tuple[int, ...]]] = {
     "line": [(0, 1)],
     "triangle": [(0, 1, 2)],
@@ -47,6 +48,19 @@ FACETS: dict[str, list[tuple[int, ...]]] = {
     "wedge": [(0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)],
     "hexahedron": [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)],
 }
+# Corners with the ends of the edges there, right-handed in a cell of positive volume; at the tip of a pyramid those of
+# the four tetrahedra that its base falls into.
+_AT_CORNERS: dict[str, list[tuple[int, list[tuple[int, ...]]]]] = {
+    "quad": [(0, [(1, 3)]), (1, [(2, 0)]), (2, [(3, 1)]), (3, [(0, 2)])],
+    "pyramid": [(0, [(1, 3, 4)]), (1, [(2, 0, 4)]), (2, [(3, 1, 4)]), (3, [(0, 2, 4)])],
+    "wedge": [
+        (0, [(1, 2, 3)]), (1, [(2, 0, 4)]), (2, [(0, 1, 5)]), (3, [(5, 4, 0)]), (4, [(3, 5, 1)]), (5, [(4, 3, 2)]),
+    ],
+    "hexahedron": [
+        (0, [(1, 3, 4)]), (1, [(2, 0, 5)]), (2, [(3, 1, 6)]), (3, [(0, 2, 7)]),
+        (4, [(7, 5, 0)]), (5, [(4, 6, 1)]), (6, [(5, 7, 2)]), (7, [(6, 4, 3)]),
+    ],
+}  # fmt: skip
 CORNERS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
 # Corners of a facet at most.
@@ -108,14 +122,24 @@ class MeshData:
 
 
 def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
-    """Return signed volumes (n,) and first moments (n, dim) of the cells between straight edges.
+    """Return signed volumes (n,) and first moments (n, dim) of the cells.
 
-    Faces with four corners are bilinear surfaces, the same for both neighbours, flat or not: ``V = 1/3 oint x . da``
-    and ``int x_a dV = 1/2 oint x_a^2 da_a``, exact with 2 x 2 points.
+    Edges with a node in their middle are the parabolas through it, faces the surfaces of the shape functions; edges
+    without one are straight, and faces with four corners then bilinear surfaces. All are the same for both neighbours,
+    flat or not: ``V = 1/dim oint x . da`` and ``int x_a dV = 1/2 oint x_a^2 da_a`` are integrated exactly.
     """
     dim = points.shape[1]
     volume = np.zeros(len(block.nodes))
     moment = np.zeros((len(block.nodes), dim))
+    inner = middles(points, block)
+    if inner is not None:
+        low = points[block.nodes[:, 0]]
+        for corners, middle in zip(FACETS[block.kind], inner, strict=True):
+            x, area = curved.quadrature(points, block.nodes[:, list(corners)], middle, fine=True)
+            x = x - low[:, None]
+            volume += np.einsum("nqa,nqa->n", x, area) / dim
+            moment += 0.5 * (x**2 * area).sum(axis=1)
+        return volume, moment + volume[:, None] * low
     if any(len(corners) == _WIDTH for corners in FACETS[block.kind]):
         low = points[block.nodes[:, 0]]
         for corners in FACETS[block.kind]:
@@ -130,6 +154,45 @@ def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
         volume += part
         moment += part[:, None] * corners_of.mean(axis=1)
     return volume, moment
+
+
+def middles(points: Float, block: Block) -> GlobalIndex | None:
+    """Return the nodes within the facets of quadratic cells (n_facets, n, 5), None where all of them are straight.
+
+    Raises
+    ------
+    CaseError
+        They are in no known order.
+    """
+    if block.dim < 2 or points.shape[1] != block.dim:
+        return None
+    found = curved.middles(points, block.kind, block.nodes, CORNERS[block.kind], FACETS[block.kind])
+    for corners, middle in zip(FACETS[block.kind], found, strict=True):
+        wide = np.pad(block.nodes[:, list(corners)], ((0, 0), (0, _WIDTH - len(corners))), constant_values=-1)
+        if curved.bent(points, wide, middle).any():
+            return found
+    return None
+
+
+def tangled(points: Float, block: Block) -> Mask:
+    """Return which cells are turned inside out somewhere (n,): their nodes are in a wrong order, or moved too far.
+
+    The sign of the volume that the edges at a corner span is that of the cell at every corner; a plane cell may have
+    one corner that points inward. Corners whose edges lie in a plane, as of collapsed cells, do not count.
+    """
+    x = points[block.corners]
+    if block.kind in ("line", "vertex", "triangle", "tetra"):
+        return np.zeros(len(x), dtype=bool)
+    spans = []
+    for corner, others in _AT_CORNERS[block.kind]:
+        for three in others:
+            edges = x[:, list(three)] - x[:, [corner]]
+            size = np.prod(np.linalg.norm(edges, axis=2), axis=1)
+            span = np.linalg.det(edges)
+            spans.append(np.where(np.abs(span) > _FLAT * size, np.sign(span), 0.0))
+    signs = np.stack(spans, axis=1)
+    fewer = np.minimum((signs > 0.0).sum(axis=1), (signs < 0.0).sum(axis=1))
+    return np.asarray(fewer > (1 if block.dim == 2 else 0))
 
 
 def _quadrature(x: Float) -> tuple[Float, Float]:
@@ -189,8 +252,10 @@ def edge_lengths(points: Float, blocks: list[Block]) -> Float:
     return np.asarray(sums / np.maximum(count, 1))
 
 
-def flat_parts(points: Float, corners: GlobalIndex, x: Float, area: Float) -> tuple[Float, Float, GlobalIndex]:
-    """Return facets as they are, and four points in the place of those that are not flat.
+def flat_parts(
+    points: Float, corners: GlobalIndex, x: Float, area: Float, middle: GlobalIndex
+) -> tuple[Float, Float, GlobalIndex]:
+    """Return facets as they are, and several points in the place of those that are not flat or straight.
 
     Parameters
     ----------
@@ -198,15 +263,28 @@ def flat_parts(points: Float, corners: GlobalIndex, x: Float, area: Float) -> tu
         Nodes of facets in turn, followed by -1 where there are fewer than four.
     x, area : (n, dim) float64
         Centroids and vector areas.
+    middle : (n, 5) int64
+        Nodes within quadratic facets, -1 where there are none.
 
     Returns
     -------
     x, area, facet
         Centroids and vector areas (n_parts, dim), and the facet (n_parts,) of each: ``sum x (x) a`` is that of the
-        bilinear surface.
+        bilinear or quadratic surface.
     """
-    bent = _warped(points, corners)
-    places, areas, facet = [x[~bent]], [area[~bent]], [np.flatnonzero(~bent)]
+    round_ = curved.bent(points, corners, middle)
+    bent = _warped(points, corners) & ~round_
+    as_is = ~(bent | round_)
+    places, areas, facet = [x[as_is]], [area[as_is]], [np.flatnonzero(as_is)]
+    count = (corners >= 0).sum(axis=1)
+    for m in (2, 3, 4):
+        rows = np.flatnonzero(round_ & (count == m))
+        if len(rows):
+            at, of = curved.quadrature(points, corners[rows, :m], middle[rows], fine=False)
+            sign = np.where((of.sum(axis=1) * area[rows]).sum(axis=1) < 0.0, -1.0, 1.0)
+            places.append(at.reshape(-1, x.shape[1]))
+            areas.append((sign[:, None, None] * of).reshape(-1, x.shape[1]))
+            facet.append(np.repeat(rows, at.shape[1]))
     if bent.any():
         at, of = _quadrature(points[corners[bent]])
         sign = np.where((of.sum(axis=1) * area[bent]).sum(axis=1) < 0.0, -1.0, 1.0)
@@ -291,6 +369,8 @@ class CellFacets:
         The corner nodes in turn, followed by -1 where there are fewer.
     place : (n_facets,) int64
         Which of the ``FACETS`` of its cell each is.
+    middle : (n_facets, 5) int64
+        Nodes within quadratic facets, in the middles of edges in turn and one within, -1 where there are none.
     """
 
     key: GlobalIndex
@@ -299,6 +379,7 @@ class CellFacets:
     centre: Float
     corners: GlobalIndex
     place: GlobalIndex
+    middle: GlobalIndex
 
     @property
     def shared(self) -> tuple[GlobalIndex, GlobalIndex]:
@@ -324,12 +405,13 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
     blocks : list of Block
         Cells of dimension ``dim``.
     """
-    keys, cells, areas, centres, turns, places = [], [], [], [], [], []
+    keys, cells, areas, centres, turns, places, within = [], [], [], [], [], [], []
     before = 0
     for block in blocks:
         number = before + np.arange(len(block.nodes))
         before += len(number)
         sign = np.where(volumes_and_moments(points, block)[0] < 0.0, -1.0, 1.0)
+        inner = middles(points, block)
         for place, corners in enumerate(FACETS[block.kind]):
             nodes = block.nodes[:, list(corners)]
             keys.append(facet_keys(nodes))
@@ -338,6 +420,8 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
             areas.append(sign[:, None] * _vector_area(points[nodes], place))
             centres.append(_centroid(points[nodes]))
             places.append(np.full(len(number), place))
+            none = np.full((len(number), curved.MIDDLES), -1)
+            within.append(none if inner is None else inner[place])
     return CellFacets(
         np.concatenate(keys),
         np.concatenate(cells),
@@ -345,6 +429,7 @@ def facets(points: Float, blocks: list[Block]) -> CellFacets:
         np.concatenate(centres),
         np.concatenate(turns),
         np.concatenate(places),
+        np.concatenate(within),
     )
 
 

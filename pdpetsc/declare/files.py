@@ -25,6 +25,7 @@ from pdpetsc.declare.cells import (
     on_sides,
     parts_of_facets,
     shares_of_nodes,
+    tangled,
     volumes_and_moments,
     with_corners_in,
 )
@@ -42,7 +43,10 @@ NO_VOLUME = 1e-10
 
 @dataclass(frozen=True)
 class Mesh(Particles):
-    """One particle per cell of a mesh, at the cell's centroid and with its volume between straight edges.
+    """One particle per cell of a mesh, at the cell's centroid and with its volume.
+
+    Edges with a node in their middle are the parabolas through it, faces the quadratic surfaces through theirs:
+    volumes, centroids and the surface are those of the curved cells. Edges without one are straight.
 
     The cells of the highest dimension count. What the file names becomes named sets:
 
@@ -124,7 +128,7 @@ class Mesh(Particles):
                 cut |= crack.cuts(x[found.cell[one]], x[found.cell[other]])
             free[one[cut]] = free[other[cut]] = True
         at = np.flatnonzero(free)
-        x, area, facet = flat_parts(points, found.corners[at], found.centre[at], found.area[at])
+        x, area, facet = flat_parts(points, found.corners[at], found.centre[at], found.area[at], found.middle[at])
         tags = {name: flags[at[facet]] for name, flags in _tags(mesh, found, blocks).items()}
         count = sum(len(block.nodes) for block in blocks)
         return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags)
@@ -137,7 +141,10 @@ class Mesh(Particles):
             raise CaseError(f"{self.path} has no cells that particles can be made of.")
         points = without_constant(mesh.points, dim)
         if points.shape[1] != dim:
-            raise CaseError(f"{self.path} has cells of {dim} dimensions that do not lie along the coordinate axes.")
+            raise CaseError(
+                f"{self.path} has cells of {dim} dimensions that do not lie in the plane of x and y, or on a line "
+                f"along x; turn the mesh."
+            )
         return mesh, points, [block for block in mesh.blocks if block.dim == dim]
 
     def _depth(self, points: Float) -> float:
@@ -148,8 +155,8 @@ class Mesh(Particles):
 class MeshNodes(Mesh):
     """One particle per corner node of a mesh, with the volume of its dual cell: some sit on the boundary itself.
 
-    Simplices share their volume equally between their corners, facets their area: prescribed displacements then act on
-    the boundary, not half a cell inside. The sets are
+    Edges are straight: nodes between corners are left out. Simplices share their volume equally between their corners,
+    facets their area: prescribed displacements then act on the boundary, not half a cell inside. The sets are
 
     - cell sets, element blocks and physical groups: the corners of their cells, those on a common border in both;
     - groups of boundary lines and faces: the corners of these, as ``name facets`` where cells have the name;
@@ -166,6 +173,12 @@ class MeshNodes(Mesh):
     >>> import pdpetsc as pd
     >>> plate = pd.MeshNodes("plate.msh", thickness=2.0)
     """
+
+    def _cells(self) -> tuple[MeshData, Float, list[Block]]:
+        """Return what Mesh has, with the corners of the cells alone."""
+        mesh, points, chosen = super()._cells()
+        mesh = replace(mesh, blocks=[Block(block.kind, block.corners) for block in mesh.blocks])
+        return mesh, points, [block for block in mesh.blocks if block.dim == chosen[0].dim]
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the corner nodes."""
@@ -221,6 +234,13 @@ def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tu
             box = np.prod(np.ptp(points[block.corners], axis=1), axis=1)
             x = moment / volume[:, None]
             none = np.flatnonzero(~((np.abs(volume) > NO_VOLUME * box) & np.isfinite(x).all(axis=1)))
+            wrong = np.flatnonzero(tangled(points, block))
+        if len(wrong) and not len(none):
+            raise CaseError(
+                f"{len(wrong)} cells of kind {block.kind} in {path} are turned inside out at a corner, the first at "
+                f"{points[block.corners[wrong[0]]].mean(axis=0)}: their nodes are in a wrong order, or too far out of "
+                f"place."
+            )
         if len(none):
             raise CaseError(
                 f"{len(none)} cells of kind {block.kind} in {path} have no volume, the first at "

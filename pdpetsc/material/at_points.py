@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.material.base import Material
 
 # Points that are compared first, most of the time to find a difference.
@@ -116,15 +116,16 @@ class MaterialAtPoints:
         """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
         return self.material.hidden_stretch(F, self.history, *self._time(self.material, self._constants))
 
-    def defined(self, F: Float) -> bool:
-        """Return whether it has a stress at F (all points, dim, dim)."""
-        if not self.material.defined(F, self.points, self.history):
+    def defined(self, F: Float, lost: Mask | None = None) -> bool:
+        """Return whether it has a stress at F (all points, dim, dim), but for points that are lost (all points,)."""
+        rows = np.arange(len(self.points)) if lost is None else np.flatnonzero(~lost[self.points])
+        if not self.material.defined(F, self.points[rows], self.history[rows]):
             return False
         if not self.material.may_fail:
             return True
         P = np.empty_like(F)
         self.stress(F, P)
-        return bool(np.isfinite(P[self.points]).all())
+        return bool(np.isfinite(P[self.points[rows]]).all())
 
     def plastic_growth(self, F: Float) -> Float:
         """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""

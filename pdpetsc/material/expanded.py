@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.expanded import pull_back_kernel, pull_back_stress_kernel
 from pdpetsc.material.at_points import MaterialAtPoints
@@ -247,13 +247,15 @@ class ExpandedAtPoints(MaterialAtPoints):
             return np.asarray(elastic + (self._hidden - 1.0).sum(axis=1))
         return np.asarray(elastic * self._hidden.prod(axis=1))
 
-    def defined(self, F: Float) -> bool:
-        """Return whether it has a stress at F (all points, dim, dim)."""
+    def defined(self, F: Float, lost: Mask | None = None) -> bool:
+        """Return whether it has a stress at F (all points, dim, dim), but for points that are lost (all points,)."""
         inside = F[self.points]
-        elastic = self._elastic(inside)
-        if not all(law.material.defined(elastic, law.rows, history) for law, history in self._by_law()):
-            return False
-        return not self.material.may_fail or bool(np.isfinite(self._stress(inside)).all())
+        elastic, kept = self._elastic(inside), np.ones(len(inside), dtype=bool) if lost is None else ~lost[self.points]
+        for law, history in self._by_law():
+            here = kept[law.rows]
+            if not law.material.defined(elastic, law.rows[here], history[here]):
+                return False
+        return not self.material.may_fail or bool(np.isfinite(self._stress(inside)[kept]).all())
 
     def plastic_growth(self, F: Float) -> Float:
         """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""

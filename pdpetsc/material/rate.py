@@ -64,6 +64,11 @@ class RateLaw(Declared, ABC):
             Growth of the plastic strain in the step [-] and its time [time]; the rate is their quotient.
         """
 
+    @property
+    def fixed_temperature(self) -> float | None:
+        """Return the temperature that it takes the body to have, None where it takes none."""
+        return None
+
     def _positive(self, *names: str) -> None:
         for name in names:
             value = getattr(self, name)
@@ -126,7 +131,8 @@ class JohnsonCook(RateLaw):
     """Johnson and Cook's factors: ``y (1 + C ln(rate / rate_0)) (1 - T*^m)``, the first one from ``rate_0`` on.
 
     ``T* = (temperature - room) / (melting - room)``, 0 below ``room``; the temperature does not change with the flow.
-    Their hardening ``B alpha^n`` is ``pd.hardening.Power(B, n)``.
+    Of a body with a temperature the law is given for each: ``pd.Thermal(steel(293.0), ..., law=steel)`` with a function
+    ``steel`` of the temperature. Their hardening ``B alpha^n`` is ``pd.hardening.Power(B, n)``.
 
     Parameters
     ----------
@@ -176,6 +182,11 @@ class JohnsonCook(RateLaw):
                 f"JohnsonCook takes room and body temperatures below that of melting, not {self.room}, "
                 f"{self.temperature} and {self.melting}."
             )
+
+    @property
+    def fixed_temperature(self) -> float:
+        """Return ``temperature``."""
+        return self.temperature
 
     @property
     def heat(self) -> float:

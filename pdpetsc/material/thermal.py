@@ -115,6 +115,15 @@ class Thermal(Declared):
             if given is not None and not good:
                 raise CaseError(f"Thermal takes positive numbers as {name}, not {shown(given)}.")
         _ = self.axes
+        plain = self.material.material if isinstance(self.material, Graded) else self.material
+        rate = getattr(plain, "rate", None)
+        fixed = None if rate is None else rate.fixed_temperature
+        if fixed is not None and self.law is None:
+            raise CaseError(
+                f"The rate law {type(rate).__name__} in a Thermal material has a temperature of its own, {fixed:g}, "
+                f"and would not follow that of the body; give the material as a function of the temperature: "
+                f"Thermal(..., law=lambda T: ...)."
+            )
 
     @property
     def axes(self) -> Float | None:

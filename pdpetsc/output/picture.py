@@ -247,7 +247,7 @@ def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
 
     cells = scene.y[:, None, :2] + np.einsum("nij,ncj->nci", scene.F, _outlines(scene))
     drawn = PolyCollection(
-        cells, array=scene.values, cmap="viridis", edgecolors="face", linewidths=0.2, rasterized=True
+        cells, array=scene.values, cmap="viridis", edgecolors="face", linewidths=0.4, rasterized=True
     )
     drawn.set_clim(*scene.limits)
     axes.add_collection(drawn, autolim=False)
@@ -264,7 +264,8 @@ def _plane(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
 def _outlines(scene: Scene) -> Float:
     """Return the outline of each particle before it is deformed, about its middle (n, corners, 2) [length]."""
     if scene.steps is not None:
-        square = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+        # A hundredth larger, so that no seams show between cells.
+        square = 0.505 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
         return np.asarray(np.broadcast_to(square * scene.steps, (len(scene.y), 4, 2)))
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     # A little more than what touches the nearest neighbour, as the others are farther.

@@ -35,8 +35,8 @@ def main(source: str, target: str) -> None:
         "clim": [low, high],
         "cmap": "viridis",
         "scalar_bar_args": bar,
-        "ambient": 0.55,
-        "diffuse": 0.5,
+        "ambient": 0.8,
+        "diffuse": 0.25,
         "specular": 0.0,
     }
     y, values, size = scene["y"], scene["values"], scene["size"]
@@ -68,12 +68,12 @@ def main(source: str, target: str) -> None:
     bounds = (tick * np.array([np.floor(box[0] / tick + 1e-6), np.ceil(box[1] / tick - 1e-6)])).T.ravel().tolist()
     horizon = float(scene["horizon"])
     if horizon > 0.0:
-        # To scale, beside the corner that is next to the eye.
-        away = 1.5 * horizon + 0.08 * float(np.linalg.norm(box[1] - box[0]))
-        at = np.array([box[1, 0] + away, box[0, 1] - away, box[0, 2]])
+        # To scale, above the corner on the left.
+        away = 1.2 * horizon + 0.06 * float(np.linalg.norm(box[1] - box[0]))
+        at = np.array([box[0, 0], box[0, 1], box[1, 2] + away])
         plotter.add_mesh(pyvista.Sphere(radius=horizon, center=at), color="tomato", opacity=0.6)
         plotter.add_point_labels(
-            at[None] + [[1.3 * horizon, 0.0, -horizon]], ["horizon"], show_points=False, shape=None, font_size=18,
+            at[None] + [[1.2 * horizon, 0.0, 0.0]], ["horizon"], show_points=False, shape=None, font_size=18,
             text_color="black", always_visible=True,
         )  # fmt: skip
     plotter.add_text(str(scene["title"]), position="upper_left", font_size=13, color="black")

@@ -125,6 +125,8 @@ class ScalarMatrix:
         """
         # The difference to the start: given values have none.
         residual = b - self.product(start)
+        # What nothing joins to others keeps its value, if no heat enters it.
+        stuck = np.where(self._lonely & ~self._held, np.abs(residual), 0.0)
         residual[self._held | self._lonely] = 0.0
         x, r = self._inside.createVecs()
         round_off = r.duplicate()
@@ -145,7 +147,8 @@ class ScalarMatrix:
             good = bool(np.isfinite(r.norm()) and r.norm() <= max(GOOD * size, floor))
         for vector in (x, r, round_off):
             vector.destroy()
-        return found, iterations, good
+        lost, whole = total(self._cloud.comm, [float((stuck**2).sum()), float((b**2).sum())])
+        return found, iterations, good and bool(lost <= GOOD**2 * whole)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

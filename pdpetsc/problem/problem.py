@@ -12,6 +12,7 @@ from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.problem.ahead import Ahead
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.state import State
@@ -41,6 +42,8 @@ class Problem:
         The term that holds loose particles, whose springs solvers move; None where bonds cannot fail.
     ahead : list of Ahead
         What is found before the equilibrium of each load step.
+    last_step : LastStep or None
+        How far the body moved in the last load step, where its material has a history and nothing else changes.
 
     Notes
     -----
@@ -57,6 +60,9 @@ class Problem:
         self.damage = damage
         self.springs: LooseSprings | None = None
         self.ahead: list[Ahead] = []
+        # What has been cut off a cell, heated or damaged does not go on as in the step before.
+        goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
+        self.last_step = LastStep(self) if goes_on and matter.has_history else None
         self._last: State | None = None
         self._last_version = -1
         self._unstrained: tuple[tuple[float, int, int], Float] | None = None
@@ -220,7 +226,7 @@ class Problem:
         for number, term in enumerate(self.terms):
             for name, array in term.arrays().items():
                 found[f"{number}_{type(term).__name__}_{name}"] = array
-        return found
+        return found if self.last_step is None else {**found, **self.last_step.arrays()}
 
     def restored(self) -> None:
         """Let terms follow their arrays, which have been read (not collective)."""
@@ -234,6 +240,8 @@ class Problem:
             self.damage.commit(state)
         for term in self.terms:
             term.commit(state)
+        if self.last_step is not None:
+            self.last_step.commit(state)
 
     def revert(self) -> None:
         """Take back what failed since the last ``commit``."""

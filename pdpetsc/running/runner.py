@@ -349,6 +349,7 @@ class _Run:
             self.report.cut_back(at, dt, result)
 
         self.unit = solver.unit
+        self.report.begin(start.t, step)
         self.phases.now = "solve"
         before = time.perf_counter()
         for converged in prepared.march(solver, _start(start), on_failure):

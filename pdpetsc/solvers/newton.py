@@ -125,10 +125,12 @@ class StaticSolver(LoadStepSolver):
             self._equip()
         if self._all_prescribed:
             return self._without_solve()
-        start, linear = u, 0
-        if total(self._comm, np.count_nonzero(sought.prescribed != old_prescribed)):
-            start, linear = self._predict(u, sought.prescribed - np.where(self._fixed, u, 0.0))
-        linear += self._iterate(start)
+        linear = self._as_before(u, t)
+        if linear is None:
+            start, linear = u, 0
+            if total(self._comm, np.count_nonzero(sought.prescribed != old_prescribed)):
+                start, linear = self._predict(u, sought.prescribed - np.where(self._fixed, u, 0.0))
+            linear += self._iterate(start)
         resting = sought.resting
         for _ in range(RESTS):
             if resting or self.snes.getConvergedReason() <= 0:
@@ -154,6 +156,23 @@ class StaticSolver(LoadStepSolver):
             sought.tangent.forget()
         self.resumed = None
         return sought.at_prescribed(found), result
+
+    def _as_before(self, u: Float, t: float) -> int | None:
+        """Run SNES from where the step before leads to; return the linear iterations, None where that fails."""
+        last, sought = self.problem.last_step, self._equilibrium
+        if last is None:
+            return None
+        last.begin(u)
+        ahead = last.moved_on(u, t)
+        if ahead is None:
+            return None
+        linear = self._run(sought.at_prescribed(ahead))
+        if not self._failed() or self.stop():
+            return linear
+        sought.reason = ""
+        sought.norms.clear()
+        sought.tangent.forget()
+        return None
 
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""

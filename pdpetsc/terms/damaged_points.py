@@ -106,6 +106,11 @@ class DamagedPoints(MaterialPoints):
         return self._dead
 
     @property
+    def _without(self) -> Mask:
+        """Return the points that are lost: a law that flowed to where it has no stress at F = I is not asked there."""
+        return self._dead
+
+    @property
     def linear(self) -> bool:  # type: ignore[override]
         """Return whether materials are linear and damage stays."""
         return self._linear and not self.damage.bonds.softens
@@ -217,7 +222,7 @@ class DamagedPoints(MaterialPoints):
         hurt = np.zeros(cloud.n_owned, dtype=bool)
         hurt[families.centres[~bonds_here.intact]] = True
         strain = np.zeros(len(bonds_here.intact))
-        deformation = self.strained(state)
+        deformation, free = self.strained(state)
         points = np.flatnonzero(hurt[operator.owner] & (operator.volume > 0.0))
         if len(points) == 0:
             return strain
@@ -231,6 +236,8 @@ class DamagedPoints(MaterialPoints):
         served = (bonds >= 0) & operator.g[entries].any(axis=1)
         bonds, of = bonds[served], of[served]
         xi = cloud.x[families.neighbours[bonds]] - cloud.x[families.centres[bonds]]
+        if free is not None:  # the bond is as long as it is without force
+            xi = np.einsum("eij,ej->ei", free[points[of]], xi)
         pulled = np.linalg.norm(np.einsum("eij,ej->ei", positive[of], xi), axis=1)
         np.maximum.at(strain, bonds, pulled / bonds_here.length[bonds])
         return strain

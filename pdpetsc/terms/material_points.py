@@ -147,20 +147,39 @@ class MaterialPoints(Matter):
         # The operator is kept too: while it lives no other object can have its id.
         return state.kept(("F", id(operator)), lambda: (operator, make()))[1]
 
-    def strained(self, state: State) -> Float:
-        """Return what is left of F without the stress-free deformation, ``F F_theta^-1`` (n_points, dim, dim) [-]."""
+    def strained(self, state: State) -> tuple[Float, Float | None]:
+        """Return what is left of F without the stress-free deformation, and that deformation (n_points, dim, dim) [-].
+
+        ``F F_theta^-1`` and ``F_theta``; None where a body does not expand. Points of linear materials have ``F - eps``
+        and 1.
+        """
         F, expansion, dim = self.deformation(state), self.body.expansion, self.body.dim
         if expansion is None:
-            return F
-        stretch = np.eye(dim) + expansion.strain(state.t)[:, :dim, :dim]
-        return np.asarray(F @ np.linalg.inv(stretch)[self.operator.owner])
+            return F, None
+        strain = expansion.strain(state.t)[self.operator.owner, :dim, :dim]
+        left, free = np.empty_like(F), np.tile(np.eye(dim), (len(F), 1, 1))
+        for one in self.materials:
+            at = one.points
+            if one.material.linear:
+                left[at] = F[at] - strain[at]
+                continue
+            free[at] += strain[at]
+            left[at] = F[at] @ np.linalg.inv(free[at])
+        return left, free
 
     def admissible(self, state: State) -> bool:
         """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
         F = self.deformation(state)
         if self._linear:
             return True
-        return bool(determinant_kernel(self.body.dim)(F) > 0.0) and all(one.defined(F) for one in self.materials)
+        if not determinant_kernel(self.body.dim)(F) > 0.0:
+            return False
+        return all(one.defined(F, self._without) for one in self.materials)
+
+    @property
+    def _without(self) -> Mask | None:
+        """Return which points have no gradient any more, and so no stress to be defined (n_points,); None for none."""
+        return None
 
     def stress(self, F: Float) -> Float:
         """Return ``P_p`` (n_points, dim, dim) [stress]."""

@@ -1,0 +1,102 @@
+"""How far a body moved in the last load step, from which the next one starts where its material remembers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.state import State
+from pdpetsc.problem.supports import Supports
+from pdpetsc.problem.term import KeptArray
+
+# Conditions go on as before where they differ by at most this share of their change in the coming step.
+STRAIGHT = 0.1
+
+
+class Loaded(Protocol):
+    """What it asks a problem for."""
+
+    body: Body
+    supports: Supports
+
+    def state(self, u: Float, t: float) -> State:
+        """Return a state (collective)."""
+        ...
+
+    def external_force(self, state: State) -> Float:
+        """Return the loads (n_rows, dim) [force] (collective)."""
+        ...
+
+    def admissible(self, state: State) -> bool:
+        """Return whether the body has a stress there (collective)."""
+        ...
+
+
+class LastStep:
+    """The change of the displacement in the last load step of a body whose material has a history.
+
+    At a state that has been committed the tangent of a material that has flowed is elastic, so that the linear response
+    to new conditions leads far from what flows on; the step before, moved on, leads near to it as long as conditions do
+    not turn.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is solved.
+
+    Notes
+    -----
+    Methods are collective but where they say otherwise.
+    """
+
+    def __init__(self, problem: Loaded) -> None:
+        self._problem = problem
+        n, dim = problem.body.cloud.n_owned, problem.body.dim
+        self._change = np.zeros((n, dim))
+        # Step times of its end and its beginning, the same for all particles.
+        self._times = np.zeros((n, 2))
+        self._from: Float | None = None
+
+    def begin(self, u: Float) -> None:
+        """Say where a step starts from, unknowns (n_rows, dim) [length] (not collective)."""
+        self._from = u[: len(self._change)].copy()
+
+    def commit(self, state: State) -> None:
+        """Take a converged step (not collective)."""
+        if self._from is None:
+            return
+        self._times[:] = np.stack([np.full(len(self._times), state.t), self._times[:, 0]], axis=1)
+        self._change[:] = state.own - self._from
+
+    def arrays(self) -> Mapping[str, KeptArray]:
+        """Return what a continued run needs (not collective)."""
+        own = np.arange(len(self._change), dtype=np.int32)
+        return {"last_step_change": KeptArray(own, self._change), "last_step_times": KeptArray(own, self._times)}
+
+    def moved_on(self, u: Float, t: float) -> Float | None:
+        """Return unknowns (n_rows, dim) at step time ``t`` if the body goes on as before [length].
+
+        None where there is no step before, conditions turn, or the body is not admissible there.
+        """
+        comm = self._problem.body.cloud.comm
+        last, first = (largest(comm, float(column.max(initial=0.0))) for column in self._times.T)
+        if not first < last < t:
+            return None
+        ratio = (t - last) / (last - first)
+        for at in (self._problem.supports.prescribed, lambda time: self._loads(u, time)):
+            now = at(last)
+            coming, before = at(t) - now, ratio * (now - at(first))
+            off, size = total(comm, [float(((coming - before) ** 2).sum()), float((coming**2).sum())])
+            if off > STRAIGHT**2 * size:
+                return None
+        found = u.copy()
+        found[: len(self._change)] += ratio * self._change
+        return found if self._problem.admissible(self._problem.state(found, t)) else None
+
+    def _loads(self, u: Float, t: float) -> Float:
+        return self._problem.external_force(self._problem.state(u, t))

@@ -89,7 +89,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     if "Bond Filters" in root.section("Discretization").sections:
         found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
         script.arguments["cracks"] = f"[{', '.join(found)}]"
-    if "Contact" in root:
+    if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
     if "Boundary Conditions" in root.sections:
         _conditions(script, root.section("Boundary Conditions"), static)

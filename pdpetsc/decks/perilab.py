@@ -146,8 +146,8 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
     """
     warm = np.zeros(len(script.body.x), dtype=bool)
     models = root.section("Models")
-    for name, value in (models.sections["Pre Calculation Global"].entries if "Pre Calculation Global" in models else {}
-                        ).items():  # fmt: skip
+    before = models.sections.get("Pre Calculation Global")
+    for name, value in ({} if before is None else before.entries).items():
         if name == "Bond Associated Deformation Gradient" and value.text.lower() == "true":
             raise CaseError(f"{value.place} of the deck {_NO_PART}.")
     script.notes.leave_out(models, "Pre Calculation Global")

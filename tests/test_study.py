@@ -1,5 +1,6 @@
 """Studies: parameter sets, tables that resume, orders of convergence, parameters fitted to curves."""
 
+import contextlib
 import csv
 import json
 import os
@@ -7,12 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import COMMANDS
+from pdpetsc.studies.asking import CaseFile
 from pdpetsc.studies.fit import Point, Range, fitted
 from pdpetsc.studies.jobs import launched, too_many
 from pdpetsc.studies.measured import Curve, read_curve, read_off
@@ -404,6 +407,69 @@ def when(folder):
     return {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("*/summary.json")}
 
 
+def test_a_study_runs_what_is_not_there_and_shows_no_number_of_what_failed(tmp_path):
+    case, out = scene(tmp_path), tmp_path / "out"
+    sets = [{"n": 4, "end": "right"}, {"n": 4, "end": "wrong"}]
+    done = pd.study(case, sets, out, jobs=2)
+    assert [(one.status, one.exit_status) for one in done.outcomes] == [("finished", 0), ("failed", 1)]
+    assert "no number" in done.failed[0].said
+    assert [row["value"] for row in table(out)] == [repr(1.0 + 3.0 / 16.0), ""]
+    before = when(out)
+    # What the case imports has changed: that run is run again, and only that one is asked for.
+    (tmp_path / "beside.py").write_text("FACTOR = 5.0\n")
+    assert pd.study(case, sets[:1], out).values("value") == {"n=4,end=right": 1.0 + 5.0 / 16.0}
+    assert when(out)["end=wrong,n=4"] == before["end=wrong,n=4"]
+
+
+MESHED = """
+import numpy as np
+import pdpetsc as pd
+
+def case(n=4, E=1.0, label=None, kill=False):
+    if kill:
+        import os, signal
+        os.kill(os.getpid(), signal.SIGKILL)
+    if label == "late":
+        import later
+    table = np.loadtxt("table.txt")
+    return pd.Case(
+        particles=pd.TextFile("cloud.txt", dim=1), horizon=2.0, material=pd.BondBased(E=E * table[0]),
+        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0)],
+    )
+"""
+
+
+def test_what_a_run_is_of_is_all_that_its_case_reads_and_imports(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("case.py").write_text(MESHED)
+    Path("cloud.txt").write_text("0 1\n1 1\n2 1\n")
+    Path("table.txt").write_text("1.0 2.0\n")
+    Path("later.py").write_text("a = 1\n")
+
+    def identities(file, *sets):
+        return [question.identity for question in file.ask(sets)]
+
+    with contextlib.closing(CaseFile(Path("case.py"), (), 1)) as file:
+        first, late, killed = identities(file, {"E": "1"}, {"label": "'late'"}, {"kill": "yes"})
+        # A number is the same however it is written; one that is asked for and a default are one parameter.
+        assert identities(file, {"E": "1.0", "n": "4"}) == [first]
+        assert len(identities(file, {"E": "1"}, {"E": "1e0"})) == 1
+        # A run whose case ends the process that asks is never taken for finished.
+        assert killed is None
+        assert "later.py" in late["text"] and "later.py" not in first["text"]
+        Path("cloud.txt").write_text("0 1\n1 1\n2.5 1\n")
+        (moved,) = identities(file, {"E": "1"})
+        Path("table.txt").write_text("1.5 2.0\n")
+        (softer,) = identities(file, {"E": "1"})
+        assert len({one["declared"] for one in (first, moved, softer)}) == 3
+    Path("case.py").write_text(MESHED + "# a remark\n")
+    monkeypatch.setenv("PETSC_OPTIONS", "-ksp_rtol 1e-3")
+    with contextlib.closing(CaseFile(Path("case.py"), ["-pc_type", "lu"], 2)) as file:
+        (other,) = identities(file, {"E": "1"})
+    assert {name for name in other if other[name] != softer[name]} == {"text", "PETSC_OPTIONS", "options", "ranks"}
+
+
+@pytest.mark.long
 def test_a_study_goes_on_and_runs_again_what_is_not_the_same(tmp_path):
     case, out = scene(tmp_path), tmp_path / "out"
     sets = [{"n": n, "end": end} for n in (4, 8, 16) for end in ("right",)] + [{"n": 4, "end": "wrong"}]
@@ -513,6 +579,7 @@ def case(n=4):
 """
 
 
+@pytest.mark.long
 def test_a_study_that_is_killed_goes_on_and_two_are_not_in_one_folder(tmp_path):
     case, out = tmp_path / "case.py", tmp_path / "out"
     case.write_text(SLOW)

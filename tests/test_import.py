@@ -693,3 +693,45 @@ def test_a_node_set_with_the_name_of_a_block_is_the_node_set(folder):
     assert found.volume.tolist() == [1.0] * 4
     sets = [found.sets[condition.region.name].tolist() for condition in case.conditions]
     assert sets == [[True, False, False, False], [False, False, False, True]]
+
+
+def test_damaged_decks_end_as_cases_or_as_sentences(folder, rng):
+    words = [
+        "nan",
+        "-1",
+        "{}",
+        "[1, [2]]",
+        "1e400",
+        '"',
+        "&a",
+        "*a",
+        "",
+        "x*y",
+        "[a, b]",
+        "0",
+        "{a: 1}",
+        "!!python/name:os.system",
+    ]
+    written = refused = 0
+    for _ in range(120):
+        lines = (PERIDIGM if rng.integers(2) else PERILAB).splitlines()
+        at = int(rng.integers(len(lines)))
+        kind = rng.integers(4)
+        if kind == 0:
+            del lines[at]
+        elif kind == 1:
+            lines.insert(at, lines[rng.integers(len(lines))])
+        elif kind == 2:
+            lines[at] = f"{lines[at].split(':')[0]}: {words[rng.integers(len(words))]}"
+        else:
+            place = int(rng.integers(len(lines[at]) + 1))
+            lines[at] = lines[at][:place] + "\"'{}[]:#\t&*!%@`x0-"[rng.integers(18)] + lines[at][place:]
+        (folder / "damaged.yaml").write_text("\n".join(lines))
+        try:
+            import_deck(folder / "damaged.yaml", overwrite=True)
+            written += 1
+        except pd.CaseError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert written > 5
+    assert refused > 40

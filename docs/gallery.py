@@ -157,6 +157,9 @@ def perform(example: Example, work: Path = WORK) -> str:
             return f"it takes longer than {LIMIT} seconds"
         if done.returncode:
             return (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+    for picture in ("picture.png", *(["history.png"] if example.curve is not None else [])):
+        if not (folder / picture).is_file():
+            return f"it has not drawn {picture}"
     kept.write_text(now)
     return ""
 

@@ -7,6 +7,7 @@ import runpy
 import subprocess
 import sys
 
+import netCDF4
 import numpy as np
 import pytest
 
@@ -614,3 +615,123 @@ def test_the_command_writes_a_case_that_runs(folder, capsys):
         assert "\n" not in str(error.value)
     assert command(["-h"]) == 0
     assert "--overwrite" in capsys.readouterr().out
+
+
+def test_columns_that_perilab_would_take_for_fields_are_refused(folder):
+    mesh = folder / "plate.txt"
+    text = mesh.read_text()
+    rows = text.splitlines()
+    for name, message in (("Young's_Modulus", "young's_modulus"), ("Angles", "angles")):
+        mesh.write_text("\n".join([*rows[:2], f"{rows[2]} {name}", *(f"{row} 1.0" for row in rows[3:])]) + "\n")
+        with pytest.raises(pd.CaseError, match=message):
+            import_deck(folder / "plate.yaml")
+    mesh.write_text("\n".join([*rows[:2], f"{rows[2]} Activation_Time", *(f"{row} 1.0" for row in rows[3:])]) + "\n")
+    _, said = import_deck(folder / "plate.yaml")
+    assert any("activation_time" in line for line in said)
+
+
+def test_particles_without_temperature_are_at_zero_in_perilab(folder):
+    heat = "    Heat:\n      Variable: Temperature\n      Node Set: Left\n      Value: 50*t\n"
+    models = "    Thermal Models:\n      Warm:\n        Thermal Model: Thermal Expansion\n"
+    models += "        Thermal Expansion Coefficient: 1e-5\n        Reference Temperature: REF\n"
+    changes = (
+        ("  Boundary Conditions:\n", f"{models}  Boundary Conditions:\n{heat}"),
+        ("Material Model: Soft\n", "Material Model: Soft\n      Thermal Model: Warm\n"),
+    )
+    path, _ = import_deck(changed(folder, "plate.yaml", *changes, ("REF", "0.0")))
+    assert case_of(path).material[0][1].expansion == 1e-5
+    deck = changed(folder, "plate.yaml", *changes, ("REF", "20.0"))
+    with pytest.raises(pd.CaseError, match=r"prescribes no temperature of 1[0-5] particles"):
+        import_deck(deck, overwrite=True)
+    everywhere = changed(
+        folder, "other_plate.yaml", ("Node Set: Left\n      Value", "Node Set: Everything\n      Value"),
+        ("Corner: 1\n", "Corner: 1\n      Everything: All\n"),
+    )  # fmt: skip
+    path, _ = import_deck(everywhere, folder / "b.py")
+    assert case_of(path).material[0][1].reference == 20.0
+
+
+def test_a_node_set_with_the_name_of_a_block_is_the_node_set(folder):
+    x = np.array(list(itertools.product(range(5), range(2), range(2))), dtype=float)
+    number = {tuple(a): k + 1 for k, a in enumerate(x.tolist())}
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    with netCDF4.Dataset(folder / "bar.g", "w") as file:
+        sizes = {
+            "num_nodes": 20,
+            "num_el_blk": 1,
+            "num_el_in_blk1": 4,
+            "eight": 8,
+            "num_node_sets": 2,
+            "n1": 4,
+            "n2": 4,
+            "l": 33,
+        }
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        for axis, values in zip("xyz", x.T, strict=True):
+            file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = values
+        connect = file.createVariable("connect1", "i4", ("num_el_in_blk1", "eight"))
+        connect.elem_type = "HEX8"
+        connect[:] = [[number[tuple(map(float, np.add((k, 0, 0), c)))] for c in corners] for k in range(4)]
+        for sort, names in (("eb", ["bar"]), ("ns", ["bar", ""])):
+            dimension = {"eb": "num_el_blk", "ns": "num_node_sets"}[sort]
+            texts = file.createVariable(f"{sort}_names", "S1", (dimension, "l"))
+            texts[:] = np.array([list(name.ljust(33, "\0")) for name in names], dtype="S1")
+        file.createVariable("ns_prop1", "i4", ("num_node_sets",))[:] = [1, 4]
+        file.createVariable("node_ns1", "i4", ("n1",))[:] = [k + 1 for k in range(20) if x[k, 0] == 0.0]
+        file.createVariable("node_ns2", "i4", ("n2",))[:] = [k + 1 for k in range(20) if x[k, 0] == 4.0]
+    text = PERIDIGM[: PERIDIGM.index("    Left Node Set")].replace('"PdQuickGrid"\n    T', '"Exodus"\n    T')
+    text = re.sub(r"    TensorProduct3D.*?(?=  Materials)", '    Input Mesh File: "bar.g"\n', text, flags=re.DOTALL)
+    text = text.replace('"block_1"', '"bar"')
+    for name, nodes, axis, value in (("Hold", "bar", "x", "0.0"), ("Pull", "nodelist_4", "x", "0.01*t")):
+        text += f'    {name}:\n      Type: "Prescribed Displacement"\n      Node Set: "{nodes}"\n'
+        text += f'      Coordinate: "{axis}"\n      Value: "{value}"\n'
+    text += PERIDIGM[PERIDIGM.index("  Solver:") : PERIDIGM.index("  Compute Class")]
+    (folder / "bar.yaml").write_text(text)
+    case = case_of(import_deck(folder / "bar.yaml")[0])
+    found = case.particles.chunk(0, 1)
+    assert found.volume.tolist() == [1.0] * 4
+    sets = [found.sets[condition.region.name].tolist() for condition in case.conditions]
+    assert sets == [[True, False, False, False], [False, False, False, True]]
+
+
+def test_damaged_decks_end_as_cases_or_as_sentences(folder, rng):
+    words = [
+        "nan",
+        "-1",
+        "{}",
+        "[1, [2]]",
+        "1e400",
+        '"',
+        "&a",
+        "*a",
+        "",
+        "x*y",
+        "[a, b]",
+        "0",
+        "{a: 1}",
+        "!!python/name:os.system",
+    ]
+    written = refused = 0
+    for _ in range(120):
+        lines = (PERIDIGM if rng.integers(2) else PERILAB).splitlines()
+        at = int(rng.integers(len(lines)))
+        kind = rng.integers(4)
+        if kind == 0:
+            del lines[at]
+        elif kind == 1:
+            lines.insert(at, lines[rng.integers(len(lines))])
+        elif kind == 2:
+            lines[at] = f"{lines[at].split(':')[0]}: {words[rng.integers(len(words))]}"
+        else:
+            place = int(rng.integers(len(lines[at]) + 1))
+            lines[at] = lines[at][:place] + "\"'{}[]:#\t&*!%@`x0-"[rng.integers(18)] + lines[at][place:]
+        (folder / "damaged.yaml").write_text("\n".join(lines))
+        try:
+            import_deck(folder / "damaged.yaml", overwrite=True)
+            written += 1
+        except pd.CaseError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert written > 5
+    assert refused > 40

@@ -309,3 +309,31 @@ def test_a_column_is_twisted_by_the_torque_of_the_incompressible_one(tmp_path):
         found["patches_control", 0.3]["torque"], rel=0.15
     )
     assert found["patches_control", 0.4999]["press"] > 0.0
+
+
+def test_graded_moduli_that_jump_inside_a_box_are_as_two_materials(rng):
+    """Moduli that change little from particle to particle share their dilatation all the same."""
+    law = pd.LinearElastic(1.0, 0.499, "strain")
+    stiff = dataclasses.replace(law, E=100.0)
+    dx = 0.125
+
+    def strip(material):
+        left = pd.region.Slab("x", high=2.0 * dx)
+        return pd.prepare(
+            pd.Case(
+                particles=pd.Lattice((0.0, 0.0), (1.0, 0.5), dx), horizon=2.015 * dx, material=material,
+                scheme=pd.MeanDilatation(pd.Correspondence(), patch=2.0 * dx), control=pd.ByShear(pd.Silling(0.1)),
+                conditions=[pd.Displacement(left, x=0.0, y=0.0)],
+            )
+        ).problem  # fmt: skip
+
+    border = 3.0 * dx  # in the middle of a box
+    jumps = strip(pd.Graded(law, lambda x: np.where(x[:, 0] < border, 1.0, 100.0)))
+    soft = pd.region.Slab("x", high=border)
+    two = strip([(soft, law), (~soft, stiff)])
+    u = 0.01 * rng.standard_normal((32, 2))
+    forces = [problem.internal_force(problem.state(u)) for problem in (jumps, two)]
+    assert np.abs(forces[0] - forces[1]).max() < 1e-12 * np.abs(forces[1]).max()
+    smooth, plain = strip(pd.Graded(law, lambda x: 1.0 + x[:, 0])), strip(law)
+    assert len(np.unique(smooth.matter.patch_of_point)) == len(np.unique(plain.matter.patch_of_point)) == 8
+    assert len(np.unique(jumps.matter.patch_of_point)) == 10

@@ -498,13 +498,14 @@ def test_damaged_meshes_end_as_meshes_or_as_sentences(tmp_path, rng, monkeypatch
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the memory of the process is not known here")
 def test_a_damaged_number_does_not_take_the_memory(tmp_path):
-    path = samples(tmp_path)["41.msh"]
-    text = path.read_text(errors="replace")
-    head = text.index("$Nodes\n") + len("$Nodes\n")
-    count = text[head:].split()[1]
-    path.write_text(text[:head] + text[head:].replace(f" {count} ", " 100000000 ", 1))
-    with pytest.raises(pd.CaseError, match="far more memory"):
-        whole(pd.Mesh(path))
+    for name, place, message in (("22.msh", 0, "far more memory"), ("41.msh", 1, "nodes where it says 100000000")):
+        path = samples(tmp_path)[name]
+        text = path.read_text(errors="replace")
+        head = text.index("$Nodes\n") + len("$Nodes\n")
+        count = text[head:].split()[place]
+        path.write_text(text[:head] + text[head:].replace(count, "100000000", 1 if place == 0 else 2))
+        with pytest.raises(pd.CaseError, match=message):
+            whole(pd.Mesh(path))
 
 
 def test_a_reader_that_does_not_end_is_interrupted(tmp_path, monkeypatch):
@@ -716,14 +717,21 @@ def quadratic(kind, rng):
     image = [axis + part for axis, part in zip(axes, bent, strict=True)]
     jacobian = sympy.Matrix(image).jacobian(axes).det()
 
+    # Gauss points of the reference cell, exact for these polynomials.
+    g, w = np.polynomial.legendre.leggauss(8)
+    at, weight = {}, np.ones(1)
+    for variable, low, high in reversed(limits):
+        ends = [np.broadcast_to(sympy.lambdify([*at], end)(*at.values()), weight.shape) for end in (low, high)]
+        half = 0.5 * (ends[1] - ends[0])[:, None]
+        own = (ends[0][:, None] + half * (g + 1.0)).ravel()
+        at = {**{other: np.repeat(values, len(g)) for other, values in at.items()}, variable: own}
+        weight = (weight[:, None] * half * w).ravel()
+
     def integral(integrand):
-        found = sympy.expand(integrand)
-        for limit in limits:
-            found = sympy.integrate(found, limit)
-        return float(found)
+        return float(weight @ sympy.lambdify(axes, integrand)(*(at[axis] for axis in axes)))
 
     volume = integral(jacobian)
-    centroid = np.array([integral(sympy.expand(part * jacobian)) for part in image]) / volume
+    centroid = np.array([integral(part * jacobian) for part in image]) / volume
     move = sympy.lambdify(axes, image)
     return np.array([[float(v) for v in move(*node)] for node in x]), volume, centroid
 
@@ -881,3 +889,188 @@ def test_particles_in_a_plane_are_a_solid_where_that_is_said(tmp_path):
         whole(pd.TextFile(path, dim=1))
     with pytest.raises(pd.CaseError, match="dim 1, 2 or 3"):
         pd.TextFile(path, dim=4)
+
+
+# --- Gmsh 4.1
+
+# A square whose right side is in two groups and whose upper side is in none; node numbers have gaps.
+SQUARE = {
+    "names": [(1, 5, "left"), (1, 6, "edges"), (2, 1, "plate"), (2, 2, "hot")],
+    "points": [(k + 1, x, y) for k, (x, y) in enumerate([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])],
+    "entities": [
+        [(1, [6], [1, -2]), (2, [6, 9], [2, -3]), (3, [], [3, -4]), (4, [5, -6], [4, -1])], [(1, [1, 2], [1, 2, 3, 4])],
+    ],
+    "nodes": [(11, 0.0, 0.0), (12, 1.0, 0.0), (30, 1.0, 1.0), (14, 0.0, 1.0)],
+    "elements": [(1, 1, 1, [11, 12]), (1, 2, 1, [12, 30]), (1, 3, 1, [30, 14]), (1, 4, 1, [14, 11]),
+                 (2, 1, 3, [11, 12, 30, 14])],
+}  # fmt: skip
+
+
+def gmsh_square(binary, parametric=False, names=True):
+    """Return the square as a file of format 4.1."""
+    out = [
+        b"$MeshFormat\n4.1 1 8\n\x01\x00\x00\x00\n$EndMeshFormat\n"
+        if binary
+        else b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n"
+    ]
+    if names:
+        lines = [f'{dim} {tag} "{name}"' for dim, tag, name in SQUARE["names"]]
+        out.append("\n".join(["$PhysicalNames", str(len(lines)), *lines, "$EndPhysicalNames", ""]).encode())
+
+    def put(*parts):
+        for kind, values in parts:
+            if binary:
+                out.append(np.array(values, {"i": "<i4", "z": "<u8", "d": "<f8"}[kind]).tobytes())
+            else:
+                out.append((" ".join(map(repr, values)) + " ").encode())
+        out.append(b"" if binary else b"\n")
+
+    out.append(b"$Entities\n")
+    put(("z", [4, 4, 1, 0]))
+    for tag, x, y in SQUARE["points"]:
+        put(("i", [tag]), ("d", [x, y, 0.0]), ("z", [0]))
+    for of_dim in SQUARE["entities"]:
+        for tag, groups, around in of_dim:
+            put(
+                ("i", [tag]), ("d", [0.0] * 6), ("z", [len(groups)]), ("i", groups), ("z", [len(around)]), ("i", around)
+            )
+    out.append(b"\n$EndEntities\n$Comment\n$Nodes and more\n$EndComment\n$Nodes\n")
+    put(("z", [1, 4, 11, 30]))
+    put(("i", [2, 1, int(parametric)]), ("z", [4]))
+    put(("z", [tag for tag, _, _ in SQUARE["nodes"]]))
+    for _, x, y in SQUARE["nodes"]:
+        put(("d", [x, y, 0.0, *([7.0, 8.0] if parametric else [])]))
+    out.append(b"\n$EndNodes\n$Elements\n")
+    put(("z", [5, 5, 1, 5]))
+    for number, (dim, tag, kind, nodes) in enumerate(SQUARE["elements"], 1):
+        put(("i", [dim, tag, kind]), ("z", [1]), ("z", [number, *nodes]))
+    out.append(b"\n$EndElements\n")
+    return b"".join(out)
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+@pytest.mark.parametrize("parametric", [False, True])
+def test_gmsh_4_1_groups_of_entities_in_none_one_and_several(binary, parametric, tmp_path):
+    path = tmp_path / "square.msh"
+    path.write_bytes(gmsh_square(binary, parametric))
+    mesh = pd.Mesh(path)
+    found = mesh.chunk(0, 1)
+    assert found.x.tolist() == [[0.5, 0.5]]
+    assert found.volume.tolist() == [1.0]
+    assert set(found.sets) == {"plate", "hot", "edges", "left", "facets_9"}
+    facets = mesh.surface()
+    normals = np.asarray(facets.area)
+    sides = {name: sorted(map(tuple, normals[flags].tolist())) for name, flags in facets.tags.items()}
+    assert sides["left"] == [(-1.0, 0.0)]
+    assert sides["facets_9"] == [(1.0, 0.0)]
+    assert sides["edges"] == [(-1.0, 0.0), (0.0, -1.0), (1.0, 0.0)]
+    path.write_bytes(gmsh_square(binary, parametric, names=False))
+    assert set(pd.Mesh(path).chunk(0, 1).sets) == {"group_1", "group_2", "facets_5", "facets_6", "facets_9"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (b"$Entities", b"$PartitionedEntities", "partitioned"),
+        (b"1 4 11 30", b"1 5 11 30", "4 nodes where it says 5"),
+        (b"5 5 1 5", b"5 6 1 5", "5 elements where it says 6"),
+        (b"5 11 12 30 14", b"5 11 12 31 14", "node 31"),
+        (b"11 12 30 14 \n0.0", b"11 12 12 14 \n0.0", "a node twice"),
+        (b"2 1 3 1", b"2 1 99 1", "type 99"),
+        (b"4.1 0 8", b"4.1 0 4", "8 bytes"),
+        (b"$EndElements", b"$End", "does not end"),
+        (b'1 5 "left"', b"1 5 left", "physical name"),
+    ],
+)
+def test_gmsh_4_1_that_is_damaged_is_refused(before, after, message, tmp_path):
+    path = tmp_path / "square.msh"
+    text = gmsh_square(False).replace(b" \n", b" \n")
+    changed = text.replace(before, after, 1)
+    if changed == text:
+        before = before.replace(b" ", b"  ")
+        changed = text.replace(before, after, 1)
+    assert changed != text
+    path.write_bytes(changed)
+    with pytest.raises(pd.CaseError, match=message):
+        pd.Mesh(path).chunk(0, 1)
+
+
+def test_quadratic_cells_of_gmsh_are_in_its_own_order(tmp_path, rng):
+    # The manual's order: edges by their first corner.
+    order = {"hexahedron20": [0, 3, 8, 1, 9, 2, 10, 11, 4, 7, 5, 6], "tetra10": [0, 1, 2, 3, 5, 4]}
+    for kind, edges in order.items():
+        x, volume, _ = quadratic(kind, rng)
+        n = 8 if kind.startswith("hexahedron") else 4
+        x = x[[*range(n), *(n + k for k in edges)]]
+        number = {"hexahedron20": 17, "tetra10": 11}[kind]
+        lines = [
+            "$MeshFormat",
+            "4.1 0 8",
+            "$EndMeshFormat",
+            "$Entities",
+            "0 0 0 1",
+            "1 0 0 0 1 1 1 0 0",
+            "$EndEntities",
+        ]
+        lines += ["$Nodes", f"1 {len(x)} 1 {len(x)}", f"3 1 0 {len(x)}", *(str(k + 1) for k in range(len(x)))]
+        lines += [
+            *(f"{a!r} {b!r} {c!r}" for a, b, c in x.tolist()),
+            "$EndNodes",
+            "$Elements",
+            "1 1 1 1",
+            f"3 1 {number} 1",
+        ]
+        lines += ["1 " + " ".join(str(k + 1) for k in range(len(x))), "$EndElements"]
+        (tmp_path / "cell.msh").write_text("\n".join(lines) + "\n")
+        assert pd.Mesh(tmp_path / "cell.msh").chunk(0, 1).volume == pytest.approx([volume], rel=1e-12)
+
+
+# --- spheres of Exodus
+
+
+def spheres(path, attributes, names=()):
+    """Write a file of spheres in two blocks with a node set."""
+    with netCDF4.Dataset(path, "w") as file:
+        sizes = {"num_nodes": 4, "num_el_blk": 2, "num_el_in_blk1": 3, "num_el_in_blk2": 1, "one": 1}
+        sizes |= {"num_node_sets": 1, "num_nod_ns1": 2, "len_name": 33}
+        for name, size in sizes.items():
+            file.createDimension(name, size)
+        for axis, values in zip("xyz", ([0, 1, 2, 3], [0, 1, 0, 1], [5, 5, 5, 5]), strict=True):
+            file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = values
+        for number, nodes in ((1, [[4], [2], [1]]), (2, [[3]])):
+            connect = file.createVariable(f"connect{number}", "i4", (f"num_el_in_blk{number}", "one"))
+            connect.elem_type = "SPHERE"
+            connect[:] = nodes
+            if attributes:
+                file.createDimension(f"num_att_in_blk{number}", len(attributes[0]))
+                shape = (f"num_el_in_blk{number}", f"num_att_in_blk{number}")
+                rows = attributes[:3] if number == 1 else attributes[3:]
+                file.createVariable(f"attrib{number}", "f8", shape)[:] = rows
+                if names:
+                    texts = file.createVariable(f"attrib_name{number}", "S1", (shape[1], "len_name"))
+                    texts[:] = np.array([list(name.ljust(33, "\0")) for name in names], dtype="S1")
+        file.createVariable("ns_prop1", "i4", ("num_node_sets",))[:] = 7
+        file.createVariable("node_ns1", "i4", ("num_nod_ns1",))[:] = [2, 3]
+
+
+def test_spheres_of_exodus_have_their_own_volumes(tmp_path):
+    path = tmp_path / "spheres.g"
+    table = [[0.1, 0.5], [0.1, 0.25], [0.1, 0.75], [0.1, 2.0]]
+    for attributes, names in ((table, ()), ([row[::-1] for row in table], ("Volume", "Radius"))):
+        spheres(path, attributes, names)
+        x, volume, sets = whole(pd.Mesh(path))
+        # A plane of spheres is a solid, as the file has three coordinates.
+        assert x.tolist() == [[3.0, 1.0, 5.0], [1.0, 1.0, 5.0], [0.0, 0.0, 5.0], [2.0, 0.0, 5.0]]
+        assert volume.tolist() == [0.5, 0.25, 0.75, 2.0]
+        assert sets["group_1"].tolist() == [True, True, True, False]
+        assert sets["node_set_7"].tolist() == [False, True, False, True]
+    with pytest.raises(pd.CaseError, match="spheres, whose faces"):
+        pd.Mesh(path).surface()
+    with pytest.raises(pd.CaseError, match="spheres, whose faces"):
+        pd.MeshNodes(path).chunk(0, 1)
+    spheres(path, [[0.1, 0.0]] * 4)
+    with pytest.raises(pd.CaseError, match="volume 0"):
+        pd.Mesh(path).chunk(0, 1)
+    spheres(path, [])
+    with pytest.raises(pd.CaseError, match="no cells"):
+        pd.Mesh(path).chunk(0, 1)

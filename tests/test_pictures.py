@@ -14,7 +14,7 @@ from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import draw_field, draw_film
 from pdpetsc.output.reading import read_history, read_summary
-from pdpetsc.output.scene import about, faces_between, lattice_steps, limits_of, scene_of
+from pdpetsc.output.scene import about, faces_between, frame_of, lattice_steps, limits_of, scene_of
 
 GRADIENT = np.array([[0.1, -0.02], [0.03, 0.05]])
 
@@ -246,3 +246,20 @@ def test_units_do_not_change_a_number_nor_what_a_restart_accepts(plane, tmp_path
     assert np.array_equal(result.history["force"], read_history(plane)["force"])
     assert np.array_equal(result.field("stress"), pd.open(plane).field("stress"))
     pd.run(case, tmp_path, restart=plane)
+
+
+def test_a_film_of_a_line_keeps_its_axes_and_shows_its_peaks(tmp_path):
+    result = pd.run(moved(pd.Lattice((0.0,), (6.0,), 0.5), np.array([[0.1]]), steps=pd.Steps(2)), tmp_path)
+    assert draw_film(tmp_path, tmp_path / "film.gif", "displacement", "x", 1.0, "line") == 3
+    limits, _ = frame_of(tmp_path, "displacement", "x", 1.0, [0, 1, 2])
+    assert limits == (0.0, result.field("displacement").max())
+
+
+@pytest.mark.long
+def test_a_film_of_a_solid_body_is_drawn_in_one_process(solid, tmp_path, monkeypatch):
+    pytest.importorskip("pyvista")
+    started = []
+    run = picture.subprocess.run
+    monkeypatch.setattr(picture.subprocess, "run", lambda *words, **given: started.append(1) or run(*words, **given))
+    assert draw_film(solid, tmp_path / "film.gif", "displacement", "x", 1.0, "block") == 2
+    assert len(started) == 1 and Image.open(tmp_path / "film.gif").n_frames == 2

@@ -34,10 +34,10 @@ def table(folder):
 
 def test_plot_draws_a_run(tmp_path):
     results(CLAMPED, "steps=2", output=tmp_path)
-    finished = tool("plot", tmp_path, "scale=10", "component=yy", "x=t", "y=w")
+    finished = tool("plot", tmp_path, "scale=10", "component=yy", "x=t", "y=w", "--animate")
     assert finished.returncode == 0, finished.stderr
-    for name in ("deformed", "history", "newton"):
-        path = tmp_path / f"{name}.png"
+    for name in ("deformed.png", "deformed.gif", "history.png", "newton.png"):
+        path = tmp_path / name
         assert str(path) in finished.stdout
         assert path.stat().st_size > 5_000
 

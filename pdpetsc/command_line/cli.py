@@ -10,6 +10,7 @@ import errno
 import importlib.util
 import inspect
 import io
+import math
 import os
 import re
 import shlex
@@ -328,6 +329,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
+    before = _stamp(output)
     try:
         run(
             case,
@@ -339,13 +341,27 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             check=arguments.check,
             asked=_asked(arguments.path, argv),
         )
-    except CaseError:  # nothing was run: what the folder holds is of another run
+    except BaseException as error:
+        # What a run that failed has left is worth a page too, but not what another one left where nothing was run, and
+        # not where other ranks may still be at work: they end with the error of this one.
+        if arguments.report and (comm.size == 1 or getattr(error, "agreed", 0) == comm.size):
+            with agreed(comm):
+                _report_on(output, is_root(comm) and _stamp(output) != before, arguments.quiet)
         raise
-    except BaseException:  # what a run that failed has left is worth a page too
-        _report_on(output, arguments.report and is_root(comm))
-        raise
-    _report_on(output, arguments.report and is_root(comm))
+    if arguments.report:
+        # All wait for the page: the end of MPI takes no longer than the first rank that comes to it allows.
+        with agreed(comm):
+            _report_on(output, is_root(comm), arguments.quiet)
     return 0
+
+
+def _stamp(folder: Path) -> tuple[int, int]:
+    """Return what tells a summary from one that was there before."""
+    try:
+        found = (folder / "summary.json").stat()
+    except OSError:
+        return 0, 0
+    return found.st_ino, found.st_mtime_ns
 
 
 def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
@@ -356,14 +372,16 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
     return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
 
 
-def _report_on(folder: Path, asked: bool) -> None:
-    """Write the report of a run that has ended, if asked; whatever fails here, results and exit status stand."""
-    if not asked:
+def _report_on(folder: Path, here: bool, quiet: bool) -> None:
+    """Write the report of a run that has ended, on one rank; whatever fails here, results and exit status stand."""
+    if not here:
         return
     from pdpetsc.output.report import write_report
 
     try:
-        print(f"report in {write_report(folder)}", flush=True)
+        path = write_report(folder)
+        if not quiet:
+            print(f"report in {path}", flush=True)
     except Exception as error:
         with contextlib.suppress(OSError):
             print(f"pdpetsc: The report could not be written: {described(error)}", file=sys.stderr, flush=True)
@@ -470,6 +488,10 @@ def _report(argv: list[str]) -> int:
 
     given = arguments.parameters
     scale = _convert("scale", given.get("scale", "1"), 1.0)
+    if not math.isfinite(scale):
+        raise CaseError(f"scale takes a number, not {given['scale']}.")
+    if "component" in given and "field" not in given:
+        raise CaseError("report takes a component of a field; give the field besides.")
     print(write_report(arguments.path, given.get("field"), given.get("component", ""), scale))
     return 0
 

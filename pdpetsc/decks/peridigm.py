@@ -89,7 +89,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     if "Bond Filters" in root.section("Discretization").sections:
         found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
         script.arguments["cracks"] = f"[{', '.join(found)}]"
-    if "Contact" in root:
+    if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
     if "Boundary Conditions" in root.sections:
         _conditions(script, root.section("Boundary Conditions"), static)
@@ -139,7 +139,8 @@ def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
             if found:
                 called.setdefault(tidy(f"{theirs}_{found[1]}"), name)
     code = [f'particles = pd.Mesh({relative(path, folder)}, format="exodus")']
-    return Body(code, [], whole.x, dict(whole.sets), called)
+    of_nodes = {tidy(name.removesuffix(" nodes")): name for name in whole.sets if name.endswith(" nodes")}
+    return Body(code, [], whole.x, dict(whole.sets), called, of_nodes=of_nodes)
 
 
 def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: int) -> Body:
@@ -424,7 +425,7 @@ def _conditions(script: Script, section: Section, static: bool) -> None:
             one.text("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"})
-        where = script.body.named(set_name, one.place)
+        where = script.body.named(set_name, one.place, nodes=True)
         # Displacements and changes of temperature are counted from the beginning.
         given = Given(known[kind], axis, where, value, one.place, kind != "Body Force")
         if kind == "Prescribed Temperature" and "t" not in value.names:

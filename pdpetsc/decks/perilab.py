@@ -41,6 +41,8 @@ _TUNING = (
 # Which models a deck may switch on in its solver; on where it does not say.
 _SWITCHES = ("Material Models", "Damage Models", "Thermal Models")
 _OTHER_SWITCHES = ("Additive Models", "Degradation Models", "Pre Calculation Models", "Corrosion Models")
+# Columns of meshes that models read which are refused anyway.
+_UNUSED_COLUMNS = ("activation_time", "time")
 _NO_PART = "has no counterpart here"
 
 
@@ -48,7 +50,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     """Return what a deck says; arguments and errors as of ``peridigm.translate``."""
     solver = root.section("Solver")
     linear, times = _times(solver, notes, static)
-    body = _body(root.section("Discretization"), deck.parent, folder)
+    body = _body(root.section("Discretization"), deck.parent, folder, notes)
     script = Script(deck, PROGRAM, body, times, notes)
     on = {name: solver.flag(name, name == "Material Models" or name not in solver.entries) for name in _SWITCHES}
     for name in _OTHER_SWITCHES:
@@ -59,11 +61,18 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     for name in ("FEM", "Contact", "Surface Correction", "Multistep Solver", "Physics"):
         if name in root.sections:
             raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
-    _blocks(script, root, linear, on)
+    warm = _blocks(script, root, linear, on)
     if "Bond Filters" in root.section("Discretization").sections:
         found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
         script.arguments["cracks"] = f"[{', '.join(found)}]"
     _conditions(script, root.section("Boundary Conditions"))
+    for given in script.given:
+        warm &= ~given.where.mask if given.kind == "Temperature" else True
+    if warm.any():
+        raise CaseError(
+            f"The deck prescribes no temperature of {np.count_nonzero(warm)} particles whose reference temperature is "
+            f"not zero; PeriLab gives them zero, and this program the reference temperature: prescribe it."
+        )
     if "Compute Class Parameters" in root.sections:
         for one in root.section("Compute Class Parameters").sections.values():
             history(script, one, "Forces", "Displacements")
@@ -76,7 +85,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
 # --- particles
 
 
-def _body(section: Section, beside: Path, folder: Path) -> Body:
+def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
     kind = section.text("Type")
     path = beside / section.text("Input Mesh File")
     if "Distribution Type" in section.entries:
@@ -88,6 +97,14 @@ def _body(section: Section, beside: Path, folder: Path) -> Body:
         return exodus_body(path, folder, "nodelist", "block")
     if kind != "Text File":
         raise CaseError(f"{section.entries['Type'].place} of the deck is {kind!r}; known are Text File and Exodus.")
+    for column in TextFile(path).columns or ():
+        if column in _UNUSED_COLUMNS:
+            notes.differs(f"The column {column} of the mesh is not read: the deck has no model that does.")
+        elif column not in ("x", "y", "z", "block", "volume"):
+            raise CaseError(
+                f"The mesh {path} has the column {column!r}, which PeriLab takes for a field of that name; it "
+                f"{_NO_PART}, so take it out of the mesh if the answer does not depend on it."
+            )
     files: dict[str, Path | list[int]] = {}
     regions: dict[str, str] = {}
     # Whether z is there says whether the body is plane.
@@ -122,10 +139,15 @@ def _body(section: Section, beside: Path, folder: Path) -> Body:
 # --- materials
 
 
-def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) -> None:
+def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) -> Mask:
+    """Put materials, horizons and what goes with them into the script.
+
+    Return the particles whose stress-free temperature is not zero (n,).
+    """
+    warm = np.zeros(len(script.body.x), dtype=bool)
     models = root.section("Models")
-    for name, value in (models.sections["Pre Calculation Global"].entries if "Pre Calculation Global" in models else {}
-                        ).items():  # fmt: skip
+    before = models.sections.get("Pre Calculation Global")
+    for name, value in ({} if before is None else before.entries).items():
         if name == "Bond Associated Deformation Gradient" and value.text.lower() == "true":
             raise CaseError(f"{value.place} of the deck {_NO_PART}.")
     script.notes.leave_out(models, "Pre Calculation Global")
@@ -153,6 +175,8 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
             if thermals is None:
                 raise CaseError(f"{block.place} of the deck names the thermal model {thermal!r}, and it has none.")
             code = _thermal(thermals.section(thermal), code, kind, script)
+            if thermals.section(thermal).number("Reference Temperature", 0.0) != 0.0:
+                warm |= where.mask
             used.add(thermal)
         script.material.append((where, code))
         controls.add(control)
@@ -178,6 +202,7 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
         script.fields += ["pd.deformation_gradient", "pd.stress"]
     _influence(script, root.section("Discretization"))
     _damage(script, damages, broken, kinds)
+    return warm
 
 
 def _plane(section: Section, script: Script) -> str:
@@ -360,7 +385,7 @@ def _where(body: Body, name: str, place: str) -> Where:
     if own in body.regions:
         assert own is not None
         return Where(body.regions[own], np.asarray(body.sets[own]))
-    return body.named(name, place)
+    return body.named(name, place, nodes=True)
 
 
 # --- time

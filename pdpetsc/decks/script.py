@@ -89,6 +89,8 @@ class Body:
         Those names by the ones of the deck.
     regions : mapping of str to str
         Code of the sets that are no sets of the particles.
+    of_nodes : mapping of str to str
+        As ``called``, for node sets whose name a block has too.
     """
 
     code: list[str]
@@ -97,15 +99,18 @@ class Body:
     sets: Mapping[str, Mask]
     called: Mapping[str, str]
     regions: Mapping[str, str] = field(default_factory=dict)
+    of_nodes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
         """Return the number of coordinates."""
         return int(self.x.shape[1])
 
-    def named(self, name: str, place: str) -> Where:
-        """Return the particles of a set of the deck; raises CaseError where there is none of that name."""
+    def named(self, name: str, place: str, nodes: bool = False) -> Where:
+        """Return the particles of a block of the deck, or of a node set; raises CaseError where there is none."""
         own = self.called.get(tidy(name))
+        if nodes:
+            own = self.of_nodes.get(tidy(name), own)
         if own is None or own not in self.sets:
             have = ", ".join(sorted(self.called)) or "none"
             raise CaseError(f"{place} of the deck names the set {name!r}; mesh and deck have {have}.")

@@ -79,10 +79,13 @@ class Block:
         A key of ``CORNERS``.
     nodes : (n, m) int64
         Rows of the points, corners first.
+    volume : (n,) float64, optional
+        Of cells of one node that are spheres with a volume of their own [length^3].
     """
 
     kind: str
     nodes: GlobalIndex
+    volume: Float | None = None
 
     @property
     def corners(self) -> GlobalIndex:

@@ -14,18 +14,26 @@ _BOTTOM, _TOP = [(0, 1), (1, 2), (2, 3), (3, 0)], [(4, 5), (5, 6), (6, 7), (7, 4
 _UPRIGHT = [(0, 4), (1, 5), (2, 6), (3, 7)]
 _TETRA = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
 # Edges of a cell in the order of the nodes in their middles. Exodus and Nastran have upright edges before those of the
-# top, Abaqus and VTK after them, and Gmsh has the last two of a tetrahedron the other way round; readers do not turn
-# all of them, so the order is that in which the nodes are nearest to the middles.
+# top, Abaqus and VTK after them, and Gmsh orders edges by their first corner; readers do not turn all of them, so the
+# order is that in which the nodes are nearest to the middles.
 EDGES: dict[str, list[list[tuple[int, int]]]] = {
     "triangle": [[(0, 1), (1, 2), (2, 0)]],
     "quad": [_BOTTOM],
     "tetra": [_TETRA, [*_TETRA[:4], _TETRA[5], _TETRA[4]]],
-    "pyramid": [[*_BOTTOM, (0, 4), (1, 4), (2, 4), (3, 4)]],
+    "pyramid": [
+        [*_BOTTOM, (0, 4), (1, 4), (2, 4), (3, 4)],
+        [(0, 1), (0, 3), (0, 4), (1, 2), (1, 4), (2, 3), (2, 4), (3, 4)],
+    ],
     "wedge": [
         [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
         [(0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)],
+        [(0, 1), (0, 2), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (3, 5), (4, 5)],
     ],
-    "hexahedron": [[*_BOTTOM, *_TOP, *_UPRIGHT], [*_BOTTOM, *_UPRIGHT, *_TOP]],
+    "hexahedron": [
+        [*_BOTTOM, *_TOP, *_UPRIGHT],
+        [*_BOTTOM, *_UPRIGHT, *_TOP],
+        [(0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)],
+    ],
 }
 # Nodes of a facet besides its corners: in the middles of up to four edges, and one within.
 MIDDLES = 5

@@ -52,6 +52,8 @@ def read(path: Path) -> MeshData:
             connect = variables[f"connect{number}"]
             word = str(getattr(connect, "elem_type", "")).upper()
             block = _block(word, np.asarray(connect[:]))
+            if block.kind == "vertex":
+                block = Block(block.kind, block.nodes, _volumes(variables, number, len(block.nodes)))
             # Shells, and triangles in space, have their two faces before their edges.
             shell.append(word.startswith("SHE") or (word.startswith("TRI") and points.shape[1] == 3))
             groups[name] = start + np.arange(len(block.nodes))
@@ -81,6 +83,19 @@ def _block(word: str, nodes: NDArray[Any]) -> Block:
     if nodes.shape[1] < CORNERS[kind]:
         raise CaseError(f"elements of type {word!r} have {nodes.shape[1]} nodes")
     return Block(kind, nodes.astype(np.int64) - 1)
+
+
+def _volumes(variables: Any, number: int, count: int) -> Float | None:
+    """Return the volumes of spheres: the attribute of that name, else the second one, after the radius; else None."""
+    if f"attrib{number}" not in variables:
+        return None
+    attributes = np.asarray(variables[f"attrib{number}"][:], dtype=float)
+    names = variables[f"attrib_name{number}"][:] if f"attrib_name{number}" in variables else []
+    words = [_text(name).lower() for name in names]
+    place = words.index("volume") if "volume" in words else 1
+    if attributes.ndim != 2 or len(attributes) != count or attributes.shape[1] <= place:
+        return None
+    return attributes[:, place]
 
 
 def _sets(file: Any, dimension: str, short: str, word: str, variable: str) -> dict[str, GlobalIndex]:

@@ -48,7 +48,8 @@ class Mesh(Particles):
     Edges with a node in their middle are the parabolas through it, faces the quadratic surfaces through theirs:
     volumes, centroids and the surface are those of the curved cells. Edges without one are straight.
 
-    The cells of the highest dimension count. What the file names becomes named sets:
+    The cells of the highest dimension count; spheres of Exodus are particles with the volumes that they have there.
+    What the file names becomes named sets:
 
     - cell sets, element blocks and physical groups, unnamed ones as ``group_n``;
     - side sets, surfaces, and groups of boundary lines and faces: the cells that own these facets, unnamed ones as
@@ -87,7 +88,10 @@ class Mesh(Particles):
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the cells."""
-        mesh, points, blocks = self._cells()
+        mesh = read_mesh(Path(self.path), self.format)
+        if _of_spheres(mesh):
+            return self._spheres(mesh).chunk(part, parts)
+        mesh, points, blocks = self._cells(mesh)
         volume, x = _volumes_and_centroids(Path(self.path), points, blocks)
         volume *= self._depth(points)
         return Arrays(x, volume, _sets(mesh, points, blocks), self.thickness).chunk(part, parts)
@@ -133,9 +137,30 @@ class Mesh(Particles):
         count = sum(len(block.nodes) for block in blocks)
         return count, Facets(x, area * self._depth(points), found.cell[at[facet]], tags)
 
-    def _cells(self) -> tuple[MeshData, Float, list[Block]]:
+    def _spheres(self, mesh: MeshData) -> Arrays:
+        """Return the particles of a mesh of spheres with volumes of their own."""
+        volumes = [block.volume for block in mesh.blocks if block.volume is not None]
+        volume = np.concatenate(volumes)
+        wrong = np.flatnonzero(~(np.isfinite(volume) & (volume > 0.0)))
+        if len(wrong):
+            raise CaseError(
+                f"{self.path} has a sphere with the volume {volume[wrong[0]]:g}, the number {wrong[0] + 1}."
+            )
+        nodes = np.concatenate([block.nodes[:, 0] for block in mesh.blocks if block.volume is not None])
+        sets = {name: _flags(len(nodes), cells) for name, cells in mesh.cell_sets.items()}
+        for name, members in mesh.node_sets.items():
+            label = f"{name} nodes" if name in sets else name
+            sets[label] = np.isin(nodes, members)
+        return Arrays(mesh.points[nodes], volume, sets, self.thickness)
+
+    def _cells(self, given: MeshData | None = None) -> tuple[MeshData, Float, list[Block]]:
         """Return the mesh, its points in the dimension of the body, and the cells that become particles."""
-        mesh = read_mesh(Path(self.path), self.format)
+        mesh = read_mesh(Path(self.path), self.format) if given is None else given
+        if _of_spheres(mesh):
+            raise CaseError(
+                f"{self.path} has spheres, whose faces and corners are not known; give tractions a normal and an area, "
+                f"and take pd.Mesh and pd.Standard() weights."
+            )
         dim = max((block.dim for block in mesh.blocks if len(block.nodes)), default=0)
         if dim == 0:
             raise CaseError(f"{self.path} has no cells that particles can be made of.")
@@ -174,9 +199,9 @@ class MeshNodes(Mesh):
     >>> plate = pd.MeshNodes("plate.msh", thickness=2.0)
     """
 
-    def _cells(self) -> tuple[MeshData, Float, list[Block]]:
+    def _cells(self, given: MeshData | None = None) -> tuple[MeshData, Float, list[Block]]:
         """Return what Mesh has, with the corners of the cells alone."""
-        mesh, points, chosen = super()._cells()
+        mesh, points, chosen = super()._cells(given)
         mesh = replace(mesh, blocks=[Block(block.kind, block.corners) for block in mesh.blocks])
         return mesh, points, [block for block in mesh.blocks if block.dim == chosen[0].dim]
 
@@ -207,6 +232,12 @@ class MeshNodes(Mesh):
         nodes, _ = shares_of_nodes(points, blocks)
         tags = {name: flags[free[facet]] for name, flags in _tags(mesh, found, blocks).items()}
         return len(nodes), Facets(x, area * self._depth(points), np.searchsorted(nodes, node), tags)
+
+
+def _of_spheres(mesh: MeshData) -> bool:
+    """Return whether all cells of a mesh are spheres with volumes of their own."""
+    blocks = [block for block in mesh.blocks if len(block.nodes)]
+    return bool(blocks) and all(block.volume is not None for block in blocks)
 
 
 @lru_cache(maxsize=4)

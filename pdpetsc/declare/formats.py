@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.arrays import GlobalIndex
-from pdpetsc.declare import abaqus, exodus
+from pdpetsc.declare import abaqus, exodus, gmsh
 from pdpetsc.declare.cells import CORNERS, Block, MeshData
 from pdpetsc.errors import CaseError
 
@@ -178,6 +178,8 @@ def block_of(kind: str, nodes: Any) -> Block:
 
 
 def _read_gmsh(path: Path) -> MeshData:
+    if gmsh.is_read(path):
+        return gmsh.read(path)
     import meshio
 
     return _of_meshio(meshio.gmsh.read(path))

@@ -111,6 +111,11 @@ class TextFile(Particles):
             raise CaseError(f"Column {name!r} of {self.path} has values that are not numbers.")
         return found
 
+    @property
+    def columns(self) -> list[str] | None:
+        """Return the names of the columns, None where the file has none."""
+        return _read(Path(self.path))[1]
+
     def has(self, name: str) -> bool:
         """Return whether the file has such a column, by its names or, without names, as ``x y z block volume``."""
         _, names, table = _read(Path(self.path))

@@ -33,12 +33,13 @@ class MeanDilatation(Scheme):
         r = P_bar : F_bar / dim + 2 share mu (<theta> - theta)
 
     for linear materials ``theta = tr F - dim`` and ``F_bar = F + (<theta> - theta) / dim I``. The second part of the
-    energy is that of dilatations that the mean does not see: without it they meet no force. Uniform states have
-    ``F_bar = F``. The pressure is nearly constant in a patch, so its error falls with the edge; an edge of two spacings
-    leaves one condition to eight displacements in the plane, to 24 in space. Patches do not depend on the number of
-    ranks; beside a mirror plane they end there. Particles of several materials in one box are in several patches, and
-    so are pieces of a box that no bonds inside it hold together, as on both sides of a crack. Around the tip of a
-    crack, which bonds of the box still go around, both sides share their dilatation.
+    energy is that of dilatations that the mean does not see: without it they meet no force. Uniform states have ``F_bar
+    = F``. The pressure is nearly constant in a patch, so its error falls with the edge; an edge of two spacings leaves
+    one condition to eight displacements in the plane, to 24 in space. Patches do not depend on the number of ranks;
+    beside a mirror plane they end there. Particles of several materials in one box are in several patches, and so are
+    those of a graded one between which moduli jump, by a quotient of 1.5 or more, and pieces of a box that no bonds
+    inside it hold together, as on both sides of a crack. Around the tip of a crack, which bonds of the box still go
+    around, both sides share their dilatation.
 
     A control is scaled with the bulk modulus unless it is told not to: take ``ByShear``.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import logging
 import math
@@ -10,7 +9,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import replacing
 from pdpetsc.output.reading import StoredFields
-from pdpetsc.output.scene import Scene, component_of, limits_of, scene_of
+from pdpetsc.output.scene import Scene, component_of, frame_of, scene_of
 from pdpetsc.post.quantities import refuse_component
 from pdpetsc.post.solution import Field, stress
 
@@ -30,6 +30,8 @@ LOG = logging.getLogger("pdpetsc")
 DPI, DPI_OF_FRAMES = 150, 90
 # Frames of a film at most, and how many of them in a second.
 FRAMES, PER_SECOND = 120, 10
+# Steps of a film that one process draws.
+TOGETHER = 8
 # How long PyVista may take to draw one picture [s].
 LONGEST = 120
 # What tells a later run in the folder that it may move the file away.
@@ -97,10 +99,8 @@ def draw_field(
         The picture cannot be written.
     """
     scene = scene_of(folder, name, component, scale, title, step)
-    last = step is None or step == StoredFields(folder).steps[-1]
-    crack = folder / "crack.vtk" if last and (folder / "crack.vtk").exists() else None
     with replacing(path) as aside:
-        _draw_scene(scene, aside, path.suffix.removeprefix(".") or "png", crack=crack)
+        _draw_scenes([scene], [aside], path.suffix.removeprefix(".") or "png")
 
 
 def kept_picture(folder: Path) -> bytes | None:
@@ -136,14 +136,13 @@ def draw_film(
     chosen = steps[:: max(1, -(-len(steps) // FRAMES))]
     if chosen[-1] != steps[-1]:
         chosen.append(steps[-1])
-    scenes = [scene_of(folder, name, component, scale, title, step) for step in chosen]
-    limits = limits_of(np.concatenate([scene.values for scene in scenes]))
-    box = (np.min([s.y.min(axis=0) for s in scenes], axis=0), np.max([s.y.max(axis=0) for s in scenes], axis=0))
+    limits, box = frame_of(folder, name, component, scale, chosen)
     with tempfile.TemporaryDirectory() as place, replacing(path) as aside:
-        frames = []
-        for number, scene in enumerate(scenes):
-            frames.append(Path(place) / f"{number:05d}.png")
-            _draw_scene(replace(scene, limits=limits), frames[-1], "png", box, DPI_OF_FRAMES)
+        frames = [Path(place) / f"{number:05d}.png" for number in range(len(chosen))]
+        for first in range(0, len(chosen), TOGETHER):
+            some = slice(first, first + TOGETHER)
+            scenes = [scene_of(folder, name, component, scale, title, step, limits) for step in chosen[some]]
+            _draw_scenes(scenes, frames[some], "png", box, DPI_OF_FRAMES)
         (_gif if kind == ".gif" else _mp4)(frames, aside)
     return len(frames)
 
@@ -186,19 +185,27 @@ def _mp4(frames: list[Path], path: Path) -> None:
             writer.grab_frame()
 
 
-def _draw_scene(
-    scene: Scene, path: Path, kind: str, box: tuple[Float, Float] | None = None, dpi: int = DPI,
-    crack: Path | None = None,
-) -> None:  # fmt: skip
-    """Draw a step into a file of this kind; ``box`` are the corners of all that a film shows."""
-    if scene.dim == 3 and kind == "png" and _drawn_by_pyvista(scene, path, box, crack):
+def _draw_scenes(
+    scenes: Sequence[Scene], paths: Sequence[Path], kind: str, box: tuple[Float, Float] | None = None, dpi: int = DPI
+) -> None:
+    """Draw steps into files of this kind; ``box`` are the corners of all that a film shows."""
+    if scenes[0].dim == 3 and kind == "png" and _drawn_by_pyvista(scenes, paths, box):
         return
+    for scene, path in zip(scenes, paths, strict=True):
+        _draw_scene(scene, path, kind, box, dpi)
+
+
+def _draw_scene(scene: Scene, path: Path, kind: str, box: tuple[Float, Float] | None, dpi: int) -> None:
+    """Draw a step with Matplotlib."""
     from matplotlib.figure import Figure
 
     low, high = _framed(scene, box)
     figure = Figure(figsize=_size(low, high, scene.dim), layout="constrained")
     axes = figure.add_subplot(projection="3d" if scene.dim == 3 else None)
     (_curve, _plane, _space)[scene.dim - 1](figure, axes, scene, low, high)
+    if scene.dim == 1 and box is not None:
+        edge = 0.05 * (scene.limits[1] - scene.limits[0]) or 1.0
+        axes.set_ylim(scene.limits[0] - edge, scene.limits[1] + edge)
     axes.set_title(scene.title, fontsize=11)
     figure.savefig(path, dpi=dpi, format=kind, metadata=MARK if kind == "png" else None)
 
@@ -232,8 +239,10 @@ def _curve(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     few = len(order) <= 200
     axes.plot(scene.x[order, 0], scene.values[order], ".-" if few else "-", markersize=4, linewidth=1.2)
     axes.set(xlabel=scene.labels.axis("x"), ylabel=scene.label)
-    bottom, top = limits_of(scene.values) if np.ptp(scene.values) <= 1e-9 * np.abs(scene.values).max() else (None, None)
-    axes.set_ylim(bottom, top)
+    if np.ptp(scene.values) <= 1e-9 * np.abs(scene.values).max():
+        # Round-off is no pattern.
+        middle = float(np.median(scene.values))
+        axes.set_ylim(middle - (0.05 * abs(middle) or 1.0), middle + (0.05 * abs(middle) or 1.0))
     axes.grid(alpha=0.3)
     if scene.horizon:
         at = axes.get_xaxis_transform()
@@ -316,40 +325,49 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     _scale_of_colours(figure, axes, drawn, scene)
 
 
-def _drawn_by_pyvista(scene: Scene, path: Path, box: tuple[Float, Float] | None, crack: Path | None) -> bool:
-    """Draw a solid body with PyVista, if it is there and works without a display; return whether it did."""
+def _drawn_by_pyvista(scenes: Sequence[Scene], paths: Sequence[Path], box: tuple[Float, Float] | None) -> bool:
+    """Draw solid bodies with PyVista, if it is there and works without a display; return whether it did."""
     if importlib.util.find_spec("pyvista") is None:
         LOG.info("PyVista is not installed: the solid body is drawn as points (pip install pyvista)")
         return False
-    margin = 0.5 * float(np.max(scene.size))
-    low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else box
+    # Of MPI's variables the other process must not know: it would take itself for a rank.
+    of_mpi = ("OMPI_", "PMI_", "PMIX_", "MPI_", "HYDRA_", "PRTE_")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(of_mpi)}
+    environment["MPLBACKEND"] = "agg"
+    why = "no picture came out"
     with tempfile.TemporaryDirectory() as place:
-        source, target = Path(place) / "scene.npz", Path(place) / "picture.png"
-        np.savez(
-            source, y=scene.y, values=scene.values, size=scene.size, F=scene.F, inside=scene.inside,
-            steps=np.empty(0) if scene.steps is None else scene.steps, limits=np.array(scene.limits),
-            label=scene.label, title=scene.title, horizon=scene.horizon or 0.0,
-            box=np.array([low - margin, high + margin]), crack=np.array(["" if crack is None else str(crack)]),
-            axes=np.array([scene.labels.axis(letter) for letter in "xyz"]),
-        )  # fmt: skip
-        # Of MPI's variables the other process must not know: it would take itself for a rank.
-        of_mpi = ("OMPI_", "PMI_", "PMIX_", "MPI_", "HYDRA_", "PRTE_")
-        environment = {name: value for name, value in os.environ.items() if not name.startswith(of_mpi)}
-        environment["MPLBACKEND"] = "agg"
-        why = "no picture came out"
+        words, targets = [sys.executable, str(_SOLID)], []
+        for number, scene in enumerate(scenes):
+            source, target = Path(place) / f"{number}.npz", Path(place) / f"{number}.png"
+            _hand_over(scene, source, box)
+            words += [str(source), str(target)]
+            targets.append(target)
+        patience = LONGEST * len(scenes)
         try:
-            words = [sys.executable, str(_SOLID), str(source), str(target)]
-            done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False)
+            done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=patience, check=False)
             if done.returncode != 0:
                 why = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
         except (OSError, subprocess.SubprocessError) as error:
             why = str(error)
-        with contextlib.suppress(OSError):
-            if target.stat().st_size > 0:
+        if all(target.exists() and target.stat().st_size > 0 for target in targets):
+            for target, path in zip(targets, paths, strict=True):
                 _mark(target, path)
-                return True
+            return True
     LOG.warning("PyVista cannot draw here (%s): the solid body is drawn as points", why)
     return False
+
+
+def _hand_over(scene: Scene, path: Path, box: tuple[Float, Float] | None) -> None:
+    """Write what the other process draws; of a lattice only the cells that may be seen."""
+    margin = 0.5 * float(np.max(scene.size))
+    low, high = (scene.y.min(axis=0), scene.y.max(axis=0)) if box is None else box
+    shown = ~scene.inside if scene.steps is not None else np.ones(len(scene.y), dtype=bool)
+    np.savez(
+        path, y=scene.y[shown], values=scene.values[shown], size=scene.size[shown], F=scene.F[shown],
+        steps=np.empty(0) if scene.steps is None else scene.steps, limits=np.array(scene.limits),
+        label=scene.label, title=scene.title, horizon=scene.horizon or 0.0,
+        box=np.array([low - margin, high + margin]), axes=np.array([scene.labels.axis(letter) for letter in "xyz"]),
+    )  # fmt: skip
 
 
 def _mark(source: Path, path: Path) -> None:

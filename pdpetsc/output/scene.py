@@ -24,6 +24,8 @@ Near: TypeAlias = tuple[Float, Mask]
 MOST = 200_000
 # Values beyond these shares of the particles do not widen the scale of colours [%].
 SHOWN = (0.5, 99.5)
+# Fits of the deformation about a particle, and what a neighbour may move otherwise than it says, over the spacing.
+FITS, TORN = 4, 0.1
 # A face between two cells longer than so many spacings has no end in the body.
 LONGEST_FACE = 3.0
 
@@ -116,6 +118,32 @@ def scene_of(
         float(horizon) if isinstance(horizon, int | float) else None,
         cracks, label, words, labels, limits or limits_of(values),
     )  # fmt: skip
+
+
+def frame_of(
+    folder: Path, name: str, component: str, scale: float, steps: Sequence[int]
+) -> tuple[tuple[float, float], tuple[Float, Float]]:
+    """Return the ends of the scale of colours and the corners of all that steps show, one step after another.
+
+    Raises
+    ------
+    CaseError
+        There is no such step, field or component.
+    """
+    stored = StoredFields(folder)
+    stride = max(1, -(-stored.n_particles // MOST))
+    x = stored.of_particles("position", stride)
+    dim = int((np.ptp(x, axis=0) > 0.0).sum())
+    ends, lows, highs = [], [], []
+    for step in steps:
+        values = component_of(stored.field(name, step, stride), component)
+        # A curve is shown with its peaks.
+        ends.append(limits_of(values) if dim > 1 else (float(np.nanmin(values)), float(np.nanmax(values))))
+        y = x + scale * stored.field("displacement", step, stride)
+        lows.append(y.min(axis=0))
+        highs.append(y.max(axis=0))
+    limits = float(np.min(ends)), float(np.max(ends))
+    return limits, (np.min(lows, axis=0), np.max(highs, axis=0))
 
 
 def limits_of(values: Float) -> tuple[float, float]:
@@ -221,14 +249,19 @@ def about(x: Float, u: Float, broken: NDArray[np.int64], lines: Sequence[Sequenc
     nearest = np.maximum(distance[:, :1], np.finfo(float).tiny)
     weight = np.where(held, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
     xi, eta = (x[near] - x[:, None]) / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None]
-    moments = np.einsum("nk,nki,nkj->nij", weight, xi, xi)
-    good = np.linalg.cond(moments) < 1e4
-    slope = np.einsum("nk,nki,nkj->nij", weight, eta, xi)[good] @ np.linalg.inv(moments[good])
-    F[good] += slope
+    seen = weight
+    for _ in range(FITS):
+        moments = np.einsum("nk,nki,nkj->nij", seen, xi, xi)
+        good = np.linalg.cond(moments) < 1e4
+        slope = np.einsum("nk,nki,nkj->nij", seen, eta, xi)[good] @ np.linalg.inv(moments[good])
+        F[good] = np.eye(dim) + slope
+        # What does not move as the others do is on the other side of a crack that nobody has told of.
+        apart = np.linalg.norm(eta - np.einsum("nij,nkj->nki", F - np.eye(dim), xi), axis=2)
+        seen = weight / (1.0 + (apart / TORN) ** 2)
     # A fit may make no sense where pieces fly apart; cells are then drawn as they were.
     F[(np.abs(F) > 5.0).any(axis=(1, 2))] = np.eye(dim)
     inside = ((distance < 1.2 * nearest) & held).sum(axis=1) >= 2 * dim
-    return F, inside & held.all(axis=1)
+    return F, inside & (held & (apart < 3.0 * TORN)).all(axis=1)
 
 
 def broken_pairs(folder: Path, step: int) -> NDArray[np.int64]:

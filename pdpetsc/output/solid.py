@@ -1,4 +1,4 @@
-"""Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png``.
+"""Draws a solid body with PyVista, as a program of its own: ``python solid.py SCENE.npz PICTURE.png ...``.
 
 Where there is no display, and no OpenGL without one, VTK may end the process that it is in. It is therefore not that of
 the run, and this file imports nothing of pdpetsc, so that it starts at once.
@@ -41,13 +41,12 @@ def main(source: str, target: str) -> None:
     }
     y, values, size = scene["y"], scene["values"], scene["size"]
     if scene["steps"].size:
-        shown = ~scene["inside"]
         half = 0.5 * scene["steps"] * _CORNERS
-        corners = y[shown][:, None] + np.einsum("nij,cj->nci", scene["F"][shown], half)
+        corners = y[:, None] + np.einsum("nij,cj->nci", scene["F"], half)
         n = len(corners)
         cells = np.column_stack([np.full(n, 8), np.arange(8 * n).reshape(n, 8)]).ravel()
         body = pyvista.UnstructuredGrid(cells, np.full(n, 12, dtype=np.uint8), corners.reshape(-1, 3))
-        body.cell_data["values"] = values[shown]
+        body.cell_data["values"] = values
         edges = n < 6000
         plotter.add_mesh(body, show_edges=edges, edge_color="grey", line_width=0.5, **look)
     else:
@@ -59,9 +58,6 @@ def main(source: str, target: str) -> None:
         else:
             actor = plotter.add_mesh(body, style="points_gaussian", render_points_as_spheres=True, **look)
             actor.mapper.scale_factor = 0.5 * float(np.median(size))
-    for crack in scene["crack"]:
-        if crack:
-            plotter.add_mesh(pyvista.read(str(crack)), color="black", opacity=0.8)
     box = scene["box"]
     # Round numbers at the ends of the axes.
     tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0
@@ -98,4 +94,5 @@ def main(source: str, target: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2])
+    for pair in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
+        main(*pair)

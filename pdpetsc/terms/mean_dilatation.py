@@ -28,6 +28,8 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Constraints, Entries, Term
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
 
+# Moduli of one material whose quotient is larger, without others between them, are a jump apart.
+JUMP = 1.5
 # What a softened patch resists its mean dilatation with, over twice the shear modulus.
 SOFTER = 1.0
 
@@ -120,7 +122,10 @@ class PatchPoints(MaterialPoints):
             self.twice_shear[one.points] = twice if one.factor is None else twice * one.factor
         self._rest = patches.share * self.twice_shear
         grid = boxes(cloud.comm, cloud.x[: cloud.n_owned], patches.edge)
-        self._gather(_pieces(body.families, np.column_stack([grid, material_of])))
+        keys = np.column_stack([grid, material_of])
+        if factor is not None:
+            keys = np.column_stack([keys, _apart(keys, factor)])
+        self._gather(_pieces(body.families, keys))
 
     def _gather(self, patch_of: GlobalIndex) -> None:
         """Set up the patches of the own particles (n_owned,)."""
@@ -372,6 +377,24 @@ def material_points(
     if scheme.patches is None:
         return MaterialPoints(body, operator, materials, material_of, factor)
     return PatchPoints(body, operator, materials, material_of, factor, scheme.patches)
+
+
+def _apart(keys: GlobalIndex, factor: Float) -> GlobalIndex:
+    """Return numbers (n,) that differ between particles of the same keys (n, k) whose moduli are a jump apart.
+
+    Parameters
+    ----------
+    factor : (n,) float64
+        What multiplies the moduli of each [-].
+    """
+    size = np.log(factor)
+    order = np.lexsort([size, *keys.T])
+    new = np.zeros(len(order), dtype=np.int64)
+    gap = np.diff(size[order]) > np.log(JUMP)
+    new[1:] = gap | np.any(np.diff(keys[order], axis=0), axis=1)
+    found = np.empty(len(order), dtype=np.int64)
+    found[order] = np.cumsum(new)
+    return found
 
 
 def _pieces(families: Families, box: GlobalIndex) -> GlobalIndex:

@@ -65,7 +65,7 @@ def case(
     columns = round(width / dx)
     # The plate that cracks of least energy were computed for.
     known = (half, hot, coefficient) == (3.0, 620.0, 50.0) and time >= 0.12
-    # Cracks run along the flow of heat and hardly hinder it.
+    # Cracks run along the flow of heat; bonds along the surface, which break as well, hinder it a little.
     core = cooled(half, half, coefficient, time, hot)
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (width, half), dx),
@@ -93,7 +93,7 @@ def case(
             **{f"spacing_{n}": width / max(h[f"cracks_{n}"][-1], 1.0) for n in range(len(depths))},
             **({"spacing_0_over_least": width / max(h["cracks_0"][-1], 1.0) / least_energy()} if known else {}),
         },
-        expect={"core": pd.Expected(core, absolute=0.05 * (hot - WATER), source="series of a plate without cracks")},
+        expect={"core": pd.Expected(core, absolute=0.08 * (hot - WATER), source="series of a plate without cracks")},
         fields=[pd.displacement, pd.temperature, pd.heat_flux, pd.lost_bonds],
         picture=pd.Picture(pd.lost_bonds, ""),
     )

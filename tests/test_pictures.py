@@ -10,6 +10,7 @@ from PIL import Image
 import pdpetsc as pd
 from pdpetsc.command_line.plot import plot
 from pdpetsc.output import picture
+from pdpetsc.output.crack import polydata
 from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import draw_field, draw_film
@@ -157,6 +158,8 @@ def test_a_film_has_a_frame_for_each_step_with_the_same_axes(plane, tmp_path):
 def test_a_solid_body_is_drawn_by_pyvista_without_a_display(solid, tmp_path, monkeypatch, caplog):
     pytest.importorskip("pyvista")
     monkeypatch.delenv("DISPLAY", raising=False)
+    # A crack that has not begun, or of another step, is no reason to draw anything else.
+    (solid / "crack.vtk").write_text(polydata([], True, "pdpetsc, step 9"))
     with caplog.at_level(logging.INFO, "pdpetsc"):
         draw_field(solid, tmp_path / "p.png", "von_mises", "", 1.0, "block")
     if "PyVista cannot draw here" in caplog.text:

@@ -288,7 +288,7 @@ def broken_pairs(folder: Path, step: int, x: Float) -> NDArray[np.int64]:
     known = (found < len(x)).all(axis=1)
     found, lengths = found[known], lengths[known]
     apart = np.linalg.norm(x[found[:, 0]] - x[found[:, 1]], axis=1)
-    return found[np.abs(lengths - apart) <= OWN * lengths]
+    return np.asarray(found[np.abs(lengths - apart) <= OWN * lengths])
 
 
 def faces_between(x: Float, u: Float, broken: NDArray[np.int64], lines: list[list[list[float]]]) -> Float:

@@ -24,6 +24,9 @@ from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
 
+# What stands for the run of a folder that was opened without fields.
+NONE_YET = ""
+
 
 class Result(Mapping[str, float]):
     """What a run gives: a mapping of its named results, with history, fields and summary beside them.
@@ -83,7 +86,13 @@ class Result(Mapping[str, float]):
         CaseError
             The run wrote none, or a later one has taken its folder.
         """
-        return StoredFields(self.folder, self._run)
+        stored = StoredFields(self.folder, self._run or None)
+        if self._run == NONE_YET:
+            raise CaseError(
+                f"{self.folder} had no fields to read when its run was opened, and has some now, which may be those of "
+                f"a later run; open it again."
+            )
+        return stored
 
     def field(self, name: str, step: int | None = None) -> NDArray[Any]:
         """Return a field of all particles in creation order, of the last step that has any by default (not collective).
@@ -306,10 +315,20 @@ def open_run(folder: str | Path) -> Result:
     'converged'
     """
     folder = Path(folder)
+    # Before the rest: where another run begins meanwhile, its numbers go with no fields rather than with others.
+    run = _run_of(folder)
     summary = read_summary(folder)
     try:
         results = {str(name): float(value) for name, value in dict(summary.get("results") or {}).items()}
     except (TypeError, ValueError) as error:
         raise CaseError(f"{folder} holds a summary.json whose results are not numbers: {error}.") from error
     history = read_history(folder) if (folder / "history.csv").exists() else {}
-    return Result(folder, results, history, summary)
+    return Result(folder, results, history, summary, run=run)
+
+
+def _run_of(folder: Path) -> str | None:
+    """Return which run the fields in a folder are of, so that those of a later one are not taken for them."""
+    try:
+        return StoredFields(folder).run
+    except CaseError:
+        return NONE_YET

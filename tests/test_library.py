@@ -253,7 +253,7 @@ def test_a_run_opened_without_fields_does_not_show_those_of_a_later_run(tmp_path
     with pytest.raises(pd.CaseError, match="no such file"):
         opened.field("displacement")
     pd.run(bar(), tmp_path)
-    with pytest.raises(pd.CaseError, match="no fields to read when its run was opened, .* open it again"):
+    with pytest.raises(pd.CaseError, match="no fields to read when its run was opened"):
         opened.field("displacement")
     assert "<img" not in opened._repr_html_()
     assert len(pd.open(tmp_path).field("displacement")) == 64

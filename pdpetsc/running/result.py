@@ -139,8 +139,14 @@ class Result(Mapping[str, float]):
         ------
         CaseError
             The run wrote no such field or step, or the points have another dimension or are not finite, or the body
-            is one particle that is elsewhere.
+            is one particle that is elsewhere; or the field is one of forces on particles, which are as large as the
+            particles and have no values between them.
         """
+        if Labels.of(self.summary).fields.get(name) == "force":
+            raise CaseError(
+                f"The field {name} of {self.folder} is a force on each particle, which depends on its volume and has "
+                f"no values between particles; add those of field({name!r}) up over the particles of a region."
+            )
         return sampled(self.x, np.asarray(self.field(name, step), dtype=float), points)
 
     def frame(self) -> Any:

@@ -18,6 +18,7 @@ from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
+from pdpetsc.output.scene import scene_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.comparison import Comparison, Outcome, columns_of
 from pdpetsc.running.result import Result
@@ -170,6 +171,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
+from pdpetsc.output.scene import scene_of
 
 def looks(comm):
     if comm.rank == 1:
@@ -447,6 +449,28 @@ def test_all_steps_come_as_an_xarray_data_set(two):
     assert np.array_equal(data["X"], two[1].x)
     sigma = data["stress"].sel(step=3, component="x", along="y")
     assert np.array_equal(sigma, two[1].field("stress", 3)[:, 0, 1])
+
+
+def test_fields_of_any_name_come_as_xarray_with_their_units(tmp_path):
+    pytest.importorskip("xarray")
+    names = ("t", "step", "particle", "component", "X", "t_field")
+    fields = {name: (lambda s, n=n: n + s.volume) for n, name in enumerate(names)}
+    run = bar(
+        tmp_path, units=pd.Units("mm", "N"),
+        fields={**fields, "displacement": pd.displacement, "principal_stresses": pd.principal_stresses},
+    )  # fmt: skip
+    data = run.to_xarray()
+    own = ("t_field_field", "step_field", "particle_field", "component_field", "X_field", "t_field")
+    for name, stored in zip(own, names, strict=True):
+        assert np.array_equal(data[name].sel(step=2), run.field(stored)) and data[name].attrs["long_name"]
+    assert data["t"].values.tolist() == [0.0, 0.5, 1.0] and list(data["step"].values) == [0, 1, 2]
+    assert "particle" not in data.coords
+    u = data["displacement"].attrs
+    assert (u["long_name"], u["units"]) == ("displacement", "mm")
+    assert data["principal_stresses"].dims == ("step", "particle", "principal")
+    first = data["principal_stresses"].sel(step=2, principal=1)
+    assert np.array_equal(first, run.field("principal_stresses").max(axis=1)) and first.attrs["units"] == "MPa"
+    assert scene_of(run.folder, "principal_stresses", "x", 1.0, "bar").label == "principal stresses 1 [MPa]"
 
 
 def test_a_notebook_shows_a_table_and_a_picture(two, tmp_path):

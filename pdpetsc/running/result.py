@@ -7,6 +7,7 @@ import html
 import importlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
-from pdpetsc.output.labels import Labels
+from pdpetsc.output.labels import PRINCIPAL, Labels
 from pdpetsc.output.picture import draw_field, kept_picture
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.post.sampling import sampled
@@ -205,9 +206,11 @@ class Result(Mapping[str, float]):
     def to_xarray(self) -> Any:
         """Return all fields of all steps as an xarray data set (not collective).
 
-        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second one of tensors;
-        coordinates are the step, its time ``t`` [-], and the reference positions ``X`` [length] by particle and
-        component. Fields that some steps lack are left out, and everything is read at once.
+        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second one of tensors, and
+        ``principal`` (1, 2, 3) in place of ``component`` for principal values; coordinates are the step, its time
+        ``t`` [-], the volumes, and the reference positions ``X`` [length] by particle and component. A field of the
+        case that is named as one of these has ``_field`` after its name. Fields that some steps lack are left out, and
+        everything is read at once.
 
         Raises
         ------
@@ -218,19 +221,27 @@ class Result(Mapping[str, float]):
         fields = self.fields
         shared = [name for name in fields.names() if all(name in fields.names(step) for step in fields.steps)]
         labels = Labels.of(self.summary)
-        found = {}
-        for name in shared:
-            if fields.is_entry(name):
-                continue
-            values = np.stack([fields.field(name, step) for step in fields.steps])
-            dims = ("step", "particle", "component", "along")[: values.ndim]
-            found[name] = (dims, values, {"long_name": labels.field(name), "units": labels.unit_of_field(name)})
+        # xarray puts the units behind the words itself.
+        words = replace(labels, units=None)
         axes = list("xyz")
         coordinates = {
             "step": fields.steps, "t": ("step", [fields.time(step) for step in fields.steps]),
             "X": (("particle", "component"), self.x), "volume": ("particle", fields.of_particles("volume")),
-            "component": axes, "along": axes,
+            "component": axes, "along": axes, "principal": [1, 2, 3],
         }  # fmt: skip
+        taken = {*coordinates, "particle"}
+        found: dict[str, Any] = {}
+        for name in shared:
+            if fields.is_entry(name):
+                continue
+            values = np.stack([fields.field(name, step) for step in fields.steps])
+            first = "principal" if name in PRINCIPAL else "component"
+            dims = ("step", "particle", first, "along")[: values.ndim]
+            own = name
+            while own in taken or (own != name and own in shared):
+                own += "_field"
+            taken.add(own)
+            found[own] = (dims, values, {"long_name": words.field(name), "units": labels.unit_of_field(name)})
         return xarray.Dataset(found, coordinates, {"status": str(self.summary.get("status"))})
 
     def _repr_html_(self) -> str:

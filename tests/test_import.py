@@ -242,6 +242,34 @@ def test_expressions_have_their_value_before_and_after_translation(text, value):
 
 
 @pytest.mark.parametrize(
+    ("text", "peridigm", "perilab"),
+    [
+        ("-x^2", 2.25, -2.25), ("value = -x^2;", 2.25, -2.25), ("0.01*y*-t^2", 0.02 * 0.25, -0.02 * 0.25),
+        ("2^-1", 0.5, 0.5), ("2^-x^2", 2.0**2.25, 2.0**-2.25), ("2^3^2", 512.0, 512.0), ("y - x^2", -0.25, -0.25),
+        ("y-(-x^2)", -0.25, 4.25), ("--x^2", 2.25, 2.25), ("-(x)^2*y", 4.5, -4.5), ("-sin(x)^2", np.sin(1.5) ** 2,
+                                                                                  -(np.sin(1.5) ** 2)),
+        ("-x*y", -3.0, -3.0), ("x/-y^2", 0.375, -0.375), ("-2^2", 4.0, -4.0), ("(y)-x^2", -0.25, -0.25),
+    ],
+)  # fmt: skip
+def test_a_sign_before_a_power_is_that_of_the_program_of_the_deck(text, peridigm, perilab):
+    at = {"x": 1.5, "y": 2.0, "z": 3.0, "t": 0.5}
+    for first, value in ((True, peridigm), (False, perilab)):
+        node = parse(text, "a value", set("xyzt"), negation_first=first)
+        assert node.value(at) == pytest.approx(value, rel=1e-15)
+        assert eval(node.python({name: name for name in at}), {"np": np, **at}) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["min(x, y)", "max(x, y)", "ifelse(t > 1, x, y)", "abs(x)", "x**2"])
+def test_functions_that_peridigm_does_not_have_are_refused_of_its_decks(text):
+    parse(text, "a value", set("xyzt"))
+    with pytest.raises(pd.CaseError, match="too deeply"):
+        parse("^".join("x" * 5000), "a value", {"x"}, negation_first=True)
+    with pytest.raises(pd.CaseError, match="cannot be translated") as error:
+        parse(text, "a value", set("xyzt"), negation_first=True)
+    assert "ifelse" not in str(error.value).partition("write it")[2]
+
+
+@pytest.mark.parametrize(
     "text",
     ["", "2x", "x.real", "__import__('os')", "x; y", "(x", "x)", "w*t", "f(x)", "sin(x, y)", "x < 1", "1 < x < 2",
      "x = 2",

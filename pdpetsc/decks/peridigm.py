@@ -424,7 +424,7 @@ def _conditions(script: Script, section: Section, static: bool) -> None:
         if not axis and "Coordinate" in one.entries:
             one.text("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
-        value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"})
+        value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"}, negation_first=True)
         where = script.body.named(set_name, one.place, nodes=True)
         # Displacements and changes of temperature are counted from the beginning.
         given = Given(known[kind], axis, where, value, one.place, kind != "Body Force")

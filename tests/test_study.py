@@ -813,7 +813,9 @@ def reading(folder):
 
 
 @pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_run_whose_callbacks_read_something_else_is_run_again(ranks, tmp_path):
+def test_a_run_whose_callbacks_read_something_else_is_run_again(ranks, tmp_path, monkeypatch):
+    for name, value in ENVIRONMENT.items():
+        monkeypatch.setenv(name, value)
     case, out = reading(tmp_path), tmp_path / "out"
     first = pd.study(case, [{"n": 4}], out, ranks=ranks).outcomes[0]
     assert first.finished and first.results["value"] == pytest.approx(0.2)

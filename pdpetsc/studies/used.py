@@ -88,7 +88,9 @@ class Watch:
     def _add(self, whole: str, name: str) -> None:
         if whole in self._read or whole.startswith(self._apart) or whole.endswith(_CACHES):
             return
-        if of_library(whole) or of_library(os.path.realpath(whole)) or (stamp := stamp_of(whole)) is None:
+        if whole in sys.path or of_library(whole) or of_library(os.path.realpath(whole)):
+            return
+        if (stamp := stamp_of(whole)) is None:
             return
         self._read[whole] = stamp
         # A study in another folder reads another file by a name that is not absolute.
@@ -101,7 +103,7 @@ class Watch:
             if isinstance(file, str):
                 # Those that are no text have been opened by the system.
                 self._add(os.path.abspath(file), file)
-        return {self._names[whole]: stamp for whole, stamp in self._read.items()}
+        return {self._names[whole]: stamp for whole, stamp in list(self._read.items())}
 
     def contents(self) -> dict[str, str]:
         """Return the fingerprints of the files; ``CHANGED`` of one that is no longer what was read."""

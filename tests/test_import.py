@@ -17,6 +17,7 @@ from pdpetsc.command_line.import_deck import import_deck
 from pdpetsc.control.base import Stiffness
 from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.sections import read
+from pdpetsc.declare.region import View
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -242,6 +243,34 @@ def test_expressions_have_their_value_before_and_after_translation(text, value):
 
 
 @pytest.mark.parametrize(
+    ("text", "peridigm", "perilab"),
+    [
+        ("-x^2", 2.25, -2.25), ("value = -x^2;", 2.25, -2.25), ("0.01*y*-t^2", 0.02 * 0.25, -0.02 * 0.25),
+        ("2^-1", 0.5, 0.5), ("2^-x^2", 2.0**2.25, 2.0**-2.25), ("2^3^2", 512.0, 512.0), ("y - x^2", -0.25, -0.25),
+        ("y-(-x^2)", -0.25, 4.25), ("--x^2", 2.25, 2.25), ("-(x)^2*y", 4.5, -4.5), ("-sin(x)^2", np.sin(1.5) ** 2,
+                                                                                  -(np.sin(1.5) ** 2)),
+        ("-x*y", -3.0, -3.0), ("x/-y^2", 0.375, -0.375), ("-2^2", 4.0, -4.0), ("(y)-x^2", -0.25, -0.25),
+    ],
+)  # fmt: skip
+def test_a_sign_before_a_power_is_that_of_the_program_of_the_deck(text, peridigm, perilab):
+    at = {"x": 1.5, "y": 2.0, "z": 3.0, "t": 0.5}
+    for first, value in ((True, peridigm), (False, perilab)):
+        node = parse(text, "a value", set("xyzt"), negation_first=first)
+        assert node.value(at) == pytest.approx(value, rel=1e-15)
+        assert eval(node.python({name: name for name in at}), {"np": np, **at}) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["min(x, y)", "max(x, y)", "ifelse(t > 1, x, y)", "abs(x)", "x**2"])
+def test_functions_that_peridigm_does_not_have_are_refused_of_its_decks(text):
+    parse(text, "a value", set("xyzt"))
+    with pytest.raises(pd.CaseError, match="too deeply"):
+        parse("^".join("x" * 5000), "a value", {"x"}, negation_first=True)
+    with pytest.raises(pd.CaseError, match="cannot be translated") as error:
+        parse(text, "a value", set("xyzt"), negation_first=True)
+    assert "ifelse" not in str(error.value).partition("write it")[2]
+
+
+@pytest.mark.parametrize(
     "text",
     ["", "2x", "x.real", "__import__('os')", "x; y", "(x", "x)", "w*t", "f(x)", "sin(x, y)", "x < 1", "1 < x < 2",
      "x = 2",
@@ -435,6 +464,9 @@ REFUSED = [
     ("block.yaml", ("Number of Load Steps: 2", "Number of Load Steps: 0"), "0 steps"),
     ("block.yaml", ("Density: 7800.0", "Density: 7800.0\n      Density: 7800.0"), "twice"),
     ("block.yaml", ("Density: 7800.0", "Plane Stress: true"), "Plane Stress"),
+    ("block.yaml", ("Absolute Tolerance: 1.0", "Adaptive Load-Stepping:\n        Switch to Verlet:\n          Fixed "
+                                               "dt: 1"), "--ignore 'Switch to Verlet'"),
+    ("plate.yaml", ("Type: Text File", "Type: Exodus"), "all of their nodes"),
     ("plate.yaml", ("Symmetry: isotropic plane stress", "Symmetry: isotropic"), "neither plane stress nor"),
     ("plate.yaml", ("Symmetry: isotropic plane stress", "Symmetry: orthotropic plane stress"), "no counterpart"),
     ("plate.yaml", ("Coordinate: y", "Coordinate: z"), "of a 2D body"),
@@ -637,6 +669,7 @@ def test_particles_without_temperature_are_at_zero_in_perilab(folder):
     changes = (
         ("  Boundary Conditions:\n", f"{models}  Boundary Conditions:\n{heat}"),
         ("Material Model: Soft\n", "Material Model: Soft\n      Thermal Model: Warm\n"),
+        ("    Number of Steps: 4\n", "    Number of Steps: 4\n    Thermal Models: true\n"),
     )
     path, _ = import_deck(changed(folder, "plate.yaml", *changes, ("REF", "0.0")))
     assert case_of(path).material[0][1].expansion == 1e-5
@@ -649,6 +682,138 @@ def test_particles_without_temperature_are_at_zero_in_perilab(folder):
     )  # fmt: skip
     path, _ = import_deck(everywhere, folder / "b.py")
     assert case_of(path).material[0][1].reference == 20.0
+
+
+def test_models_of_perilab_are_off_unless_its_solver_switches_them_on(folder):
+    changes = (
+        ("  Boundary Conditions:\n", "    Damage Models:\n      Weak:\n        Damage Model: Critical Stretch\n"
+         "        Critical Value: 0.01\n    Thermal Models:\n      Warm:\n        Thermal Model: Thermal Expansion\n"
+         "        Thermal Expansion Coefficient: 1e-5\n  Boundary Conditions:\n"),
+        ("Linear Static Matrix Based:\n      Matrix Update: false", "Static:\n      m: 3"),
+        ("Material Model: Correspondence Elastic", "Material Model: PD Solid Elastic"),
+    )  # fmt: skip
+    for kind, name in (("Damage", "Weak"), ("Thermal", "Warm")):
+        named = [(f"      Material Model: {m}\n", f"      Material Model: {m}\n      {kind} Model: {name}\n")
+                 for m in ("Soft", "Hard")]  # fmt: skip
+        deck = changed(folder, "plate.yaml", *changes, *named)
+        with pytest.raises(pd.CaseError, match=f"'{kind} Models: true' into PeriLab/Solver"):
+            import_deck(deck)
+        without = case_of(import_deck(deck, folder / "a.py", ignore=[f"{kind} Model"], overwrite=True)[0])
+        deck = changed(
+            folder, "plate.yaml", *changes, *named, ("    Static:", f"    {kind} Models: false\n    Static:")
+        )
+        path, _ = import_deck(deck, folder / "b.py", overwrite=True)
+        assert f"{kind} Model: {name}" in path.read_text()
+        off = case_of(path)
+        deck = changed(folder, "plate.yaml", *changes, *named, ("    Static:", f"    {kind} Models: true\n    Static:"))
+        path, said = import_deck(deck, folder / "c.py", overwrite=True)
+        on = case_of(path)
+        if kind == "Damage":
+            assert (without.damage, off.damage, on.damage) == (None, None, pd.Brittle(pd.ConstantCritical(0.01)))
+            assert any("weighted volume of PD Solid Elastic" in line for line in said)
+        else:
+            assert [hasattr(case.material[0][1], "expansion") for case in (without, off, on)] == [False, False, True]
+
+
+def test_fixed_steps_of_perilab_are_rounded(folder):
+    static = ("Linear Static Matrix Based:\n      Matrix Update: false", "Static:\n      Fixed dt: DT")
+    elastic = ("Material Model: Correspondence Elastic", "Material Model: PD Solid Elastic")
+    # From 0 to 2, half to even.
+    for dt, count in (("0.5", 4), ("0.54", 4), ("0.58", 3), ("0.8", 2), ("1.25", 2), ("1.9", 1)):
+        deck = changed(folder, "plate.yaml", static, elastic, ("Fixed dt: DT", f"Fixed dt: {dt}"))
+        module = runpy.run_path(str(import_deck(deck, folder / "a.py", overwrite=True)[0]))
+        assert module["case"]().steps.count == count
+        assert module["time"](1.0) == pytest.approx(count * float(dt))
+    deck = changed(folder, "plate.yaml", static, elastic, ("Fixed dt: DT", "Fixed dt: 4.0"))
+    with pytest.raises(pd.CaseError, match="0 steps"):
+        import_deck(deck)
+
+
+def loaded(case):
+    """Return the particles of every body force (n_forces, n)."""
+    whole = case.particles.chunk(0, 1)
+    view = View(whole.x, whole.sets, lambda value: value)
+    return [condition.region.mask(view) for condition in case.conditions if isinstance(condition, pd.BodyForce)]
+
+
+def test_body_forces_that_overlap_do_not_add_up(folder):
+    other = '    Push:\n      Type: "Body Force"\n      Node Set: "Right Node Set"\n      Coordinate: "z"\n'
+    other += '      Value: "5.0"\n'
+    deck = changed(folder, "block.yaml", ("  Solver:\n", f"{other}  Solver:\n"), ('Node Set: "1 5', 'Node Set: "4 1 5'))
+    case = case_of(import_deck(deck)[0])
+    masks = loaded(case)
+    assert [mask.sum() for mask in masks] == [9, 9]
+    assert not (masks[0] & masks[1]).any()
+    assert masks[1][3]
+    forces = """\
+    One:
+      Variable: Force Densities
+      Node Set: Left
+      Coordinate: y
+      Value: 1.0
+    Two:
+      Variable: Force Densities
+      Node Set: Corner
+      Coordinate: y
+      Value: VALUE
+"""
+    for value, refused in (("2.0", True), ("1.0", False)):
+        deck = changed(folder, "plate.yaml", ("  Boundary Conditions:\n", "  Boundary Conditions:\n" + forces),
+                       ("VALUE", value))  # fmt: skip
+        if refused:
+            with pytest.raises(pd.CaseError, match="same component"):
+                import_deck(deck, folder / "p.py")
+            continue
+        masks = loaded(case_of(import_deck(deck, folder / "p.py")[0]))
+        assert np.sum(masks, axis=0).max() == 1
+
+
+THERMAL = ("Density: 7800.0", "Thermal Expansion Coefficient: 1.0e-5")
+
+
+def test_only_materials_of_peridigm_that_expand_have_an_expansion(folder):
+    for model, more in (("Elastic Bond Based", ("      Shear Modulus: 78.0e3\n", "")),
+                        ("Linear LPS Partial Volume", ("78.0e3", "78.0e3"))):  # fmt: skip
+        deck = changed(folder, "block.yaml", THERMAL, ('"Elastic"', f'"{model}"'), more)
+        with pytest.raises(pd.CaseError, match=f"whose {model} does not expand"):
+            import_deck(deck, overwrite=True)
+        path, _ = import_deck(deck, overwrite=True, ignore=["Thermal Expansion Coefficient"])
+        assert "pd.Thermal" not in path.read_text()
+
+
+def test_bonds_break_by_the_expansion_of_their_materials(folder):
+    blocks, weak = (
+        "  Blocks:\n",
+        '  Damage Models:\n    Weak:\n      Damage Model: "Critical Stretch"\n      Critical Stretch: 0.5\n',
+    )
+    named = ("      Horizon: 1.8\n", '      Horizon: 1.8\n      Damage Model: "Weak"\n')
+    alpha = "      Thermal Expansion Coefficient: "
+    for material, damage, refused in (
+        ("", "", 0),
+        ("1e-5", "1.0e-5", 0),
+        ("1e-5", "", 1),
+        ("", "1e-5", 1),
+        ("1e-5", "2e-5", 1),
+    ):
+        deck = changed(
+            folder, "block.yaml", named, (blocks, weak + (f"{alpha}{damage}\n" if damage else "") + blocks),
+            ("      Density: 7800.0\n", f"{alpha}{material}\n" if material else ""),
+        )  # fmt: skip
+        if refused:
+            with pytest.raises(pd.CaseError, match="make them the same"):
+                import_deck(deck, overwrite=True)
+        else:
+            assert isinstance(case_of(import_deck(deck, overwrite=True)[0]).damage, pd.Brittle)
+
+
+def test_sets_of_one_name_are_refused(folder):
+    deck = changed(folder, "block.yaml", ("    Left Node Set:", '    LEFT  NODE SET: "2"\n    Left Node Set:'))
+    with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
+        import_deck(deck)
+    with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
+        import_deck(changed(folder, "plate.yaml", ("      Corner: 1\n", "      Corner: 1\n      LEFT: 2\n")))
+    with pytest.raises(pd.CaseError, match="the name of a block"):
+        pd.TextFile(folder / "plate.txt", node_sets={"block_1": [1]}).chunk(0, 1)
 
 
 def test_a_node_set_with_the_name_of_a_block_is_the_node_set(folder):
@@ -693,3 +858,45 @@ def test_a_node_set_with_the_name_of_a_block_is_the_node_set(folder):
     assert found.volume.tolist() == [1.0] * 4
     sets = [found.sets[condition.region.name].tolist() for condition in case.conditions]
     assert sets == [[True, False, False, False], [False, False, False, True]]
+
+
+def test_damaged_decks_end_as_cases_or_as_sentences(folder, rng):
+    words = [
+        "nan",
+        "-1",
+        "{}",
+        "[1, [2]]",
+        "1e400",
+        '"',
+        "&a",
+        "*a",
+        "",
+        "x*y",
+        "[a, b]",
+        "0",
+        "{a: 1}",
+        "!!python/name:os.system",
+    ]
+    written = refused = 0
+    for _ in range(120):
+        lines = (PERIDIGM if rng.integers(2) else PERILAB).splitlines()
+        at = int(rng.integers(len(lines)))
+        kind = rng.integers(4)
+        if kind == 0:
+            del lines[at]
+        elif kind == 1:
+            lines.insert(at, lines[rng.integers(len(lines))])
+        elif kind == 2:
+            lines[at] = f"{lines[at].split(':')[0]}: {words[rng.integers(len(words))]}"
+        else:
+            place = int(rng.integers(len(lines[at]) + 1))
+            lines[at] = lines[at][:place] + "\"'{}[]:#\t&*!%@`x0-"[rng.integers(18)] + lines[at][place:]
+        (folder / "damaged.yaml").write_text("\n".join(lines))
+        try:
+            import_deck(folder / "damaged.yaml", overwrite=True)
+            written += 1
+        except pd.CaseError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert written > 5
+    assert refused > 40

@@ -156,6 +156,9 @@ def test_report_draws_what_it_is_asked_to(reported, tmp_path):
     done = run("report", tmp_path / "out", "field=stress", "component=xx", "scale=3")
     assert done.returncode == 0 and done.stdout.strip() == str(tmp_path / "out" / "report.html")
     read(tmp_path / "out")
+    # The picture that the run has drawn is of another scale.
+    one, other = (write_report(tmp_path / "out", scale=scale).read_text() for scale in (1.0, 5.0))
+    assert one != other
     with pytest.raises(pd.CaseError, match="no field 'nothing'"):
         write_report(tmp_path / "out", "nothing")
     with pytest.raises(pd.CaseError, match=r"holds no summary\.json"):
@@ -163,7 +166,9 @@ def test_report_draws_what_it_is_asked_to(reported, tmp_path):
     (tmp_path / "out" / "summary.json").write_text('{"steps": [3], "status": "converged"}')
     with pytest.raises(pd.CaseError, match="damaged or not of a run"):
         write_report(tmp_path / "out")
-    assert run("report", tmp_path / "out", "colour=red").returncode == 2
+    for wrong in ("colour=red", "component=x", "scale=nan"):
+        assert run("report", tmp_path / "out", wrong).returncode == 2
+    assert run("plot", tmp_path / "out", "step=1.7").returncode == 2
 
 
 def test_pictures_and_report_of_before_a_restart_are_put_away(reported, tmp_path):

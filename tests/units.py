@@ -32,6 +32,7 @@ def in_units(case, force, length):
         solver=units.solver(case.solver),
         history={},
         results=None,
+        expect={},
         fields=[],
         picture=None,
     )

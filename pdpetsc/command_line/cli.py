@@ -10,6 +10,7 @@ import errno
 import importlib.util
 import inspect
 import io
+import math
 import os
 import re
 import shlex
@@ -21,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pdpetsc.command_line.start import start_petsc
+from pdpetsc.command_line.start import processes_started, start_petsc
 from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 
 if TYPE_CHECKING:
@@ -281,6 +282,8 @@ def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
 
 def _run(argv: list[str]) -> int:
     if argv and argv[0] in COMMANDS:
+        if argv[0] in ALONE and processes_started() > 1:
+            raise CaseError(f"{argv[0]} works in one process; call it without mpirun.")
         return COMMANDS[argv[0]](argv[1:])
     arguments = split(argv)
     start_petsc(arguments.petsc)
@@ -340,11 +343,17 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             check=arguments.check,
             asked=_asked(arguments.path, argv),
         )
-    except BaseException:
-        # What a run that failed has left is worth a page too, but not what another one left where nothing was run.
-        _report_on(output, arguments.report and is_root(comm) and _stamp(output) != before)
+    except BaseException as error:
+        # What a run that failed has left is worth a page too, but not what another one left where nothing was run, and
+        # not where other ranks may still be at work: they end with the error of this one.
+        if arguments.report and (comm.size == 1 or getattr(error, "agreed", 0) == comm.size):
+            with agreed(comm):
+                _report_on(output, is_root(comm) and _stamp(output) != before, arguments.quiet)
         raise
-    _report_on(output, arguments.report and is_root(comm))
+    if arguments.report:
+        # All wait for the page: the end of MPI takes no longer than the first rank that comes to it allows.
+        with agreed(comm):
+            _report_on(output, is_root(comm), arguments.quiet)
     return 0
 
 
@@ -365,14 +374,16 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
     return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
 
 
-def _report_on(folder: Path, asked: bool) -> None:
-    """Write the report of a run that has ended, if asked; whatever fails here, results and exit status stand."""
-    if not asked:
+def _report_on(folder: Path, here: bool, quiet: bool) -> None:
+    """Write the report of a run that has ended, on one rank; whatever fails here, results and exit status stand."""
+    if not here:
         return
     from pdpetsc.output.report import write_report
 
     try:
-        print(f"report in {write_report(folder)}", flush=True)
+        path = write_report(folder)
+        if not quiet:
+            print(f"report in {path}", flush=True)
     except Exception as error:
         with contextlib.suppress(OSError):
             print(f"pdpetsc: The report could not be written: {described(error)}", file=sys.stderr, flush=True)
@@ -479,6 +490,10 @@ def _report(argv: list[str]) -> int:
 
     given = arguments.parameters
     scale = _convert("scale", given.get("scale", "1"), 1.0)
+    if not math.isfinite(scale):
+        raise CaseError(f"scale takes a number, not {given['scale']}.")
+    if "component" in given and "field" not in given:
+        raise CaseError("report takes a component of a field; give the field besides.")
     print(write_report(arguments.path, given.get("field"), given.get("component", ""), scale))
     return 0
 
@@ -504,6 +519,8 @@ def _fit(argv: list[str]) -> int:
     return fit.main(asked, split(asked.words))
 
 
+# Those that write the same files from every process that runs them.
+ALONE = {"plot", "report", "new", "import"}
 # What the command line does besides running a case, by its first word.
 COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
     "plot": _plot, "report": _report, "compare": _compare, "study": _study, "fit": _fit, "new": _new,

@@ -66,8 +66,10 @@ def _drawn(folder: Path, given: Mapping[str, str], animate: bool) -> list[Path]:
         field = given.get("field") or ("stress" if "stress" in StoredFields(folder).names() else "displacement")
         component = given.get("component", COMPONENTS.get(field, ""))
         scale, step = _number(given, "scale", 1.0), _number(given, "step", -1.0)
+        if "step" in given and (step < 0.0 or step != int(step)):
+            raise CaseError(f"step takes the number of a step, not {given['step']}.")
         path = folder / "deformed.png"
-        draw_field(folder, path, field, component, scale, _title(folder), None if step < 0 else int(step))
+        draw_field(folder, path, field, component, scale, _title(folder), int(step) if "step" in given else None)
         drawn.append(path)
         if animate:
             drawn.append(folder / f"deformed.{kind}")

@@ -8,6 +8,12 @@ product = signed {("*" | "/") signed}
 signed = ("+" | "-") signed | power
 power = atom [("^" | "**") signed]
 atom = number | name | name "(" either {"," either} ")" | "(" either ")"
+
+In Peridigm a sign binds more tightly than a power, so that -x^2 is the square of -x:
+
+product = power {("*" | "/") power}
+power = signed ["^" power]
+signed = ("+" | "-") signed | atom
 """
 
 from __future__ import annotations
@@ -33,9 +39,11 @@ FUNCTIONS: dict[str, tuple[str, int]] = {
     "sqrt": ("np.sqrt", 1), "abs": ("np.abs", 1), "fabs": ("np.abs", 1), "pow": ("**", 2),
     "min": ("np.minimum", 2), "max": ("np.maximum", 2), "ifelse": ("np.where", 3),
 }  # fmt: skip
+# Those that Peridigm's expressions do not have.
+_NOT_PERIDIGM = ("abs", "min", "max", "ifelse")
 _BINDING = {"|": 1, "&": 2, "<": 3, "<=": 3, ">": 3, ">=": 3, "==": 3, "!=": 3, "+": 4, "-": 4, "*": 5, "/": 5, "**": 7}
 _COMPARE = ("<", "<=", ">", ">=", "==", "!=")
-_DEEPEST = 40
+_DEEPEST = 60
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,7 @@ class Node:
             return float(operations[self.word](a, b))
 
 
-def parse(text: str, where: str, allowed: set[str], logical: bool = False) -> Node:
+def parse(text: str, where: str, allowed: set[str], logical: bool = False, negation_first: bool = False) -> Node:
     """Return a parsed expression.
 
     Parameters
@@ -117,6 +125,8 @@ def parse(text: str, where: str, allowed: set[str], logical: bool = False) -> No
         Variables that it may have; ``pi`` is the number.
     logical : bool
         Whether it is to be true or false.
+    negation_first : bool
+        Whether a sign binds more tightly than a power, as in Peridigm, and functions are those of Peridigm.
 
     Raises
     ------
@@ -126,14 +136,16 @@ def parse(text: str, where: str, allowed: set[str], logical: bool = False) -> No
     plain = re.sub(r"^\s*value\s*=(?!=)", "", text).strip().rstrip(";").strip()
     # Julia's operations on every member of a list are the same as those on one.
     plain = re.sub(r"\.(?=[*/+^-])|(?<=[a-z])\.(?=\()", " ", re.sub(r"(\d)\.(?=[*/+^-])", r"\1.0", plain))
-    found = _Parser(plain, text, where, allowed).whole()
+    found = _Parser(plain, text, where, allowed, negation_first).whole()
     if found.logical != logical:
         raise CaseError(f"{where} of the deck, {text!r}, is {'a number' if logical else 'true or false'}.")
     return found
 
 
 class _Parser:
-    def __init__(self, plain: str, text: str, where: str, allowed: set[str]) -> None:
+    def __init__(self, plain: str, text: str, where: str, allowed: set[str], negation_first: bool) -> None:
+        self._negation_first = negation_first
+        self._functions = [name for name in FUNCTIONS if not (negation_first and name in _NOT_PERIDIGM)]
         self._shown, self._where, self._allowed, self._depth = text, where, allowed | {"pi"}, 0
         self._tokens: list[tuple[str, str]] = []
         at = 0
@@ -151,7 +163,7 @@ class _Parser:
     def _wrong(self, why: str) -> CaseError:
         return CaseError(
             f"{self._where} of the deck is {self._shown!r}, an expression that cannot be translated: {why}; write it "
-            f"with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(FUNCTIONS)}."
+            f"with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(self._functions)}."
         )
 
     def _next(self) -> str:
@@ -170,10 +182,13 @@ class _Parser:
             raise self._wrong(f"{self._next()!r} stands where nothing can")
         return found
 
-    def _either(self) -> Node:
+    def _enter(self) -> None:
         self._depth += 1
         if self._depth > _DEEPEST:
             raise self._wrong("it is nested too deeply")
+
+    def _either(self) -> Node:
+        self._enter()
         found = self._both()
         while self._take("|", "||", "or"):
             found = self._joined("|", found, self._both())
@@ -208,24 +223,28 @@ class _Parser:
         return found
 
     def _product(self) -> Node:
-        found = self._signed()
+        factor = self._power if self._negation_first else self._signed
+        found = factor()
         while word := self._take("*", "/"):
-            found = Node("operation", word, (self._number(found), self._number(self._signed())))
+            found = Node("operation", word, (self._number(found), self._number(factor())))
         return found
 
     def _signed(self) -> Node:
-        self._depth += 1
-        if self._depth > _DEEPEST:
-            raise self._wrong("it is nested too deeply")
+        self._enter()
         word = self._take("+", "-")
-        found = self._signed() if word else self._power()
+        inner = self._atom if self._negation_first else self._power
+        found = self._signed() if word else inner()
         self._depth -= 1
         return Node("sign", "-", (self._number(found),)) if word == "-" else found
 
     def _power(self) -> Node:
-        found = self._atom()
-        if self._take("^", "**"):
-            found = Node("operation", "**", (self._number(found), self._number(self._signed())))
+        self._enter()
+        first = self._negation_first
+        found = self._signed() if first else self._atom()
+        if self._take("^") if first else self._take("^", "**"):
+            exponent = self._power() if first else self._signed()
+            found = Node("operation", "**", (self._number(found), self._number(exponent)))
+        self._depth -= 1
         return found
 
     def _number(self, node: Node) -> Node:
@@ -254,7 +273,7 @@ class _Parser:
         raise self._wrong(f"{word!r} stands where a number must")
 
     def _call(self, word: str) -> Node:
-        if word not in FUNCTIONS:
+        if word not in self._functions:
             raise self._wrong(f"{word}() is not known")
         self._at += 1
         parts = [self._either()]

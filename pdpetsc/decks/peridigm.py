@@ -23,6 +23,7 @@ from pdpetsc.decks.script import (
     cracks,
     elastic_constants,
     quoted,
+    refuse_same_names,
     refuse_unknown,
     relative,
     tidy,
@@ -48,6 +49,9 @@ _TUNING = (
     "Max Age Of Prec", "Preconditioner Reuse Policy", "Direction", "Line Search", "Printing", "Newton", "Status Tests",
     "Linear Solver", "Aztec Preconditioner", "Output", "Trust Region", "Reset Counters", "Solver Options",
 )  # fmt: skip
+_EXPANSION = "Thermal Expansion Coefficient"
+# The materials that expand; the others either do not read the coefficient, or refuse it.
+_EXPANDING = ("Elastic", "Elastic Partial Volume", "Elastic Correspondence")
 _OF_SOLVERS = ("Verbose", "Peridigm Preconditioner", "Initialize Predictor From Previous Solver", "Solver Specific")
 _OF_OUTPUT = ("Verbose", "Save Restart")
 _GRID = [
@@ -89,7 +93,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     if "Bond Filters" in root.section("Discretization").sections:
         found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
         script.arguments["cracks"] = f"[{', '.join(found)}]"
-    if "Contact" in root:
+    if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
     if "Boundary Conditions" in root.sections:
         _conditions(script, root.section("Boundary Conditions"), static)
@@ -132,6 +136,7 @@ def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
     """Return the particles of an Exodus mesh, whose unnamed sets decks call ``nodes_n`` and ``blocks_n``."""
     mesh = Mesh(path, format="exodus")
     whole = mesh.chunk(0, 1)
+    refuse_same_names(whole.sets)
     called = {tidy(name): name for name in whole.sets}
     for ours, theirs in (("node_set", nodes), ("group", blocks)):
         for name in whole.sets:
@@ -168,6 +173,7 @@ def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | l
             found[name] = [int(word) for word in words(text)]
         else:
             found[name] = beside / text
+    refuse_same_names(found)
     return found
 
 
@@ -262,7 +268,7 @@ def _blocks(script: Script, root: Section) -> None:
             script.arguments["control"] = control
         script.fields += ["pd.deformation_gradient", "pd.stress"]
     _influence(script, root)
-    _damage(script, models, damages, kinds)
+    _damage(script, models, damages, kinds, [materials.section(name) for name in materials.sections if name in used])
 
 
 def _is_block(name: str) -> bool:
@@ -327,8 +333,13 @@ def _material(section: Section, script: Script) -> tuple[str, str | None, str]:
             f"are Elastic, Elastic Bond Based, Linear LPS Partial Volume, Elastic Partial Volume, Elastic "
             f"Correspondence, Elastic Plastic Correspondence and Isotropic Hardening Correspondence."
         )
-    if "Thermal Expansion Coefficient" in section.entries:
-        expansion = section.number("Thermal Expansion Coefficient")
+    if _EXPANSION in section.entries:
+        if model not in _EXPANDING:
+            raise CaseError(
+                f"{section.entries[_EXPANSION].place} of the deck has no effect in Peridigm, whose {model} does not "
+                f"expand; leave it out with --ignore {section.entries[_EXPANSION].path!r}."
+            )
+        expansion = section.number(_EXPANSION)
         # Temperatures are counted from those at the beginning, as Peridigm does.
         found = f"pd.Thermal({found}, expansion={expansion!r}, reference=0.0)"
         script.notes.differs(
@@ -368,7 +379,20 @@ def _law(model: str, section: Section, script: Script) -> str | None:
     return f"pd.J2(E={E!r}, nu={nu!r}, yield_stress={yields!r}{more})"
 
 
-def _damage(script: Script, models: Section | None, names: set[str], kinds: set[str]) -> None:
+def _refuse_other_expansion(damage: Section, materials: list[Section]) -> None:
+    """Raise CaseError unless the stretch that breaks bonds is without the strain by which all materials expand."""
+    own = damage.number(_EXPANSION, 0.0)
+    for material in materials:
+        other = material.number(_EXPANSION, 0.0)
+        if other != own:
+            raise CaseError(
+                f"{damage.place} of the deck has {own:g} for the {_EXPANSION} where bonds break, and "
+                f"{material.place} expands by {other:g}; here both are one: make them the same."
+            )
+
+
+def _damage(script: Script, models: Section | None, names: set[str], kinds: set[str],
+            materials: list[Section]) -> None:  # fmt: skip
     if models is not None:
         for name, section in models.sections.items():
             if name not in names:
@@ -389,8 +413,7 @@ def _damage(script: Script, models: Section | None, names: set[str], kinds: set[
             f"materials that are no correspondence materials."
         )
     critical = section.number("Critical Stretch")
-    if "Thermal Expansion Coefficient" in section.entries:
-        section.number("Thermal Expansion Coefficient")
+    _refuse_other_expansion(section, materials)
     script.arguments["damage"] = f"pd.Brittle(pd.ConstantCritical({critical!r}))"
     script.notes.differs(
         "Bonds break one after another with equilibrium between them; Peridigm breaks once in a step all that are too "
@@ -424,7 +447,7 @@ def _conditions(script: Script, section: Section, static: bool) -> None:
         if not axis and "Coordinate" in one.entries:
             one.text("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
-        value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"})
+        value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"}, negation_first=True)
         where = script.body.named(set_name, one.place, nodes=True)
         # Displacements and changes of temperature are counted from the beginning.
         given = Given(known[kind], axis, where, value, one.place, kind != "Body Force")
@@ -467,6 +490,12 @@ def _times_of(solver: Section, notes: Notes, static: bool) -> list[float]:
         have = ", ".join(solver.sections) or "none"
         raise CaseError(f"{solver.place} of the deck needs one solver, QuasiStatic or NOXQuasiStatic; it has {have}.")
     section = solver.sections[kinds[0]]
+    adaptive = section.sections.get("Adaptive Load-Stepping")
+    if adaptive is not None and "Switch to Verlet" in adaptive:
+        raise CaseError(
+            f"{adaptive.place} of the deck goes on in time with 'Switch to Verlet' where a step does not converge; "
+            f"here the answer is static: leave it out with --ignore 'Switch to Verlet'."
+        )
     notes.leave_out(section, *_TUNING)
     if "Time Steps" in section.entries:
         try:

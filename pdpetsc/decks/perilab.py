@@ -13,7 +13,7 @@ import numpy as np
 
 from pdpetsc.arrays import Mask
 from pdpetsc.decks.expressions import parse
-from pdpetsc.decks.peridigm import STATIC_STEPS, exodus_body, history, text_body
+from pdpetsc.decks.peridigm import STATIC_STEPS, history, text_body
 from pdpetsc.decks.script import (
     Body,
     Given,
@@ -23,6 +23,7 @@ from pdpetsc.decks.script import (
     Where,
     cracks,
     elastic_constants,
+    refuse_same_names,
     refuse_unknown,
     tidy,
     words,
@@ -38,7 +39,7 @@ _TUNING = (
     "Matrix Update", "Update Matrix", "Safety Factor", "Fixed dt", "NLSolve", "Maximum number of iterations",
     "Show solver iteration", "Residual tolerance", "Solution tolerance", "Residual scaling", "Linear Start Value", "m",
 )  # fmt: skip
-# Which models a deck may switch on in its solver; on where it does not say.
+# Which models a deck may switch on in its solver; those of materials are on where it does not say.
 _SWITCHES = ("Material Models", "Damage Models", "Thermal Models")
 _OTHER_SWITCHES = ("Additive Models", "Degradation Models", "Pre Calculation Models", "Corrosion Models")
 # Columns of meshes that models read which are refused anyway.
@@ -52,7 +53,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     linear, times = _times(solver, notes, static)
     body = _body(root.section("Discretization"), deck.parent, folder, notes)
     script = Script(deck, PROGRAM, body, times, notes)
-    on = {name: solver.flag(name, name == "Material Models" or name not in solver.entries) for name in _SWITCHES}
+    on = {name: solver.flag(name, name == "Material Models") for name in _SWITCHES}
     for name in _OTHER_SWITCHES:
         if solver.flag(name):
             raise CaseError(f"{solver.entries[name].place} of the deck {_NO_PART}.")
@@ -87,16 +88,20 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
 
 def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
     kind = section.text("Type")
+    if kind != "Text File":
+        more = (
+            "PeriLab takes cells with all of their nodes in a node set, and every variable of the file for a field; "
+            if kind == "Exodus"
+            else ""
+        )
+        raise CaseError(
+            f"{section.entries['Type'].place} of the deck is {kind!r}, which {_NO_PART}: {more}make it a Text File of "
+            f"the columns x y z block_id volume, with node sets by numbers."
+        )
     path = beside / section.text("Input Mesh File")
     if "Distribution Type" in section.entries:
         section.text("Distribution Type")
     given = section.sections.get("Node Sets")
-    if kind == "Exodus":
-        if given is not None and given.entries:
-            raise CaseError(f"{given.place} of the deck gives node sets beside an Exodus mesh; put them into the mesh.")
-        return exodus_body(path, folder, "nodelist", "block")
-    if kind != "Text File":
-        raise CaseError(f"{section.entries['Type'].place} of the deck is {kind!r}; known are Text File and Exodus.")
     for column in TextFile(path).columns or ():
         if column in _UNUSED_COLUMNS:
             notes.differs(f"The column {column} of the mesh is not read: the deck has no model that does.")
@@ -105,6 +110,8 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
                 f"The mesh {path} has the column {column!r}, which PeriLab takes for a field of that name; it "
                 f"{_NO_PART}, so take it out of the mesh if the answer does not depend on it."
             )
+    if given is not None:
+        refuse_same_names([*given.entries])
     files: dict[str, Path | list[int]] = {}
     regions: dict[str, str] = {}
     # Whether z is there says whether the body is plane.
@@ -145,9 +152,10 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
     Return the particles whose stress-free temperature is not zero (n,).
     """
     warm = np.zeros(len(script.body.x), dtype=bool)
+    solver = root.section("Solver")
     models = root.section("Models")
-    for name, value in (models.sections["Pre Calculation Global"].entries if "Pre Calculation Global" in models else {}
-                        ).items():  # fmt: skip
+    before = models.sections.get("Pre Calculation Global")
+    for name, value in ({} if before is None else before.entries).items():
         if name == "Bond Associated Deformation Gradient" and value.text.lower() == "true":
             raise CaseError(f"{value.place} of the deck {_NO_PART}.")
     script.notes.leave_out(models, "Pre Calculation Global")
@@ -170,6 +178,7 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
         script.notes.leave_out(block, "Density", "Specific Heat Capacity")
         name = block.text("Material Model")
         code, control, kind = _material(materials.section(name), script, linear)
+        _refuse_off(block, solver, on, script)
         thermal = block.text("Thermal Model", "")
         if thermal and on["Thermal Models"]:
             if thermals is None:
@@ -203,6 +212,20 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
     _influence(script, root.section("Discretization"))
     _damage(script, damages, broken, kinds)
     return warm
+
+
+def _refuse_off(block: Section, solver: Section, on: dict[str, bool], script: Script) -> None:
+    """Leave out models of a block that are off; raises CaseError where the solver does not say whether they are."""
+    for switch in ("Damage Models", "Thermal Models"):
+        name = switch.removesuffix("s")
+        if name not in block.entries or on[switch]:
+            continue
+        if switch not in solver.entries:
+            raise CaseError(
+                f"{block.entries[name].place} of the deck names a model, and in PeriLab these are off where the solver "
+                f"does not say: put '{switch}: true' into {solver.path}, or leave it out with --ignore '{name}'."
+            )
+        script.notes.leave_out(block, name)
 
 
 def _plane(section: Section, script: Script) -> str:
@@ -337,6 +360,11 @@ def _damage(script: Script, models: Section | None, names: set[str], kinds: set[
     if section.flag("Only Tension", True) is False:
         raise CaseError(f"{section.entries['Only Tension'].place} of the deck: damage by compression {_NO_PART}.")
     critical = section.number("Critical Value")
+    if any("pd.LinearSolid(" in code for _, code in script.material):
+        script.notes.differs(
+            "Broken bonds still count in the weighted volume of PD Solid Elastic; in PeriLab only those that hold do, "
+            "so that the forces of particles that have lost some of their bonds are larger there."
+        )
     script.arguments["damage"] = f"pd.Brittle(pd.ConstantCritical({critical!r}))"
     script.notes.differs(
         "Bonds break one after another with equilibrium between them; PeriLab breaks once in a step all that are too "
@@ -371,7 +399,7 @@ def _conditions(script: Script, section: Section) -> None:
         script.given.append(Given(found, axis, where, value, one.place))
     for first, second in itertools.combinations(script.given, 2):
         same = (first.kind, first.axis) == (second.kind, second.axis) and (first.where.mask & second.where.mask).any()
-        if same and first.value != second.value and first.kind != "BodyForce":
+        if same and first.value != second.value:
             raise CaseError(
                 f"{first.place} and {second.place} of the deck prescribe the same component of some particles; PeriLab "
                 f"does not say which holds."
@@ -413,8 +441,8 @@ def _times(solver: Section, notes: Notes, static: bool) -> tuple[bool, Times]:
     else:
         dt = section.number("Fixed dt", 0.0) if kinds[0] == "Static" else 0.0
         if dt > 0.0:
-            # As many whole steps as there are before the final time.
-            count = max(1, int((last - first) / dt * (1.0 + 1e-9)))
+            # Rounded, half to even: the last step may end before or after the final time.
+            count = round((last - first) / dt)
             last = first + count * dt
         notes.leave_out(section, *_TUNING)
     for name in ("Calculation", "Calculate Cauchy", "Calculate von Mises stress", "Calculate Strain"):

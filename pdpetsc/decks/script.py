@@ -288,11 +288,11 @@ class Script:
         return [f"{section}: {'; '.join(entries)}" for section, entries in found.items()]
 
     def _part_overlaps(self) -> None:
-        """Let the last of two prescribed values of one component of a particle hold, as in the deck."""
+        """Let the last of two values of one component of a particle hold, as in the deck; body forces do not add up."""
         for later in range(len(self.given)):
             for earlier in range(later):
                 one, other = self.given[earlier], self.given[later]
-                if (one.kind, one.axis) != (other.kind, other.axis) or one.kind not in ("Displacement", "Temperature"):
+                if (one.kind, one.axis) != (other.kind, other.axis):
                     continue
                 if not (one.where.mask & other.where.mask).any():
                     continue
@@ -535,6 +535,18 @@ def refuse_unknown(root: Section) -> None:
             f"The deck has {left[0].place}{f' and {more}' if more else ''}, which {'have' if more else 'has'} no "
             f"counterpart here; give --ignore '{left[0].path}' and so on if the answer does not depend on it."
         )
+
+
+def refuse_same_names(names: Iterable[str]) -> None:
+    """Raise CaseError where two sets of a deck have names that are the same without blanks and capitals."""
+    found: dict[str, str] = {}
+    for name in names:
+        other = found.setdefault(tidy(name), name)
+        if other != name:
+            raise CaseError(
+                f"The deck or its mesh has the sets {other!r} and {name!r}, whose names are the same without blanks "
+                f"and capitals; give one another name."
+            )
 
 
 def words(text: str) -> Sequence[str]:

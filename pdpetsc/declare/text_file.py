@@ -146,6 +146,8 @@ class TextFile(Particles):
                 )
             sets = {f"block_{int(b)}": block == b for b in np.unique(block)}
         for name, given in self.node_sets.items():
+            if name in sets:
+                raise CaseError(f"The node set {name!r} has the name of a block of {path}; give it another one.")
             sets[name] = _members(given if isinstance(given, str | Path) else None, given, name, len(table))
         return Arrays(self._of_dim(x), volume, sets, self.thickness)
 

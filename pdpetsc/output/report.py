@@ -120,7 +120,7 @@ def _came_out(
     if len(history) > 2 and len(history["t"]):
         figure = curve_figure(history, labels)
         if figure is not None:
-            parts.append(_figure(_png(figure), "Load against displacement"))
+            parts.append(_figure(_png(figure), figure.axes[0].get_ylabel() + " against " + figure.axes[0].get_xlabel()))
         parts.append(_figure(_png(history_figure(history, labels)), "History"))
         last = [[labels.column(name), _number(float(values[-1]))] for name, values in history.items()]
         parts.append("<h3>Last row of the history</h3>" + _table(["column", "value"], last))
@@ -136,7 +136,7 @@ def _checked(check: Mapping[str, Any]) -> list[Any]:
 
 def _body_picture(folder: Path, field: str | None, component: str, scale: float) -> str:
     """Return the picture of the deformed body; empty where the run has written no fields."""
-    kept = kept_picture(folder) if field is None else None
+    kept = kept_picture(folder) if field is None and not component and scale == 1.0 else None
     if kept is not None:
         return _figure(kept, "The picture of the run")
     if not (folder / "fields.h5").exists():
@@ -219,7 +219,8 @@ def _asked(summary: Mapping[str, Any]) -> str:
 def _convergence(summary: Mapping[str, Any]) -> str:
     steps: Sequence[Mapping[str, Any]] = summary.get("steps") or []
     if not steps:
-        return "<p>No step has converged.</p>"
+        done = summary.get("status") == "converged"
+        return f"<p>{'No step was left to do.' if done else 'No step has converged.'}</p>"
     counted = [key for key in steps[0] if key.endswith("_iterations")]
     shown = steps if len(steps) <= ROWS else [
         *steps[: ROWS // 2], *(step for step in steps[ROWS // 2 : -ROWS // 2] if step.get("cut_backs")),

@@ -15,14 +15,16 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import COMMANDS
-from pdpetsc.studies.asking import CaseFile, Question
+from pdpetsc.output.fingerprint import fingerprint
+from pdpetsc.studies.asking import CaseFile, Question, files_of_options
 from pdpetsc.studies.fit import Point, Range, _write, fitted
 from pdpetsc.studies.jobs import launched, too_many
 from pdpetsc.studies.measured import Curve, read_curve, read_off
-from pdpetsc.studies.place import Outcome, folder_of
+from pdpetsc.studies.place import Outcome, folder_of, kept
 from pdpetsc.studies.refinement import converging
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
-from pdpetsc.studies.study import _noise
+from pdpetsc.studies.study import Progress, _noise
+from pdpetsc.studies.used import Files
 from tests.commands import ROOT
 from tests.test_tools import ENVIRONMENT, tool
 
@@ -771,3 +773,130 @@ def test_runs_side_by_side_on_ranks_give_what_they_give_one_after_another(tmp_pa
         assert json.loads((twin / "summary.json").read_text())["ranks"] == 2
         both = [pd.open(folder).history["F"] for folder in (outcome.folder, twin)]
         assert both[1] == pytest.approx(both[0], rel=1e-9, abs=1e-9)
+
+
+# What a run reads while it runs.
+
+READS = """
+import time
+from pathlib import Path
+import numpy as np
+import pdpetsc as pd
+
+HERE = Path(__file__).resolve().parent
+
+def pull(x, t):
+    from inside import LOAD
+    return LOAD * np.loadtxt(HERE / "amplitude.txt") * t + 0.0 * x[:, 0]
+
+def value(h):
+    import late
+    while (HERE / "wait").exists():
+        time.sleep(0.02)
+    return {"value": late.FACTOR * h["u"][-1]}
+
+def case(n=4):
+    ends = [pd.region.Slab("x", high=1.0 / n), pd.region.Slab("x", low=1.0 - 1.0 / n)]
+    return pd.Case(
+        particles=pd.Lattice((0.0,), (1.0,), 1.0 / n), horizon=2.015 / n, material=pd.BondBased(E=1.0), fields=[],
+        conditions=[pd.Displacement(ends[0], x=0.0), pd.Displacement(ends[1], x=pull)], results=value,
+        history={"u": pd.Mean(pd.displacement, "x", ends[1])},
+    )
+"""
+
+
+def reading(folder):
+    for name, text in (("case", READS), ("inside", "LOAD = 0.1\n"), ("late", "FACTOR = 2.0\n")):
+        (folder / f"{name}.py").write_text(text)
+    (folder / "amplitude.txt").write_text("1.0\n")
+    return folder / "case.py"
+
+
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_run_whose_callbacks_read_something_else_is_run_again(ranks, tmp_path):
+    case, out = reading(tmp_path), tmp_path / "out"
+    first = pd.study(case, [{"n": 4}], out, ranks=ranks).outcomes[0]
+    assert first.finished and first.results["value"] == pytest.approx(0.2)
+    record = json.loads((first.folder / "outcome.json").read_text())
+    assert {"case:case.py", "case:inside.py", "case:late.py", "case:amplitude.txt"} <= record["read"].keys()
+    assert not [path for path in first.folder.iterdir() if path.name.startswith(".pdpetsc-read")]
+    assert "files-read" not in json.loads((first.folder / "summary.json").read_text())["command"]
+    files = Files(tmp_path)
+    assert kept(first.folder, record["identity"], files)[0] is not None
+    for name, other in (("inside.py", "LOAD = 0.3\n"), ("late.py", "FACTOR = 5.0\n"), ("amplitude.txt", "2.0\n")):
+        was = (tmp_path / name).read_text()
+        (tmp_path / name).write_text(other)
+        assert kept(first.folder, record["identity"], files)[:2] == (None, f"{name} changed, which it has read")
+        (tmp_path / name).write_text(was)
+    if ranks == 1:
+        return
+    (tmp_path / "amplitude.txt").write_text("3.0\n")
+    assert pd.study(case, [{"n": 4}], out, ranks=ranks).outcomes[0].results["value"] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("name", ["case.py", pytest.param("amplitude.txt", marks=pytest.mark.long)])
+def test_what_is_changed_while_a_study_runs_gives_no_row(name, tmp_path):
+    case, out = reading(tmp_path), tmp_path / "out"
+    (tmp_path / "wait").touch()
+
+    class Edit(Progress):
+        def started(self, question):
+            log = out / f"n={question.parameters['n']}" / "history.csv"
+            for _ in range(1000):
+                if log.exists() and log.read_text().count("\n") > 1:
+                    break
+                time.sleep(0.02)
+            if (tmp_path / "wait").exists():
+                with (tmp_path / name).open("a") as file:
+                    file.write("# a remark\n")
+                (tmp_path / "wait").unlink()
+
+    @contextlib.contextmanager
+    def progress(questions):
+        yield Edit()
+
+    done = pd.study(case, [{"n": 4}, {"n": 8}], out, progress=progress)
+    assert [one.status for one in done.outcomes] == ["failed", "failed" if name == "case.py" else "finished"]
+    assert f"the case or its files changed while the study ran: {name}" in done.failed[0].said
+    # It is not kept as failed either.
+    assert not (out / "n=4" / "outcome.json").exists()
+
+
+def test_files_of_options_and_of_meshes_are_part_of_what_a_run_is_of(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("q.txt").write_text("-ksp_rtol 1e-3\n-options_file r.txt # more\n")
+    Path("r.txt").write_text("-pc_type lu\n")
+    monkeypatch.setenv("PETSC_OPTIONS", "-options_file_yaml s.yaml")
+    assert set(files_of_options(["-options_file", "q.txt"])) == {"q.txt", "r.txt", "s.yaml"}
+    monkeypatch.delenv("PETSC_OPTIONS")
+    Path("plate.inp").write_text("*HEADING\n*INCLUDE, INPUT=nodes.inp\n*ELEMENT, TYPE=CPS4\n1, 1, 2, 3, 4\n")
+    Path("nodes.inp").write_text("*NODE\n1, 0, 0\n2, 1, 0\n*INCLUDE,\nINPUT=more.inp\n")
+    Path("more.inp").write_text("*NODE\n3, 1, 1\n4, 0, 1\n")
+    Path("plate.xdmf").write_text(
+        '<Xdmf><Domain><Grid><Geometry><DataItem Format="HDF">plate.h5:/data0</DataItem></Geometry></Grid></Domain>'
+        "</Xdmf>"
+    )
+    Path("plate.h5").write_bytes(b"numbers")
+    for mesh, beside, other in (
+        ("plate.inp", "nodes.inp", "*NODE\n1, 0, 0\n2, 2, 0\n*INCLUDE, INPUT=more.inp\n"),
+        ("plate.inp", "more.inp", "*NODE\n3, 2, 1\n4, 0, 1\n"),
+        ("plate.xdmf", "plate.h5", "others"),
+    ):
+        before = fingerprint(pd.Mesh(mesh))
+        Path(beside).write_text(other)
+        assert fingerprint(pd.Mesh(mesh)) != before
+    Path("case.py").write_text(MESHED.replace('pd.TextFile("cloud.txt", dim=1)', 'pd.Mesh("plate.inp")'))
+    Path("table.txt").write_text("1.0 2.0\n")
+    with contextlib.closing(CaseFile(Path("case.py"), ["-options_file", "q.txt"], 1)) as file:
+        (one,) = file.ask([{"E": "1"}])
+        assert {"case:case.py", "here:table.txt", "here:more.inp", "here:q.txt"} <= one.files.keys()
+        assert one.identity["versions"]["numpy"] == np.__version__
+        # The case that has been read is that of before.
+        was = Path("case.py").read_text()
+        Path("case.py").write_text(was + "# a remark\n")
+        (again,) = file.ask([{"E": "1"}])
+    assert again.identity == one.identity and Files(tmp_path).differing(again.files) == ["case:case.py"]
+    Path("r.txt").write_text("-pc_type jacobi\n")
+    with contextlib.closing(CaseFile(Path("case.py"), ["-options_file", "q.txt"], 1)) as file:
+        (other,) = file.ask([{"E": "1"}])
+    assert {name for name in other.identity if other.identity[name] != one.identity[name]} == {"text", "options_files"}

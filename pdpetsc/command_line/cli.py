@@ -17,7 +17,7 @@ import shlex
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -54,6 +54,8 @@ python -m pdpetsc doctor                         looks whether MPI, PETSc and th
 
 # How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
 LONGEST_END = 120
+# What a study gives its runs, which is not for users (pdpetsc.studies.used).
+_LEAVE = "--leave-files-read"
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
 
@@ -73,6 +75,7 @@ class Arguments:
     quiet: bool = False
     version: bool = False
     help: bool = False
+    leave_files_read: bool = False
     petsc: list[str] = field(default_factory=list)
 
 
@@ -99,7 +102,7 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version", "--restart-anyway", "--check", "--report"):
+        elif word in ("--quiet", "--version", "--restart-anyway", "--check", "--report", _LEAVE):
             setattr(found, word[2:].replace("-", "_"), True)
         elif word in ("-h", "--help"):
             found.help = True
@@ -291,8 +294,24 @@ def _run(argv: list[str]) -> int:
     from pdpetsc.running.signals import watched
 
     comm = world()
-    with watched(comm, _stuck):  # PETSc has put its own handlers of signals in place of Python's
-        return _run_case(argv, arguments)
+    # PETSc has put its own handlers of signals in place of Python's.
+    with watched(comm, _stuck), _leaving_files_read(arguments):
+        return _run_case([word for word in argv if word != _LEAVE], arguments)
+
+
+@contextlib.contextmanager
+def _leaving_files_read(arguments: Arguments) -> Iterator[None]:
+    """Let a run of a study leave which files it has read, however it ends."""
+    if not arguments.leave_files_read or arguments.output is None:
+        yield
+        return
+    from pdpetsc.studies.used import Watch
+
+    watch = Watch(arguments.output)
+    try:
+        yield
+    finally:
+        watch.leave(arguments.output)
 
 
 def _stuck() -> None:

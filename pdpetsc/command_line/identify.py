@@ -9,17 +9,22 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import importlib.metadata
 import json
 import math
 import os
+import platform
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from pdpetsc.command_line.cli import arguments_of, load_case, make_case
 from pdpetsc.command_line.start import start_petsc
 from pdpetsc.errors import CaseError, PdpetscError, described
+
+if TYPE_CHECKING:
+    from pdpetsc.studies.used import Watch
 
 
 def main(path: Path) -> None:
@@ -30,11 +35,15 @@ def main(path: Path) -> None:
     try:
         start_petsc()
         from pdpetsc.petsc.library import petsc_version
+        from pdpetsc.studies.used import Watch
 
+        watch = Watch()
         function = load_case(path)
+        # A call is of the case as it is now, whatever its files become.
+        before = _Before(watch, watch.contents(), _texts(path))
         defaults = arguments_of(function, {})
         kinds = {name: type(value).__name__ for name, value in defaults.items()}
-        first: dict[str, Any] = {"kinds": kinds, "petsc": petsc_version()}
+        first: dict[str, Any] = {"kinds": kinds, "petsc": petsc_version(), "versions": _versions()}
     except BaseException as error:
         _say(answers, {"refused": str(described(error))})
         return
@@ -47,7 +56,7 @@ def main(path: Path) -> None:
             _say(answers, {"wrong": str(error)})
             continue
         asked = {name: _short(values[name], text) for name, text in given.items()}
-        _say(answers, {"given": asked, **_in_a_fork(path, function, values)})
+        _say(answers, {"given": asked, **_in_a_fork(path, function, values, before)})
 
 
 def _short(value: Any, text: str) -> str:
@@ -63,14 +72,31 @@ def _say(answers: TextIO, answer: Mapping[str, Any]) -> None:
         answers.flush()
 
 
-def _in_a_fork(path: Path, function: Callable[..., Any], values: Mapping[str, Any]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class _Before:
+    """What has been read before any call: files of Python, and fingerprints of the case and what it imports."""
+
+    watch: Watch
+    files: Mapping[str, str]
+    texts: Mapping[str, str]
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for package in ("numpy", "scipy", "numba"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[package] = importlib.metadata.version(package)
+    return found
+
+
+def _in_a_fork(path: Path, function: Callable[..., Any], values: Mapping[str, Any], before: _Before) -> dict[str, Any]:
     """Return the answer that a fork of this process finds; nothing where the case ends it."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         with contextlib.suppress(BaseException):
             os.close(reading)
-            text = json.dumps(_answer(path, function, values))
+            text = json.dumps(_answer(path, function, values, before))
             with os.fdopen(writing, "w") as stream:
                 stream.write(text)
         os._exit(0)
@@ -84,7 +110,7 @@ def _in_a_fork(path: Path, function: Callable[..., Any], values: Mapping[str, An
         return {}
 
 
-def _answer(path: Path, function: Callable[..., Any], values: Mapping[str, Any]) -> dict[str, Any]:
+def _answer(path: Path, function: Callable[..., Any], values: Mapping[str, Any], before: _Before) -> dict[str, Any]:
     from pdpetsc.output.fingerprint import fingerprint
 
     try:
@@ -93,10 +119,14 @@ def _answer(path: Path, function: Callable[..., Any], values: Mapping[str, Any])
         return {"refused": str(error)} if error.exit_status == 2 else {}
     declared = {f.name: fingerprint(getattr(case, f.name)) for f in dataclasses.fields(case)}
     found: dict[str, Any] = {
-        "declared": fingerprint(declared), "text": _texts(path), "parameters": {k: repr(v) for k, v in values.items()}
+        "declared": fingerprint(declared), "text": {**_texts(path), **before.texts},
+        "parameters": {k: repr(v) for k, v in values.items()}
     }  # fmt: skip
     expected = {name: one.value for name, one in getattr(case, "expect", {}).items()}
-    return {"identity": found, "expected": {name: v for name, v in expected.items() if math.isfinite(v)}}
+    return {
+        "identity": found, "expected": {name: v for name, v in expected.items() if math.isfinite(v)},
+        "files": {**before.watch.contents(), **before.files},
+    }  # fmt: skip
 
 
 def _texts(path: Path) -> dict[str, str]:

@@ -141,17 +141,37 @@ def _sections(path: Path, depth: int = 0) -> Iterator[tuple[str, dict[str, str],
                 continue
             if keyword:
                 yield keyword, options, data
-            while text.endswith(","):
-                text += next(lines, "").strip() or " "
-            first, *rest = text[1:].split(",")
-            keyword, data = " ".join(first.upper().split()), []
-            pairs = [word.partition("=") for word in rest if word.strip()]
-            options = {" ".join(name.upper().split()): value.strip() for name, _, value in pairs}
+            (keyword, options), data = _keyword(text, lines), []
             if keyword == "INCLUDE":
                 yield from _sections(path.parent / _option(options, "INPUT", keyword), depth + 1)
                 keyword = ""
     if keyword:
         yield keyword, options, data
+
+
+def _keyword(text: str, lines: Iterator[str]) -> tuple[str, dict[str, str]]:
+    """Return keyword and options of a line, which ``lines`` may continue."""
+    while text.endswith(","):
+        text += next(lines, "").strip() or " "
+    first, *rest = text[1:].split(",")
+    pairs = [word.partition("=") for word in rest if word.strip()]
+    return " ".join(first.upper().split()), {" ".join(name.upper().split()): value.strip() for name, _, value in pairs}
+
+
+def files(path: Path, depth: int = 0) -> list[Path]:
+    """Return a deck and the files that it includes, and those that these include."""
+    found = [path]
+    if depth > _DEPTH or not path.is_file():
+        return found
+    with path.open(errors="replace") as file:
+        lines = iter(file)
+        for line in lines:
+            text = line.strip()
+            if text.startswith("*") and not text.startswith("**"):
+                keyword, options = _keyword(text, lines)
+                if keyword == "INCLUDE" and options.get("INPUT"):
+                    found += files(path.parent / _option(options, "INPUT", keyword), depth + 1)
+    return found
 
 
 def _option(options: dict[str, str], name: str, keyword: str) -> str:

@@ -31,6 +31,42 @@ ROOM, ROOM_PER_BYTE = 2**30, 100
 _REORDERED = {"pixel": ("quad", [0, 1, 3, 2]), "voxel": ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
 
 
+def files_of(path: Path, name: str | None) -> list[Path]:
+    """Return the files that a mesh is read from: the one with its name, and those that it names itself.
+
+    Parameters
+    ----------
+    path, name
+        As for ``read_mesh``.
+    """
+    endings = {word: endings for word, (endings, _) in FORMATS.items()}
+    of = {word for word in endings if (word == name if name is not None else path.suffix.lower() in endings[word])}
+    try:
+        if "abaqus" in of:
+            return abaqus.files(path)
+        if "xdmf" in of:
+            return [path, *_beside(path)]
+    except (OSError, CaseError):
+        pass
+    return [path]
+
+
+def _beside(path: Path) -> list[Path]:
+    """Return the files of numbers that an XDMF names."""
+    from xml.etree import ElementTree
+
+    found = list[Path]()
+    try:
+        for item in ElementTree.parse(path).iter("DataItem"):
+            if item.get("Format", "").upper() in ("HDF", "BINARY") and item.text:
+                name = item.text.strip().partition(":")[0]
+                # Those of HDF5 are named from the folder of the file, others from where the run is.
+                found += [Path(name) if item.get("Format", "").upper() == "BINARY" else path.parent / name]
+    except ElementTree.ParseError:
+        return []
+    return list(dict.fromkeys(found))
+
+
 def read_mesh(path: Path, name: str | None) -> MeshData:
     """Return what a mesh file holds.
 

@@ -11,7 +11,7 @@ import os
 import struct
 import sys
 import sysconfig
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.declare.files import Mesh
+from pdpetsc.declare.formats import files_of
 from pdpetsc.declare.text_file import Column, TextFile
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
@@ -154,7 +155,8 @@ class _Walk:
             found = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
             sets = found.get("node_sets", {})
             named = {name: _content(one) if isinstance(one, str | Path) else one for name, one in sets.items()}
-            return self._mapping({**found, "path": _content(found["path"]), "node_sets": named})
+            files = files_of(Path(value.path), value.format) if isinstance(value, Mesh) else [value.path]
+            return self._mapping({**found, "path": _contents(files), "node_sets": named})
         if dataclasses.is_dataclass(value):
             fields = [f.name for f in dataclasses.fields(value) if f.compare]
             return self._mapping({name: getattr(value, name, None) for name in fields})
@@ -226,6 +228,11 @@ def _counts(value: Any) -> bool:
 def of_library(file: str) -> bool:
     """Return whether code in a file is of Python, pdpetsc or an installed package, not of the user."""
     return file.startswith(_LIBRARIES) or "site-packages" in file or "dist-packages" in file
+
+
+def _contents(paths: Sequence[str | Path]) -> str:
+    """Return the fingerprint of the content of files together."""
+    return " ".join(_content(path) for path in paths)
 
 
 def _content(path: str | Path) -> str:

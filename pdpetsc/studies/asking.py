@@ -16,10 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from pdpetsc.errors import CaseError
+from pdpetsc.studies.used import Files, content
 
 PACKAGE = Path(__file__).parent.parent
 # Rooms of the package that no number of a run depends on.
 BESIDE = ("studies", "command_line")
+# Options of PETSc that name a file of options.
+OPTIONS_FILES = ("options_file", "options_file_yaml")
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,15 @@ class Question:
         Why the case refuses these parameters; empty where it takes them.
     expected : mapping of str to float
         What the case expects of its results.
+    files : mapping of str to str
+        Fingerprints of the files that were read to find this out.
     """
 
     parameters: Mapping[str, str]
     identity: Mapping[str, Any] | None = None
     refused: str = ""
     expected: Mapping[str, float] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
 class CaseFile:
@@ -72,8 +78,11 @@ class CaseFile:
 
     def __init__(self, path: Path, options: Sequence[str], ranks: int) -> None:
         words = [sys.executable, "-m", "pdpetsc.command_line.identify", str(path)]
+        self._files = Files(path.parent)
+        self._of_options = {self._files.name(file): content(file) for file in files_of_options(options)}
         self._common = {
             "options": list(options), "ranks": ranks, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", ""),
+            "PETSC_OPTIONS_YAML": os.environ.get("PETSC_OPTIONS_YAML", ""), "options_files": self._of_options,
             "pdpetsc": own_version(), "sources": own_sources(),
         }  # fmt: skip
         self._process = subprocess.Popen(
@@ -89,7 +98,7 @@ class CaseFile:
             self.close()
             raise
         self.kinds: dict[str, str] = first["kinds"]
-        self._common["petsc"] = first["petsc"]
+        self._common.update(petsc=first["petsc"], versions=first["versions"])
 
     def ask(self, sets: Iterable[Mapping[str, str]]) -> list[Question]:
         """Return what the runs of some parameter sets are, each once: 1 and 1.0 are one number.
@@ -106,7 +115,8 @@ class CaseFile:
                 raise CaseError(answer["wrong"])
             asked: dict[str, str] = answer["given"]
             identity = {**answer["identity"], **self._common} if "identity" in answer else None
-            one = Question(asked, identity, answer.get("refused", ""), answer.get("expected", {}))
+            files = {self._files.name(file): was for file, was in answer.get("files", {}).items()} | self._of_options
+            one = Question(asked, identity, answer.get("refused", ""), answer.get("expected", {}), files)
             found.setdefault(json.dumps(sorted(asked.items())), one)
         return list(found.values())
 
@@ -147,6 +157,23 @@ def environment() -> dict[str, str]:
     if not {"site-packages", "dist-packages"} & set(PACKAGE.parts):
         paths = [str(PACKAGE.parent), *filter(None, [found.get("PYTHONPATH")])]
         found["PYTHONPATH"] = os.pathsep.join(dict.fromkeys(paths))
+    return found
+
+
+def files_of_options(options: Sequence[str]) -> list[str]:
+    """Return the files that PETSc takes options from, those that such files name too."""
+    found: list[str] = []
+    waiting = [*options, *os.environ.get("PETSC_OPTIONS", "").split()]
+    while waiting:
+        word = waiting.pop(0)
+        if word.lower().lstrip("-") not in OPTIONS_FILES or not waiting:
+            continue
+        # One that is there or not, a file may be followed by a word on what PETSc does with it: "q.txt:yaml".
+        for file in {waiting[0], waiting[0].rpartition(":")[0]} - {"", *found}:
+            found.append(file)
+            with contextlib.suppress(OSError):
+                lines = Path(file).read_text(errors="replace").splitlines()
+                waiting += [word for line in lines for word in line.partition("#")[0].split()]
     return found
 
 

@@ -577,6 +577,8 @@ def fit(
 
 
 def _point(outcome: Outcome) -> Point:
+    if outcome.changed:
+        raise SolveError(f"The fit cannot go on: {outcome.said.rstrip('.')}; the same command begins anew with them.")
     if not outcome.finished:
         return Point(outcome.folder, None, f"exit status {outcome.exit_status}: {outcome.said}")
     return Point(outcome.folder, read_history(outcome.folder))

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pdpetsc.errors import CaseError
 from pdpetsc.studies.asking import environment
+from pdpetsc.studies.used import WORD
 
 # What starts ranks, unless the user says otherwise.
 LAUNCHER = "mpirun -n {ranks}"
@@ -99,7 +100,7 @@ def end_all(jobs: Sequence[Job]) -> None:
 
 def command(case: Path, parameters: Sequence[str], folder: Path, options: Sequence[str]) -> list[str]:
     """Return the command of a run on one rank."""
-    return [sys.executable, "-m", "pdpetsc", str(case), *parameters, "-o", str(folder), *options]
+    return [sys.executable, "-m", "pdpetsc", str(case), *parameters, "-o", str(folder), WORD, *options]
 
 
 def launched(words: Sequence[str], ranks: int, launcher: str | None) -> list[str]:

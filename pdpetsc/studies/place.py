@@ -13,6 +13,7 @@ from typing import Any
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import write_whole
 from pdpetsc.studies.refinement import NOISE
+from pdpetsc.studies.used import Files, content, words
 
 # Marks a folder that a study has made: nothing is written to another one that is not empty.
 MARK = ".pdpetsc-study"
@@ -52,6 +53,8 @@ class Outcome:
         Load steps whose equilibrium is unstable.
     noise : float
         Share of a result that its solver leaves open.
+    changed : bool
+        It failed as the case or its files changed while it ran, and is not kept.
     """
 
     parameters: Mapping[str, str]
@@ -64,6 +67,7 @@ class Outcome:
     memory: float = 0.0
     unstable: int = 0
     noise: float = NOISE
+    changed: bool = False
 
     @property
     def finished(self) -> bool:
@@ -121,19 +125,19 @@ def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
         raise CaseError(f"Cannot write to the folder {folder}: {error.strerror or error}.") from None
 
 
-def keep(outcome: Outcome, identity: Mapping[str, Any]) -> None:
-    """Write how a run ended into its folder; raises OutputError."""
+def keep(outcome: Outcome, identity: Mapping[str, Any], read: Mapping[str, str]) -> None:
+    """Write how a run ended and fingerprints of what it has read into its folder; raises OutputError."""
     found = {
         "identity": dict(identity), "parameters": dict(outcome.parameters), "status": outcome.status,
         "exit_status": outcome.exit_status, "said": outcome.said, "results": dict(outcome.results),
         "seconds": outcome.seconds, "memory": outcome.memory, "unstable": outcome.unstable, "noise": outcome.noise,
-        "files": {name: _content(outcome.folder / name) for name in KEPT},
+        "files": {name: content(outcome.folder / name) for name in KEPT}, "read": dict(read),
     }  # fmt: skip
     write_whole(outcome.folder / RECORD, json.dumps(found, indent=1) + "\n")
 
 
-def kept(folder: Path, identity: Mapping[str, Any] | None) -> tuple[Outcome | None, str]:
-    """Return what an earlier run left that was of the same, and otherwise in a few words what is not the same."""
+def kept(folder: Path, identity: Mapping[str, Any] | None, files: Files) -> tuple[Outcome | None, str, dict[str, str]]:
+    """Return what an earlier run left that was of the same, otherwise in a few words what is not; what it has read."""
     try:
         found = json.loads((folder / RECORD).read_text())
         outcome = Outcome(
@@ -141,26 +145,22 @@ def kept(folder: Path, identity: Mapping[str, Any] | None) -> tuple[Outcome | No
             {str(name): float(value) for name, value in found["results"].items()}, float(found["seconds"]),
             float(found["memory"]), int(found["unstable"]), float(found["noise"]),
         )  # fmt: skip
-        was, files = dict(found["identity"]), dict(found["files"])
+        was, own, read = dict(found["identity"]), dict(found["files"]), dict(found["read"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None, ""
+        return None, "", {}
     if identity is None:
-        return None, "what the case declares could not be found out"
+        return None, "what the case declares could not be found out", {}
     if differing := [name for name in identity if identity[name] != was.get(name)]:
-        return None, f"{', '.join(_WORDS.get(name, name) for name in differing)} changed"
-    if outcome.finished and any(_content(folder / name) != files.get(name) for name in KEPT):
-        return None, "its files changed"
-    return outcome, ""
+        return None, f"{', '.join(_WORDS.get(name, name) for name in differing)} changed", {}
+    if outcome.finished and any(content(folder / name) != own.get(name) for name in KEPT):
+        return None, "its files changed", {}
+    if changed := files.differing(read):
+        return None, f"{words(changed)} changed, which it has read", {}
+    return outcome, "", read
 
 
 _WORDS = {
     "declared": "what the case declares", "text": "the case file or what it imports", "sources": "pdpetsc's sources",
     "pdpetsc": "pdpetsc's version", "petsc": "PETSc's version",
+    "versions": "versions of Python's packages", "options_files": "files of options",
 }  # fmt: skip
-
-
-def _content(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:24]
-    except OSError:
-        return ""

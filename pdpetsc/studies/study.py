@@ -23,6 +23,7 @@ from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
 from pdpetsc.studies.place import LOG, RECORD, Outcome, folder_of, keep, kept, named, take
 from pdpetsc.studies.refinement import NOISE, Convergence, converging
 from pdpetsc.studies.sets import Set, grid, text_of
+from pdpetsc.studies.used import Files, left, stamp_of, words
 
 # How long a run that an earlier study left behind may take to end [s].
 PATIENCE = 60.0
@@ -103,6 +104,9 @@ class Runs:
     def __init__(self, case: Path, folder: Path, how: How, writes: tuple[str, ...]) -> None:
         self.case, self.folder, self.how, self._writes = Path(case), Path(folder), how, writes
         self.count = {"run": 0, "kept": 0}
+        self.files = Files(self.case.parent)
+        # What runs of this study have read: two that have read something else under one name are not of one study.
+        self._has_read: dict[str, str] = {}
 
     def __enter__(self) -> Runs:
         if any(name in os.environ for name in LAUNCHED):
@@ -148,8 +152,9 @@ class Runs:
             if question.refused:
                 found[number] = Outcome(question.parameters, folder, "failed", CaseError.exit_status, question.refused)
                 continue
-            there, why = kept(folder, question.identity)
+            there, why, read = kept(folder, question.identity, self.files)
             if there is not None and (there.finished or not self.how.retry):
+                self._has_read.update(read)
                 found[number] = dataclasses.replace(there, parameters=question.parameters)
                 continue
             if why:
@@ -176,6 +181,10 @@ class Runs:
         while waiting or running:
             while waiting and len(running) < self.how.jobs:
                 number = waiting.pop(0)
+                if changed := self.files.differing(questions[number].files):
+                    folder = folder_of(self.folder, questions[number].parameters)
+                    yield number, _of_changed(Outcome(questions[number].parameters, folder, "failed"), changed)
+                    continue
                 running[number] = self._start(questions[number])
                 tell.started(questions[number])
             for number, job in list(running.items()):
@@ -191,6 +200,7 @@ class Runs:
         # Nothing of an earlier run is left to be taken for what this one gives.
         (folder / RECORD).unlink(missing_ok=True)
         set_aside(alone(), folder)
+        left(folder)
         given = [f"{name}={value}" for name, value in question.parameters.items()]
         words = command(self.case, given, folder, self.how.options)
         return Job(launched(words, self.how.ranks, self.how.launcher), folder / LOG)
@@ -212,10 +222,43 @@ class Runs:
             sum(bool(step.get("negative_pivots")) for step in steps) if isinstance(steps, list) else 0,
             _noise(summary),
         )  # fmt: skip
+        read, changed = self._files_read(folder)
+        if changed := changed + self.files.differing(question.files):
+            return _of_changed(outcome, changed)
+        if read is None and finished:
+            return _failed(
+                outcome, "the run has not left which files it has read, so nobody knows when it is to be run"
+            )
         # A run that somebody has stopped has not failed: it is to be run.
         if question.identity is not None and summary.get("error") != "Interrupted":
-            keep(outcome, question.identity)
+            keep(outcome, question.identity, read or {})
         return outcome
+
+    def _files_read(self, folder: Path) -> tuple[dict[str, str] | None, list[str]]:
+        """Return fingerprints of what all ranks of a run have read, and what is no longer what a run has read."""
+        of_ranks, read, changed = left(folder), dict[str, str](), list[str]()
+        for of_rank in of_ranks:
+            for path, stamp in of_rank.items():
+                name = self.files.name(path)
+                now = stamp_of(self.files.path(name))
+                read[name] = self.files.content(name)
+                # One that a run has read in a former state, or another run of this study with another content.
+                if now != stamp or self._has_read.get(name, read[name]) != read[name]:
+                    changed.append(name)
+        if not changed:
+            self._has_read.update(read)
+        return (read if len(of_ranks) == self.how.ranks else None), list(dict.fromkeys(changed))
+
+
+def _failed(outcome: Outcome, said: str) -> Outcome:
+    return dataclasses.replace(outcome, status="failed", said=f"{said}.", results={})
+
+
+def _of_changed(outcome: Outcome, names: list[str]) -> Outcome:
+    """Return a failed run, which is not kept: what it is of is not what the study asks for."""
+    said = f"the case or its files changed while the study ran: {words(list(dict.fromkeys(names)))}"
+    exit_status = outcome.exit_status or SolveError.exit_status
+    return dataclasses.replace(_failed(outcome, said), exit_status=exit_status, changed=True)
 
 
 def _refuse_symlink(folder: Path) -> None:

@@ -147,3 +147,11 @@ def test_more_ranks_than_particles_are_refused(tmp_path):
     finished = run(path, ranks=4, output=tmp_path / "out")
     assert finished.returncode == 2
     assert "3 particles for 4 ranks" in finished.stderr
+
+
+def test_commands_that_write_files_work_in_one_process(tmp_path):
+    """Two of them would write the same file at once."""
+    refused = run("new", tmp_path / "bar.py", ranks=2)
+    assert refused.returncode == 2
+    assert "new works in one process; call it without mpirun." in refused.stderr
+    assert not (tmp_path / "bar.py").exists()

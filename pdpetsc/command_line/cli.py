@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pdpetsc.command_line.start import start_petsc
+from pdpetsc.command_line.start import processes_started, start_petsc
 from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 
 if TYPE_CHECKING:
@@ -282,6 +282,8 @@ def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
 
 def _run(argv: list[str]) -> int:
     if argv and argv[0] in COMMANDS:
+        if argv[0] in ALONE and processes_started() > 1:
+            raise CaseError(f"{argv[0]} works in one process; call it without mpirun.")
         return COMMANDS[argv[0]](argv[1:])
     arguments = split(argv)
     start_petsc(arguments.petsc)
@@ -517,6 +519,8 @@ def _fit(argv: list[str]) -> int:
     return fit.main(asked, split(asked.words))
 
 
+# Those that write the same files from every process that runs them.
+ALONE = {"plot", "report", "new", "import"}
 # What the command line does besides running a case, by its first word.
 COMMANDS: Mapping[str, Callable[[list[str]], int]] = {
     "plot": _plot, "report": _report, "compare": _compare, "study": _study, "fit": _fit, "new": _new,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from pdpetsc.command_line.start import start_petsc
+from pdpetsc.command_line.start import processes_started, start_petsc
 from pdpetsc.errors import RunError, described
 
 if TYPE_CHECKING:  # the doctor looks first whether MPI can be loaded
@@ -35,8 +35,6 @@ OPTIONAL = {
     "pandas": "histories as data frames",
     "pyvista": "fields as PyVista meshes",
 }
-# What tells that a launcher has started several processes.
-LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_SIZE", "SLURM_STEP_NUM_TASKS")
 # A product of matrices below this many operations a second is that of the reference BLAS [1 / s].
 SLOW_BLAS = 5e9
 SIDE = 600
@@ -117,7 +115,7 @@ def ranks(comm: Comm) -> list[Finding]:
     from pdpetsc.discrete.communicator import mpi_library, total
 
     library, size = mpi_library(), int(total(comm, 1))
-    started = max((int(os.environ[name]) for name in LAUNCHED if os.environ.get(name, "").isdigit()), default=1)
+    started = processes_started()
     if started > size:
         return [
             Finding(

@@ -604,7 +604,7 @@ def of_peridigm(value, times):
     ("text", "first", "refused"),
     [
         ("0.1 + 0.05*(t - 2.5 + fabs(t - 2.5))", 0.0, True), ("0.1 + 0.02*t", 0.0, False),
-        ("0.05*(t - 2.5 + fabs(t - 2.5))", 0.0, False), ("0.02*t^2", -1.0, False), 
+        ("0.05*(t - 2.5 + fabs(t - 2.5))", 0.0, False), ("0.02*t^2", -1.0, False),
         ("0.02*(x - 3.5)*t + 0.1", 0.0, True),
         ("0.02*x*t + 0.1", -1.0, False), ("0.3*(t - 2) - 0.3*fabs(t - 2)", 0.0, True),
         ("0.3*(t - 1) - 0.3*fabs(t - 1)", -1.0, True), ("0.1*(t - fabs(t))", -5.0, True),
@@ -702,8 +702,14 @@ def test_columns_that_perilab_would_take_for_fields_are_refused(folder):
     rows = text.splitlines()
     for name, message in (("Young's_Modulus", "young's_modulus"), ("Angles", "angles")):
         mesh.write_text("\n".join([*rows[:2], f"{rows[2]} {name}", *(f"{row} 1.0" for row in rows[3:])]) + "\n")
-        with pytest.raises(pd.CaseError, match=message):
+        with pytest.raises(pd.CaseError, match=f"--ignore .*{message}"):
             import_deck(folder / "plate.yaml")
+        path, said = import_deck(folder / "plate.yaml", ignore=[name], overwrite=True)
+        assert f"ignored the column {message} of the mesh plate.txt" in said
+        assert message in path.read_text()
+        with pytest.raises(pd.CaseError, match="nothing called 'Bulk_Modulus'"):
+            import_deck(folder / "plate.yaml", ignore=[name, "Bulk_Modulus"], overwrite=True)
+        path.unlink()
     mesh.write_text("\n".join([*rows[:2], f"{rows[2]} Activation_Time", *(f"{row} 1.0" for row in rows[3:])]) + "\n")
     _, said = import_deck(folder / "plate.yaml")
     assert any("activation_time" in line for line in said)

@@ -139,11 +139,14 @@ class Notes:
         Entries that only say what is written or how a solver is tuned.
     ignored : list of str
         Entries that were ignored because it was asked for.
+    columns : dict of str to bool
+        Names to ignore that no entry has, in small letters: they may be columns of the mesh; true where one is.
     """
 
     differences: list[str] = field(default_factory=list)
     left_out: list[Entry] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
+    columns: dict[str, bool] = field(default_factory=dict)
 
     def differs(self, sentence: str) -> None:
         """Note a difference, once."""

@@ -231,6 +231,34 @@ def test_a_result_does_not_show_the_fields_of_a_later_run(tmp_path):
     np.testing.assert_allclose(first.gathered(pd.displacement), u[:, :2], atol=1e-15)
 
 
+def test_an_opened_run_does_not_show_the_fields_of_a_later_run(tmp_path):
+    pd.run(bar(), tmp_path / "a")
+    pd.run(bar(), tmp_path / "b")
+    opened, both = pd.open(tmp_path / "a"), pd.compare([tmp_path / "b", tmp_path / "a"])
+    assert np.all(both.difference("displacement")["a"] == 0.0)
+    pd.run(bar(dx=0.125, steps=pd.Steps(3)), tmp_path / "a")
+    for asked in (lambda: opened.x, lambda: opened.field("displacement"), lambda: both.difference("displacement")):
+        with pytest.raises(pd.CaseError, match="fields of a later run"):
+            asked()
+    assert len(opened.history["t"]) == 3 and len(pd.open(tmp_path / "a").x) > len(pd.open(tmp_path / "b").x)
+    # A run that goes on in its own folder is the same one.
+    stopped = pd.open(tmp_path / "b")
+    pd.run(bar(steps=pd.Steps(2)), tmp_path / "b", restart=tmp_path / "b")
+    assert len(stopped.x) == len(stopped.field("displacement"))
+
+
+def test_a_run_opened_without_fields_does_not_show_those_of_a_later_run(tmp_path):
+    pd.run(bar(fields=[]), tmp_path)
+    opened = pd.open(tmp_path)
+    with pytest.raises(pd.CaseError, match="no such file"):
+        opened.field("displacement")
+    pd.run(bar(), tmp_path)
+    with pytest.raises(pd.CaseError, match="no fields to read when its run was opened"):
+        opened.field("displacement")
+    assert "<img" not in opened._repr_html_()
+    assert len(pd.open(tmp_path).field("displacement")) == 64
+
+
 @pytest.mark.parametrize("found", ['{"a": null}', "[1, 2]", '{"a": "x"}'])
 def test_a_summary_with_damaged_results_is_refused(found, tmp_path):
     (tmp_path / "summary.json").write_text(f'{{"status": "converged", "results": {found}}}')

@@ -10,11 +10,12 @@ from PIL import Image
 import pdpetsc as pd
 from pdpetsc.command_line.plot import plot
 from pdpetsc.output import picture
+from pdpetsc.output.crack import polydata
 from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import draw_field, draw_film
 from pdpetsc.output.reading import read_history, read_summary
-from pdpetsc.output.scene import about, faces_between, frame_of, lattice_steps, limits_of, scene_of
+from pdpetsc.output.scene import about, broken_pairs, faces_between, frame_of, lattice_steps, limits_of, scene_of
 
 GRADIENT = np.array([[0.1, -0.02], [0.03, 0.05]])
 
@@ -157,6 +158,8 @@ def test_a_film_has_a_frame_for_each_step_with_the_same_axes(plane, tmp_path):
 def test_a_solid_body_is_drawn_by_pyvista_without_a_display(solid, tmp_path, monkeypatch, caplog):
     pytest.importorskip("pyvista")
     monkeypatch.delenv("DISPLAY", raising=False)
+    # A crack that has not begun, or of another step, is no reason to draw anything else.
+    (solid / "crack.vtk").write_text(polydata([], True, "pdpetsc, step 9"))
     with caplog.at_level(logging.INFO, "pdpetsc"):
         draw_field(solid, tmp_path / "p.png", "von_mises", "", 1.0, "block")
     if "PyVista cannot draw here" in caplog.text:
@@ -263,3 +266,53 @@ def test_a_film_of_a_solid_body_is_drawn_in_one_process(solid, tmp_path, monkeyp
     monkeypatch.setattr(picture.subprocess, "run", lambda *words, **given: started.append(1) or run(*words, **given))
     assert draw_film(solid, tmp_path / "film.gif", "displacement", "x", 1.0, "block") == 2
     assert len(started) == 1 and Image.open(tmp_path / "film.gif").n_frames == 2
+
+
+def torn_along_a_mirror_plane(folder, symmetry):
+    """Run a plate that tears along y = 0: its upper half before a mirror plane there, or all of it."""
+    dx = 0.05
+    low = 0.0 if symmetry else -0.5
+
+    def pull(x, t):
+        return 0.02 * t * (1.2 - x[:, 0]) * np.sign(x[:, 1])
+
+    case = pd.Case(
+        particles=pd.Lattice((0.0, low), (1.0, 0.5), dx), horizon=2.015 * dx,
+        material=pd.BondBased(1000.0, plane="stress"), symmetry=[pd.Symmetry("y")] if symmetry else [],
+        damage=pd.Brittle(pd.FractureEnergy(0.001)), cracks=[pd.Segment((-1.0, 0.0), (0.3, 0.0))],
+        conditions=[pd.Displacement(pd.region.Slab("y", low=0.4), x=0.0, y=pull),
+                    *([] if symmetry else [pd.Displacement(pd.region.Slab("y", high=-0.4), x=0.0, y=pull)])],
+        steps=pd.Steps(3), history={"broken": pd.BrokenBonds()},
+    )  # fmt: skip
+    return pd.run(case, folder)
+
+
+def test_a_crack_along_a_mirror_plane_breaks_no_bond_beside_it(tmp_path):
+    half = torn_along_a_mirror_plane(tmp_path / "half", True)
+    whole = torn_along_a_mirror_plane(tmp_path / "whole", False)
+    rows = len((tmp_path / "half" / "broken_bonds.csv").read_text().splitlines()) - 1
+    pairs = broken_pairs(half.folder, 3, half.x)
+    # Most of what broke went to images, also to those of the particles themselves.
+    assert rows == half.history["broken"][-1] > 20 and 0 < len(pairs) < rows
+    assert (pairs[:, 0] != pairs[:, 1]).all()
+    # Without the plane the same bonds of the upper half are broken, and as many below.
+    same = {tuple(np.round(place, 6).ravel()) for place in half.x[pairs][..., :2]}
+    upper = [place for place in whole.x[broken_pairs(whole.folder, 3, whole.x)][..., :2] if (place[:, 1] > 0.0).all()]
+    assert same == {tuple(np.round(place, 6).ravel()) for place in upper}
+    drawn, full = (scene_of(folder, "displacement", "y", 1.0, "plate") for folder in (half.folder, whole.folder))
+    # The crack is the border of the half, and has two faces in the whole; cells are drawn alike.
+    assert len(drawn.cracks) == 0 and len(full.cracks) == 40
+    above = np.flatnonzero(full.x[:, 1] > 0.0)
+    assert np.allclose(full.x[above], drawn.x, atol=1e-12)
+    assert np.allclose(full.F[above], drawn.F, atol=1e-3) and np.array_equal(full.inside[above], drawn.inside)
+
+
+def test_bonds_across_a_period_are_no_cracks_inside(tmp_path):
+    x = np.array([[0.5, 0.5], [1.5, 0.5], [2.5, 0.5], [3.5, 0.5]])
+    rows = ["1,0.5,0,3,1.0,0.0,0.5", "1,0.5,0,1,1.0,1.0,0.5", "2,1.0,1,2,1.0,2.0,0.5", "1,0.5,2,9,1.0,0.0,0.0"]
+    (tmp_path / "broken_bonds.csv").write_text("\n".join(["step,t,i,j,length,x,y", *rows]) + "\n")
+    assert broken_pairs(tmp_path, 1, x).tolist() == [[0, 1]]
+    assert broken_pairs(tmp_path, 2, x).tolist() == [[0, 1], [1, 2]]
+    # A table of something else, or none, tells of no crack.
+    (tmp_path / "broken_bonds.csv").write_text("step,i,j\n1,0,1\n")
+    assert len(broken_pairs(tmp_path, 1, x)) == len(broken_pairs(tmp_path / "none", 1, x)) == 0

@@ -7,6 +7,7 @@ import os
 import pty
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,10 @@ from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
+from pdpetsc.output.scene import scene_of
 from pdpetsc.post.sampling import sampled
+from pdpetsc.running.comparison import Comparison, Outcome, columns_of
+from pdpetsc.running.result import Result
 from tests.commands import ROOT, TIMEOUT, results, run
 
 
@@ -167,6 +171,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
+from pdpetsc.output.scene import scene_of
 
 def looks(comm):
     if comm.rank == 1:
@@ -374,6 +379,48 @@ def test_what_cannot_be_compared_is_refused(two, tmp_path):
         pd.compare([short, two[1]]).difference("displacement")
 
 
+def test_forces_on_particles_have_no_values_between_them(tmp_path):
+    def pulled(name, n):
+        case = pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (3.0, 1.0), 1.0 / n), horizon=2.015 / n, material=pd.BondBased(E=1000.0),
+            conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+                        pd.Displacement(pd.region.Slab("x", low=2.0), x=0.01)],
+            fields=[pd.displacement, pd.reaction],
+        )  # fmt: skip
+        return pd.run(case, tmp_path / name)
+
+    both = pd.compare([pulled("coarse", 2), pulled("fine", 4)])
+    coarse, fine = both.runs.values()
+    # The share of a particle changes with the spacing.
+    shares = [np.abs(run.field("reaction")[:, 0]).max() for run in (coarse, fine)]
+    assert shares[1] < 0.8 * shares[0]
+    for asked in (
+        lambda: both.difference("reaction"),
+        lambda: both.difference("reaction", points=[(2.5, 0.5)]),
+        lambda: coarse.sample([(2.5, 0.5)], "reaction"),
+    ):
+        with pytest.raises(pd.CaseError, match=r"force on each particle.*add those of field\('reaction'\) up"):
+            asked()
+    # Of the same particles they are compared one by one.
+    again = pulled("again", 2)
+    assert np.allclose(pd.compare([coarse, again]).difference("reaction")["again"], 0.0, atol=1e-12)
+    assert np.isfinite(both.difference("displacement")["fine"]).all()
+
+
+def test_no_column_of_a_table_takes_that_of_another():
+    parameters = {"run": "a", "n": 4, "seconds": 3}
+    results = {"seconds": 123.0, "MiB": 5.0, "status": 7.0, "n": 4.5, "error": 0.1}
+    assert columns_of([Outcome(parameters, "converged", results, 0.5, 10.0)]) == {
+        "run": ["a"], "n": [4], "seconds (parameter)": [3], "seconds (result)": [123.0], "MiB (result)": [5.0],
+        "status (result)": [7.0], "n (result)": [4.5], "error": [0.1],
+        "seconds": [0.5], "MiB": [10.0], "status": ["converged"],
+    }  # fmt: skip
+    # The name of a run is not that of its folder's parameter.
+    runs = {name: Result(Path(name), {}, {}, {"parameters": {"run": n}}) for n, name in enumerate("ab")}
+    table = Comparison(runs).table
+    assert table["run"] == ["a", "b"] and table["run (parameter)"] == [0, 1]
+
+
 def test_lines_and_grids_are_points(two):
     points = pd.grid((0.5, 0.5), (5.5, 2.5), (11, 5))
     u = two[1].sample(points).reshape(11, 5, 3)
@@ -402,6 +449,28 @@ def test_all_steps_come_as_an_xarray_data_set(two):
     assert np.array_equal(data["X"], two[1].x)
     sigma = data["stress"].sel(step=3, component="x", along="y")
     assert np.array_equal(sigma, two[1].field("stress", 3)[:, 0, 1])
+
+
+def test_fields_of_any_name_come_as_xarray_with_their_units(tmp_path):
+    pytest.importorskip("xarray")
+    names = ("t", "step", "particle", "component", "X", "t_field")
+    fields = {name: (lambda s, n=n: n + s.volume) for n, name in enumerate(names)}
+    run = bar(
+        tmp_path, units=pd.Units("mm", "N"),
+        fields={**fields, "displacement": pd.displacement, "principal_stresses": pd.principal_stresses},
+    )  # fmt: skip
+    data = run.to_xarray()
+    own = ("t_field_field", "step_field", "particle_field", "component_field", "X_field", "t_field")
+    for name, stored in zip(own, names, strict=True):
+        assert np.array_equal(data[name].sel(step=2), run.field(stored)) and data[name].attrs["long_name"]
+    assert data["t"].values.tolist() == [0.0, 0.5, 1.0] and list(data["step"].values) == [0, 1, 2]
+    assert "particle" not in data.coords
+    u = data["displacement"].attrs
+    assert (u["long_name"], u["units"]) == ("displacement", "mm")
+    assert data["principal_stresses"].dims == ("step", "particle", "principal")
+    first = data["principal_stresses"].sel(step=2, principal=1)
+    assert np.array_equal(first, run.field("principal_stresses").max(axis=1)) and first.attrs["units"] == "MPa"
+    assert scene_of(run.folder, "principal_stresses", "x", 1.0, "bar").label == "principal stresses 1 [MPa]"
 
 
 def test_a_notebook_shows_a_table_and_a_picture(two, tmp_path):

@@ -15,13 +15,14 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import COMMANDS
-from pdpetsc.studies.asking import CaseFile
-from pdpetsc.studies.fit import Point, Range, fitted
+from pdpetsc.studies.asking import CaseFile, Question
+from pdpetsc.studies.fit import Point, Range, _write, fitted
 from pdpetsc.studies.jobs import launched, too_many
 from pdpetsc.studies.measured import Curve, read_curve, read_off
-from pdpetsc.studies.place import folder_of
+from pdpetsc.studies.place import Outcome, folder_of
 from pdpetsc.studies.refinement import converging
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
+from pdpetsc.studies.study import _noise
 from tests.commands import ROOT
 from tests.test_tools import ENVIRONMENT, tool
 
@@ -195,6 +196,27 @@ def test_against_an_exact_value_too(values, note):
     assert good.order == pytest.approx(1.5)
 
 
+def test_large_sizes_do_not_make_the_order_against_an_exact_value():
+    found = converging("v", (8.0, 4.0, 2.0, 1.0), (129.0, 5.0, 3.0, 2.0), exact=1.0)
+    assert found.orders == pytest.approx((5.0, 1.0, 1.0)) and found.order == pytest.approx(1.0)
+    assert "larger ones are not small enough: 5.00, 1.00, 1.00" in found.note
+
+
+def test_differences_below_what_solvers_leave_have_no_order():
+    sizes, values = (0.4, 0.2, 0.1), [1.0 + 1e-5 * h for h in (0.4, 0.2, 0.1)]
+    assert converging("u", sizes, values, noise=1e-8).order == pytest.approx(1.0, rel=1e-3)
+    assert "what solvers leave" in converging("u", sizes, values, noise=1e-5).note
+    newton = {"solver": "snes newtonls, ksp cg", "options": {"snes_rtol": {"value": "1e-5"}}}
+    assert [_noise(newton), _noise({"solver": "relaxation"}), _noise({})] == pytest.approx([1e-3, 1e-6, 1e-6])
+
+
+def test_expected_values_that_differ_between_sizes_are_told():
+    runs = [(Outcome({"dx": str(h)}, Path(), "finished", results={"v": 1.0 + h}), h) for h in (0.4, 0.2, 0.1)]
+    questions = [Question(one.parameters, expected={"v": 1.0 + h}) for one, h in runs]
+    (found,) = pd.Refinement("dx", expected=True).found([one for one, _ in runs], questions)
+    assert found.exact is None and "what the case expects differs between the sizes" in found.note
+
+
 def test_sizes_that_are_none_are_refused():
     for sizes, message in (((0.2, 0.1, -0.1), "positive"), ((0.2, 0.1, 0.1), "twice")):
         with pytest.raises(pd.CaseError, match=message):
@@ -267,7 +289,7 @@ def evaluated(law, x, fails=lambda p: False):
 
     def evaluate(sets):
         return [
-            Point(None, None, "exit status 1: it broke.") if fails(p) else Point(None, {"u": x, "F": law(x, **p)})
+            Point(Path(), None, "exit status 1: it broke.") if fails(p) else Point(Path(), {"u": x, "F": law(x, **p)})
             for p in sets
         ]
 
@@ -328,6 +350,60 @@ def test_runs_that_fail_are_counted_and_shorten_the_step():
     # Where the run ahead fails, that behind gives the derivative.
     edge = fitted(evaluated(law, x, lambda p: p["k"] > 4.0 + 1e-9), ranges, measured)
     assert edge.values["k"] == pytest.approx(4.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("law", [lambda u, E: E * u, lambda u, E: E * u + 40.0 * np.sin(9.0 * u)])
+def test_a_fit_does_not_end_where_runs_fail(law):
+    """The least square lies among the runs that fail: what is nearest to it is not it."""
+    x = np.linspace(0.0, 1.0, 11)
+    measured, ranges = curve(x, 1200.0 * x), {"E": Range(500.0, 1500.0)}
+    no_fit("ended where runs fail, next to E = 1(100|099)", law, ranges, measured, x, lambda p: p["E"] >= 1100.0)
+    two = {"E": Range(500.0, 1500.0), "b": Range(-50.0, 70.0)}
+    no_fit(
+        "ended where runs fail|jumps near",
+        lambda u, E, b: law(u, E) + b,
+        two,
+        measured,
+        x,
+        lambda p: p["E"] + 3.0 * p["b"] >= 1120.0,
+    )
+    # Next to runs that fail, yet least: it is told.
+    found = fitted(evaluated(law, x, lambda p: p["E"] > 1200.5), ranges, curve(x, law(x, 1200.0)))
+    assert found.values["E"] == pytest.approx(1200.0, rel=1e-6)
+    assert found.notes[0] == "runs fail next to these parameters, in E"
+
+
+def test_a_fit_that_explains_nothing_is_none(tmp_path):
+    x = np.linspace(0.0, 1.0, 11)
+    # A local least square, another sign, a constant.
+    no_fit(
+        "explains nothing of the measured one .-0.57",
+        lambda u, w: np.sin(w * u),
+        {"w": Range(0.5, 20.0, 3.0)},
+        curve(x, np.sin(12.0 * x)),
+        x,
+    )
+    far = curve(x, np.full(11, 5.0))
+    no_fit("explains nothing", lambda u, p: p * u, {"p": Range(-20.0, 20.0, 1.0)}, far, x)
+    bad = fitted(evaluated(lambda u, p: p * u, x), {"p": Range(-20.0, 20.0, 1.0)}, curve(x, 5.0 - 10.0 * x))
+    assert bad.explained == pytest.approx(0.2857, abs=1e-4)
+    assert "THE CASE IS NOT THAT OF THE MEASUREMENT: no more than 0.29" in bad.notes[0]
+    _write(tmp_path, bad)
+    assert "THE CASE" in json.loads((tmp_path / "fit.json").read_text())["notes"][0]
+    # What varies by nothing but noise is met though no variance is explained.
+    flat = fitted(evaluated(lambda u, p: p + 0.0 * u, x), {"p": Range(0.0, 9.0)}, curve(x, 5.0 + 0.01 * np.cos(9 * x)))
+    assert flat.values["p"] == pytest.approx(5.0, rel=1e-3) and not any("THE CASE" in note for note in flat.notes)
+
+
+def test_a_perfect_fit_is_written(tmp_path):
+    x = np.linspace(0.0, 1.0, 11)
+    found = fitted(evaluated(lambda u, a, b: a * u + b, x), {"a": Range(0.0, 1.0), "b": Range(0.0, 1.0)},
+                   curve(x, 0.5 * x + 0.5))  # fmt: skip
+    assert found.rms == 0.0 and found.errors == {"a": 0.0, "b": 0.0}
+    _write(tmp_path, found)
+    written = json.loads((tmp_path / "fit.json").read_text())
+    # That of the line through 11 points: -mean(x) / sqrt(mean(x^2)).
+    assert written["correlation"]["a"]["b"] == pytest.approx(-0.5 / np.sqrt(0.35), rel=1e-6)
 
 
 def no_fit(message, law, ranges, measured, x, fails=lambda p: False, **more):

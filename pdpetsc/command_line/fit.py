@@ -111,7 +111,8 @@ class Lines(Progress):
 
 
 def _show(console: Console, done: Fit, folder: Path) -> None:
-    table = Table()
+    # What makes the numbers of the table worth little stands at the table.
+    table = Table(caption=next((note for note in done.notes if note.isupper() or note.startswith("THE CASE")), None))
     for name in ("parameter", "value", "standard error", *(f"with {name}" for name in done.values)):
         table.add_column(name, justify="right")
     for row, (name, value) in zip(done.correlation, done.values.items(), strict=True):

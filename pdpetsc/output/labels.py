@@ -9,6 +9,8 @@ from typing import Any
 from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError
 
+# Fields of principal values, which are along no axes: the largest is the first.
+PRINCIPAL = ("principal_strains", "principal_stresses")
 # Fields whose names are not those of the quantity.
 _WORDS = {"von_mises": "von Mises stress"}
 
@@ -52,6 +54,8 @@ class Labels:
     def field(self, name: str, component: str = "") -> str:
         """Return what stands at the scale of a field component."""
         words = _WORDS.get(name, name.replace("_", " "))
+        if name in PRINCIPAL:
+            component = component.translate(str.maketrans("xyz", "123"))
         return self._with(f"{words} {component}".strip(), self._unit(self._kind(name)))
 
     def unit_of_field(self, name: str) -> str:

@@ -61,6 +61,15 @@ class StoredFields:
     run : str, optional
         Which run they must be of.
 
+    Attributes
+    ----------
+    run : str or None
+        Which run they are of; None where the file does not tell.
+    steps : list of int
+        The steps that it holds.
+    n_particles : int
+        All particles.
+
     Raises
     ------
     CaseError
@@ -70,7 +79,9 @@ class StoredFields:
     def __init__(self, folder: Path, run: str | None = None) -> None:
         self._path = folder / "fields.h5"
         with self._open() as file:
-            if run is not None and file["particles"].attrs["run"] != run:
+            found = file["particles"].attrs.get("run")
+            self.run = None if found is None else str(found)
+            if run is not None and self.run != run:
                 raise CaseError(
                     f"{folder} holds the fields of a later run; those of this one are in earlier/, or gone."
                 )

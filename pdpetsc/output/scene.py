@@ -28,6 +28,8 @@ SHOWN = (0.5, 99.5)
 FITS, TORN = 4, 0.1
 # A face between two cells longer than so many spacings has no end in the body.
 LONGEST_FACE = 3.0
+# How well the length of a bond is that between two particles [-]; to the image of one it is quite another.
+OWN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def scene_of(
     words = f"{title}: {label}\nstep {shown}, {_load(folder, shown, stored.time(shown), labels)}{enlarged}"
     horizon = summary.get("horizon")
     whole = stride == 1
-    broken = broken_pairs(folder, shown) if whole else np.empty((0, 2), dtype=np.int64)
+    broken = broken_pairs(folder, shown, x) if whole else np.empty((0, 2), dtype=np.int64)
     given = summary.get("cracks") if dim == 2 and whole else None
     lines = [line for line in given if len(line) > 1] if isinstance(given, list) else []
     axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0) if len(x) > 1 else np.array([0])
@@ -264,15 +266,29 @@ def about(x: Float, u: Float, broken: NDArray[np.int64], lines: Sequence[Sequenc
     return F, inside & (held & (apart < 3.0 * TORN)).all(axis=1)
 
 
-def broken_pairs(folder: Path, step: int) -> NDArray[np.int64]:
-    """Return the ids of the ends of the bonds that were broken at a step (n, 2), from ``broken_bonds.csv``."""
+def broken_pairs(folder: Path, step: int, x: Float) -> NDArray[np.int64]:
+    """Return the ids of the ends of the bonds that were broken at a step (n, 2), from ``broken_bonds.csv``.
+
+    Bonds to images of particles, beyond a mirror plane or a period, are left out: the table names the particle that an
+    image is of, whose own bond may be whole.
+
+    Parameters
+    ----------
+    x : (n, dim) float64
+        Places of all particles in creation order [length], which tell the one from the other.
+    """
     try:
         with (folder / "broken_bonds.csv").open(newline="") as file:
             rows = [row for row in csv.DictReader(file) if row.get("j") and int(row["step"]) <= step]
             pairs = [(int(row["i"]), int(row["j"])) for row in rows]
+            lengths = np.array([float(row["length"]) for row in rows])
     except (OSError, ValueError, KeyError, TypeError):
-        pairs = []
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        return np.empty((0, 2), dtype=np.int64)
+    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    known = (found < len(x)).all(axis=1)
+    found, lengths = found[known], lengths[known]
+    apart = np.linalg.norm(x[found[:, 0]] - x[found[:, 1]], axis=1)
+    return np.asarray(found[np.abs(lengths - apart) <= OWN * lengths])
 
 
 def faces_between(x: Float, u: Float, broken: NDArray[np.int64], lines: list[list[list[float]]]) -> Float:

@@ -15,7 +15,6 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.curves import curve, panels
 from pdpetsc.output.labels import Labels
-from pdpetsc.post.sampling import sampled
 from pdpetsc.running.result import Result, open_run, optional_module
 
 # What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
@@ -79,18 +78,29 @@ def names_of_results(done: Sequence[Ran]) -> list[str]:
 
 
 def columns_of(done: Sequence[Outcome]) -> dict[str, list[Any]]:
-    """Return the table of runs by columns: parameters, results (None where a run has none), time, memory, status."""
-    parameters = list(dict.fromkeys(name for outcome in done for name in outcome.parameters))
-    columns = {name: [outcome.parameters.get(name) for outcome in done] for name in parameters}
-    for name in names_of_results(done):
-        # A result that is named as a parameter does not take its column.
-        columns[f"{name} (result)" if name in columns else name] = [outcome.results.get(name) for outcome in done]
-    return {
-        **columns,
+    """Return the table of runs by columns: parameters, results (None where a run has none), time, memory, status.
+
+    A parameter that is named as one of the last three has `` (parameter)`` after its name, a result that is named as
+    one of these or as a parameter `` (result)``, so that nothing takes the column of another.
+    """
+    last: dict[str, list[Any]] = {
         "seconds": [outcome.seconds for outcome in done],
         "MiB": [outcome.memory for outcome in done],
         "status": [outcome.status for outcome in done],
     }
+    columns: dict[str, list[Any]] = {}
+    for name in dict.fromkeys(name for outcome in done for name in outcome.parameters):
+        columns[_unused(name, "parameter", [*columns, *last])] = [outcome.parameters.get(name) for outcome in done]
+    for name in names_of_results(done):
+        columns[_unused(name, "result", [*columns, *last])] = [outcome.results.get(name) for outcome in done]
+    return {**columns, **last}
+
+
+def _unused(name: str, kind: str, taken: Sequence[str]) -> str:
+    """Return a name for a column that no other has."""
+    while name in taken:
+        name = f"{name} ({kind})"
+    return name
 
 
 def results_figure(done: Sequence[Ran], along: str | None, title: str = "") -> Any:
@@ -167,9 +177,10 @@ class Comparison:
         known = list(dict.fromkeys(key for parameters in given.values() for key in parameters))
         missing = object()
         differ = [key for key in known if len({repr(one.get(key, missing)) for one in given.values()}) > 1]
+        column = {key: _unused(key, "parameter", ["run"]) for key in differ}
         return [
             Outcome(
-                {"run": name, **{key: given[name].get(key) for key in differ}}, str(run.summary.get("status")),
+                {"run": name, **{column[key]: given[name].get(key) for key in differ}}, str(run.summary.get("status")),
                 run.results, working_seconds(run.summary), mebibytes(run.summary),
             )
             for name, run in self.runs.items()
@@ -225,7 +236,8 @@ class Comparison:
         Raises
         ------
         CaseError
-            A run has no such field, or not at this step time.
+            A run has no such field, or not at this step time; or it is one of forces on particles, of other particles
+            or at points.
         """
         names = list(self.runs)
         steps = {name: self._step(name, t) for name in names}
@@ -237,13 +249,13 @@ class Comparison:
                     f"their fields are compared."
                 )
         first = self.runs[names[0]]
-        at = first.x if points is None else points
         values = {}
         for name in names:
             run = self.runs[name]
-            found = np.asarray(run.field(field, steps[name]), dtype=float)
-            own = points is None and np.array_equal(run.x, first.x)
-            values[name] = found if own else sampled(run.x, found, at)
+            if points is None and np.array_equal(run.x, first.x):
+                values[name] = np.asarray(run.field(field, steps[name]), dtype=float)
+            else:
+                values[name] = run.sample(first.x if points is None else points, field, steps[name])
         shapes = {array.shape for array in values.values()}
         if len(shapes) > 1:
             raise CaseError(f"The field {field} has not the same components in all of {', '.join(names)}.")

@@ -7,6 +7,7 @@ import html
 import importlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,15 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
-from pdpetsc.output.labels import Labels
+from pdpetsc.output.labels import PRINCIPAL, Labels
 from pdpetsc.output.picture import draw_field, kept_picture
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
+
+# What stands for the run of a folder that was opened without fields.
+NONE_YET = ""
 
 
 class Result(Mapping[str, float]):
@@ -83,7 +87,13 @@ class Result(Mapping[str, float]):
         CaseError
             The run wrote none, or a later one has taken its folder.
         """
-        return StoredFields(self.folder, self._run)
+        stored = StoredFields(self.folder, self._run or None)
+        if self._run == NONE_YET:
+            raise CaseError(
+                f"{self.folder} had no fields to read when its run was opened, and has some now, which may be those of "
+                f"a later run; open it again."
+            )
+        return stored
 
     def field(self, name: str, step: int | None = None) -> NDArray[Any]:
         """Return a field of all particles in creation order, of the last step that has any by default (not collective).
@@ -130,8 +140,14 @@ class Result(Mapping[str, float]):
         ------
         CaseError
             The run wrote no such field or step, or the points have another dimension or are not finite, or the body
-            is one particle that is elsewhere.
+            is one particle that is elsewhere; or the field is one of forces on particles, which are as large as the
+            particles and have no values between them.
         """
+        if Labels.of(self.summary).fields.get(name) == "force":
+            raise CaseError(
+                f"The field {name} of {self.folder} is a force on each particle, which depends on its volume and has "
+                f"no values between particles; add those of field({name!r}) up over the particles of a region."
+            )
         return sampled(self.x, np.asarray(self.field(name, step), dtype=float), points)
 
     def frame(self) -> Any:
@@ -190,9 +206,11 @@ class Result(Mapping[str, float]):
     def to_xarray(self) -> Any:
         """Return all fields of all steps as an xarray data set (not collective).
 
-        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second one of tensors;
-        coordinates are the step, its time ``t`` [-], and the reference positions ``X`` [length] by particle and
-        component. Fields that some steps lack are left out, and everything is read at once.
+        Dimensions are ``step``, ``particle`` and ``component``, with ``along`` for the second one of tensors, and
+        ``principal`` (1, 2, 3) in place of ``component`` for principal values; coordinates are the step, its time
+        ``t`` [-], the volumes, and the reference positions ``X`` [length] by particle and component. A field of the
+        case that is named as one of these has ``_field`` after its name. Fields that some steps lack are left out, and
+        everything is read at once.
 
         Raises
         ------
@@ -203,19 +221,27 @@ class Result(Mapping[str, float]):
         fields = self.fields
         shared = [name for name in fields.names() if all(name in fields.names(step) for step in fields.steps)]
         labels = Labels.of(self.summary)
-        found = {}
-        for name in shared:
-            if fields.is_entry(name):
-                continue
-            values = np.stack([fields.field(name, step) for step in fields.steps])
-            dims = ("step", "particle", "component", "along")[: values.ndim]
-            found[name] = (dims, values, {"long_name": labels.field(name), "units": labels.unit_of_field(name)})
+        # xarray puts the units behind the words itself.
+        words = replace(labels, units=None)
         axes = list("xyz")
         coordinates = {
             "step": fields.steps, "t": ("step", [fields.time(step) for step in fields.steps]),
             "X": (("particle", "component"), self.x), "volume": ("particle", fields.of_particles("volume")),
-            "component": axes, "along": axes,
+            "component": axes, "along": axes, "principal": [1, 2, 3],
         }  # fmt: skip
+        taken = {*coordinates, "particle"}
+        found: dict[str, Any] = {}
+        for name in shared:
+            if fields.is_entry(name):
+                continue
+            values = np.stack([fields.field(name, step) for step in fields.steps])
+            first = "principal" if name in PRINCIPAL else "component"
+            dims = ("step", "particle", first, "along")[: values.ndim]
+            own = name
+            while own in taken or (own != name and own in shared):
+                own += "_field"
+            taken.add(own)
+            found[own] = (dims, values, {"long_name": words.field(name), "units": labels.unit_of_field(name)})
         return xarray.Dataset(found, coordinates, {"status": str(self.summary.get("status"))})
 
     def _repr_html_(self) -> str:
@@ -306,10 +332,20 @@ def open_run(folder: str | Path) -> Result:
     'converged'
     """
     folder = Path(folder)
+    # Before the rest: where another run begins meanwhile, its numbers go with no fields rather than with others.
+    run = _run_of(folder)
     summary = read_summary(folder)
     try:
         results = {str(name): float(value) for name, value in dict(summary.get("results") or {}).items()}
     except (TypeError, ValueError) as error:
         raise CaseError(f"{folder} holds a summary.json whose results are not numbers: {error}.") from error
     history = read_history(folder) if (folder / "history.csv").exists() else {}
-    return Result(folder, results, history, summary)
+    return Result(folder, results, history, summary, run=run)
+
+
+def _run_of(folder: Path) -> str | None:
+    """Return which run the fields in a folder are of, so that those of a later one are not taken for them."""
+    try:
+        return StoredFields(folder).run
+    except CaseError:
+        return NONE_YET

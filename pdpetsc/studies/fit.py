@@ -31,6 +31,14 @@ NOTHING = 1e-6
 SINGULAR = 1e-3
 # A parameter this near to the end of its range, over the range, has ended there [-].
 AT_END = 1e-3
+# A step that may be left where the search ends: over the standard errors [-], and over the range [-]. Less is below
+# what the measurement tells, and a curve with bends, as at yield, has no least square where a derivative vanishes.
+LEFT, NEAR = 0.1, 1e-4
+# Searches from where one has ended, and curves that the first of them may take.
+ROUNDS, AGAIN = 6, 15
+# Share of the variance that a case explains which is that of the measurement, and residuals, over the measured values,
+# that are small whatever their variance.
+GOOD, CLOSE = 0.9, 0.01
 # Digits of the parameters that are run: more are below what a curve can tell.
 DIGITS = 12
 FILES = ("fit.json", "fit.csv", "fit.png")
@@ -199,6 +207,51 @@ class _Search:
             return np.full(len(self.curve.x), np.nan)
         return np.asarray((values - self.curve.y) / self.curve.scale)
 
+    def least(self, x: Float, central: bool = False) -> Float:
+        """Return where least squares ends from some shares; raises SolveError where the first search does not."""
+        from scipy.optimize import least_squares
+
+        ftol, xtol, gtol = (1e-12, 1e-7, 1e-12) if central else (1e-9, 1e-5, 1e-9)
+        found = least_squares(
+            self.residual, x, jac=lambda x: self.jacobian(x, central), bounds=(0.0, 1.0), method="trf",
+            ftol=ftol, xtol=xtol, gtol=gtol, max_nfev=AGAIN if central else max(self._most, 1),
+        )  # fmt: skip
+        if found.status <= 0 and not central:
+            raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
+        return np.asarray(found.x)
+
+    def lower(self, x: Float, step: Float) -> Float | None:
+        """Return shares along a step where the sum of squares is less, None where it is not.
+
+        Raises
+        ------
+        SolveError
+            Runs fail along it.
+        """
+        here, why = float(np.sum(self.residual(x) ** 2)), ""
+        least = 0.5 * LEFT**2 / (len(self.curve.x) - len(x))
+        for part in 0.5 ** np.arange(0.0, 8.0):
+            place = np.clip(x + part * step, 0.0, 1.0)
+            ((_, values, failure),) = self.at([place])
+            if values is None:
+                why = why or failure
+            elif float(np.sum(self.residual(place) ** 2)) < (1.0 - least) * here:
+                return np.asarray(place)
+        if why:
+            raise SolveError(
+                f"The fit ended where runs fail, next to {_words(self.values(x))}; the least square lies beyond: make "
+                f"runs succeed there, or fix a parameter: {why}"
+            )
+        return None
+
+    def failing(self, x: Float) -> list[str]:
+        """Return the parameters in which the neighbours for differences have no curve."""
+        sides = [self._moved(x, j, step) for j in range(len(x)) for step in (STEP, -STEP)]
+        inside = [(k // 2, side) for k, side in enumerate(sides) if np.all((side >= 0.0) & (side <= 1.0))]
+        found = self.at([side for _, side in inside])
+        names = list(self.ranges)
+        return list(dict.fromkeys(names[j] for (j, _), one in zip(inside, found, strict=True) if one[1] is None))
+
     def jacobian(self, x: Float, central: bool = False) -> Float:
         """Return the derivatives of the residuals by the shares (m, n)."""
         here = self.at([x])[0][1]
@@ -260,11 +313,10 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     CaseError
         There are fewer measured points than parameters and one.
     SolveError
-        The first run gives no curve, the search has not ended, parameters cannot be told apart by this curve, or one
-        of them has ended at an end of its range. All runs stay.
+        The first run gives no curve, the search has not ended, parameters cannot be told apart by this curve, one of
+        them has ended at an end of its range or where runs fail, or a constant is nearer to the measured values. All
+        runs stay.
     """
-    from scipy.optimize import least_squares
-
     n, m = len(ranges), len(curve.x)
     if n == 0:
         raise CaseError("A fit needs a parameter with a range, NAME=LOW:HIGH.")
@@ -278,16 +330,54 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
             f"The run that the fit starts from, {_words(search.values(x))}, gives no curve: {why.rstrip('.')}; start "
             f"elsewhere with NAME=LOW:START:HIGH."
         )
-    found = least_squares(
-        search.residual, x, jac=search.jacobian, bounds=(0.0, 1.0), method="trf",
-        ftol=1e-9, xtol=1e-5, gtol=1e-9, max_nfev=max(most, 1),
-    )  # fmt: skip
-    if found.status <= 0:
-        raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
-    x = np.asarray(found.x)
+    x = search.least(x)
+    J = _identified(search, x)
+    rounds = 0
+    while (step := _left(search, x, J)) is not None:
+        # Differences to one side shift the least square, and a short step is none where the residuals are small.
+        further = search.least(x, central=True) if rounds == 0 else search.lower(x, step)
+        if further is None:
+            break
+        if (rounds := rounds + 1) > ROUNDS:
+            raise SolveError(f"The fit has not converged at {_words(search.values(x))}: the curve jumps near there.")
+        x = further
+        J = _identified(search, x)
     point, values, _ = search.at([x])[0]
     assert values is not None
-    J = search.jacobian(x, central=True)
+    r = (values - curve.y) / curve.scale
+    square = float(r @ r) / (m - n)
+    # Where every residual is zero, errors are, and correlations are those that any residual has.
+    inverse = np.linalg.inv(J.T @ J)
+    spread = np.sqrt(np.diag(inverse))
+    deviation = spread * (1.0 if curve.sigma is not None else math.sqrt(square))
+    slopes = np.array([one.slope(float(share)) for one, share in zip(ranges.values(), x, strict=True)])
+    total = float(np.sum((curve.y - curve.y.mean()) ** 2))
+    rms = scaled_norm(values - curve.y)
+    between = _between_steps(point.history or {}, curve)
+    fit = Fit(
+        search.values(x), dict(zip(ranges, (deviation * slopes).tolist(), strict=True)),
+        inverse / np.outer(spread, spread), values, curve, rms,
+        1.0 - float(np.sum((values - curve.y) ** 2)) / total if total > 0.0 else math.nan,
+        square if curve.sigma is not None else None, between, search.runs, search.failed, point.folder,
+    )  # fmt: skip
+    _refuse_unexplained(fit)
+    if near := search.failing(x):
+        fit.notes.append(f"runs fail next to these parameters, in {' and '.join(near)}")
+    if step is not None:
+        fit.notes.append("the curve has a bend or a jump at these parameters: their standard errors are not reliable")
+    fit.notes.extend(_notes(fit, ranges, deviation))
+    return fit
+
+
+def _identified(search: _Search, x: Float) -> Float:
+    """Return the Jacobian by central differences where the search has ended.
+
+    Raises
+    ------
+    SolveError
+        Parameters cannot be told apart by the curve, or one has ended at an end of its range.
+    """
+    J, curve, ranges = search.jacobian(x, central=True), search.curve, search.ranges
     _refuse_unidentified(J * (curve.scale / np.abs(curve.y).max())[:, None], list(ranges))
     at_end = [name for (name, one), share in zip(ranges.items(), x, strict=True) if min(share, 1 - share) < AT_END]
     if at_end:
@@ -295,26 +385,49 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
             f"{' and '.join(f'{name} = {search.values(x)[name]:g}' for name in at_end)} ended at an end of "
             f"{'its range' if len(at_end) == 1 else 'their ranges'}; the least square lies beyond: widen it, or fix it."
         )
-    r = (values - curve.y) / curve.scale
-    square = float(r @ r) / (m - n)
-    covariance = np.linalg.inv(J.T @ J) * (1.0 if curve.sigma is not None else square)
-    deviation = np.sqrt(np.diag(covariance))
-    slopes = np.array([one.slope(float(share)) for one, share in zip(ranges.values(), x, strict=True)])
-    total = float(np.sum((curve.y - curve.y.mean()) ** 2))
-    rms = scaled_norm(values - curve.y)
-    between = _between_steps(point.history or {}, curve)
-    fit = Fit(
-        search.values(x), dict(zip(ranges, (deviation * slopes).tolist(), strict=True)),
-        covariance / np.outer(deviation, deviation), values, curve, rms,
-        1.0 - float(np.sum((values - curve.y) ** 2)) / total if total > 0.0 else math.nan,
-        square if curve.sigma is not None else None, between, search.runs, search.failed, point.folder,
-    )  # fmt: skip
-    fit.notes.extend(_notes(fit, ranges, deviation))
-    return fit
+    return J
+
+
+def _left(search: _Search, x: Float, J: Float) -> Float | None:
+    """Return the Gauss-Newton step that is left where the search has ended, None where it is none (n,).
+
+    Raises
+    ------
+    SolveError
+        Runs fail next to where a step is left: the least square lies where they do.
+    """
+    r = search.residual(x)
+    step = np.asarray(np.linalg.lstsq(J, -r, rcond=None)[0])
+    m, n = J.shape
+    # The step over standard errors, whatever the units and the number of points.
+    if np.sum((J @ step) ** 2) * (m - n) <= LEFT**2 * np.sum(r**2) or np.abs(step).max() <= NEAR:
+        return None
+    if near := search.failing(x):
+        raise SolveError(
+            f"The fit ended where runs fail, next to {_words(search.values(x))} in {' and '.join(near)}; the least "
+            f"square lies beyond: make runs succeed there, or fix a parameter."
+        )
+    return step
+
+
+def _refuse_unexplained(fit: Fit) -> None:
+    """Raise SolveError where a constant is as near to the measured values as what was found."""
+    if fit.explained > 0.0 or fit.rms <= CLOSE * scaled_norm(fit.curve.y):
+        return
+    share = f" ({fit.explained:.2g} of the variance is explained)" if math.isfinite(fit.explained) else ""
+    raise SolveError(
+        f"The nearest curve, that of {_words(fit.values)}, explains nothing of the measured one{share}: a constant is "
+        f"nearer to it; look at signs, units and the case, with the run in {fit.best}."
+    )
 
 
 def _notes(fit: Fit, ranges: Mapping[str, Range], deviation: Float) -> list[str]:
     found = []
+    if not fit.explained >= GOOD and fit.rms > CLOSE * scaled_norm(fit.curve.y):
+        found.append(
+            f"THE CASE IS NOT THAT OF THE MEASUREMENT: no more than {fit.explained:.2g} of the variance of "
+            f"{fit.curve.y_name} is explained, so the parameters and their standard errors mean little"
+        )
     for name, share in zip(ranges, deviation, strict=True):
         if share > 0.5:
             found.append(f"{name} is hardly determined: its standard error is {share:.1g} of its range")
@@ -497,12 +610,13 @@ def _write(folder: Path, found: Fit) -> None:
     for x, y, value in zip(found.curve.x.tolist(), found.curve.y.tolist(), found.fitted.tolist(), strict=True):
         table.writerow([repr(x), repr(y), repr(value), repr(value - y)])
     write_whole(folder / "fit.csv", text.getvalue())
-    rows = found.correlation.tolist()
+    rows = [[_finite(value) for value in row] for row in found.correlation.tolist()]
     correlation = {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
     whole = {
-        "parameters": {n: {"value": found.values[n], "standard_error": found.errors[n]} for n in names},
+        "parameters": {n: {"value": found.values[n], "standard_error": _finite(found.errors[n])} for n in names},
         "correlation": correlation,
-        "rms": found.rms, "explained": _finite(found.explained), "chi2": found.chi2,
+        "rms": found.rms, "explained": _finite(found.explained),
+        "chi2": None if found.chi2 is None else _finite(found.chi2),
         "interpolation": _finite(found.interpolation), "points": len(found.curve.x), "runs": found.runs,
         "failed": found.failed, "best": found.best.name, "notes": found.notes,
     }  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import write_whole
+from pdpetsc.studies.refinement import NOISE
 
 # Marks a folder that a study has made: nothing is written to another one that is not empty.
 MARK = ".pdpetsc-study"
@@ -49,6 +50,8 @@ class Outcome:
         The most that its ranks took, together [MiB].
     unstable : int
         Load steps whose equilibrium is unstable.
+    noise : float
+        Share of a result that its solver leaves open.
     """
 
     parameters: Mapping[str, str]
@@ -60,6 +63,7 @@ class Outcome:
     seconds: float = 0.0
     memory: float = 0.0
     unstable: int = 0
+    noise: float = NOISE
 
     @property
     def finished(self) -> bool:
@@ -122,7 +126,7 @@ def keep(outcome: Outcome, identity: Mapping[str, Any]) -> None:
     found = {
         "identity": dict(identity), "parameters": dict(outcome.parameters), "status": outcome.status,
         "exit_status": outcome.exit_status, "said": outcome.said, "results": dict(outcome.results),
-        "seconds": outcome.seconds, "memory": outcome.memory, "unstable": outcome.unstable,
+        "seconds": outcome.seconds, "memory": outcome.memory, "unstable": outcome.unstable, "noise": outcome.noise,
         "files": {name: _content(outcome.folder / name) for name in KEPT},
     }  # fmt: skip
     write_whole(outcome.folder / RECORD, json.dumps(found, indent=1) + "\n")
@@ -135,7 +139,7 @@ def kept(folder: Path, identity: Mapping[str, Any] | None) -> tuple[Outcome | No
         outcome = Outcome(
             dict(found["parameters"]), folder, str(found["status"]), int(found["exit_status"]), str(found["said"]),
             {str(name): float(value) for name, value in found["results"].items()}, float(found["seconds"]),
-            float(found["memory"]), int(found["unstable"]),
+            float(found["memory"]), int(found["unstable"]), float(found["noise"]),
         )  # fmt: skip
         was, files = dict(found["identity"]), dict(found["files"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -10,8 +10,9 @@ from typing import Any
 
 from pdpetsc.errors import CaseError
 
-# Differences of results below this share of them are of the solvers that found them, not of the size [-].
-NOISE = 1e-8
+# Differences of results below this share of them are of the solvers that found them, not of the size [-], where nobody
+# knows better.
+NOISE = 1e-6
 # Orders of different sizes that are apart by more than this share are not those of small sizes [-].
 APART = 0.25
 # Roache's factors of safety on the estimated error: where other sizes confirm the order, and where none is left to.
@@ -62,14 +63,15 @@ class Convergence:
 
 def converging(
     result: str, sizes: Sequence[float], values: Sequence[float], exact: float | None = None,
-    group: Mapping[str, str] | None = None,
+    group: Mapping[str, str] | None = None, noise: float = NOISE,
 ) -> Convergence:  # fmt: skip
     """Return how a result converges with its size.
 
     ``f(h) = f_0 + C h^p`` is put through the three smallest sizes. The error bar of the smallest one is the Grid
     Convergence Index ``F_s |f_2 - f_1| / (r^p - 1)`` (Roache1998) with ``r = h_2 / h_1``, and ``p`` of at most 2:
     ``F_s`` is 1.25 where a fourth size gives the same order to a quarter, and 3 where there are three sizes only. With
-    an exact value ``p`` is the slope of the line that fits the logarithms of the errors best.
+    an exact value ``p`` is the slope of the line that fits the logarithms of the errors of the three smallest sizes
+    best.
 
     Parameters
     ----------
@@ -81,6 +83,8 @@ def converging(
         The value of the limit, from elsewhere.
     group : mapping, optional
         The other parameters.
+    noise : float
+        Share of a result that its solver leaves open.
 
     Returns
     -------
@@ -109,16 +113,16 @@ def converging(
     if any(not math.isfinite(value) for _, value in pairs) or (exact is not None and not math.isfinite(exact)):
         raise CaseError(f"{result} is not finite at every size.")
     h, f = tuple(size for size, _ in pairs), tuple(value for _, value in pairs)
-    found: dict[str, Any] = _extrapolated(h, f) if exact is None else _against(h, f, exact)
+    found: dict[str, Any] = _extrapolated(h, f, noise) if exact is None else _against(h, f, exact, noise)
     return Convergence(result, h, f, dict(group or {}), exact=exact, **found)
 
 
-def _against(h: Sequence[float], f: Sequence[float], exact: float) -> dict[str, Any]:
+def _against(h: Sequence[float], f: Sequence[float], exact: float, noise: float) -> dict[str, Any]:
     if len(h) < 2:
         return {"note": "an order against an exact value needs two sizes or more"}
     errors = [value - exact for value in f]
     scale = max(abs(exact), *map(abs, f))
-    if min(map(abs, errors)) <= NOISE * scale:
+    if min(map(abs, errors)) <= noise * scale:
         return {"note": "a result is exact up to what its solver leaves"}
     if min(errors) < 0.0 < max(errors):
         return {"note": "the error changes its sign"}
@@ -126,24 +130,28 @@ def _against(h: Sequence[float], f: Sequence[float], exact: float) -> dict[str, 
     orders = tuple((b[1] - a[1]) / (b[0] - a[0]) for a, b in itertools.pairwise(logs))
     if min(orders) <= 0.0:
         return {"orders": orders, "note": "the error does not fall with the size"}
-    x, y = (sum(column) / len(logs) for column in zip(*logs, strict=True))
-    slope = sum((a - x) * (b - y) for a, b in logs) / sum((a - x) ** 2 for a, _ in logs)
+    # Only the sizes that are judged below: larger ones are not small enough, or not known to be.
+    last = logs[-3:]
+    x, y = (sum(column) / len(last) for column in zip(*last, strict=True))
+    slope = sum((a - x) * (b - y) for a, b in last) / sum((a - x) ** 2 for a, _ in last)
     if len(orders) == 1:
         note = "two sizes cannot tell whether they are small enough"
     elif _apart(orders[-2], orders[-1]):
         note = f"not in the asymptotic range: orders {_words(orders)} from size to size"
         return {"orders": orders, "note": note}
+    elif any(_apart(order, orders[-1]) for order in orders[:-2]):
+        note = f"the order of the three smallest sizes; larger ones are not small enough: {_words(orders)}"
     else:
         note = ""
     return {"order": slope, "orders": orders, "note": note}
 
 
-def _extrapolated(h: Sequence[float], f: Sequence[float]) -> dict[str, Any]:
+def _extrapolated(h: Sequence[float], f: Sequence[float], noise: float) -> dict[str, Any]:
     if len(h) < 3:
         return {"note": f"an observed order needs three sizes or more, not {len(h)}"}
     steps = [after - before for before, after in itertools.pairwise(f)]
     scale = max(map(abs, f))
-    if min(map(abs, steps[-3:])) <= NOISE * scale:
+    if min(map(abs, steps[-3:])) <= noise * scale:
         return {"note": "neighbouring sizes differ by what solvers leave only"}
     if min(steps[-3:]) < 0.0 < max(steps[-3:]):
         return {"note": "the results are not monotone in the size"}

@@ -21,11 +21,13 @@ from pdpetsc.studies import table
 from pdpetsc.studies.asking import CaseFile, Question
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
 from pdpetsc.studies.place import LOG, RECORD, Outcome, folder_of, keep, kept, named, take
-from pdpetsc.studies.refinement import Convergence, converging
+from pdpetsc.studies.refinement import NOISE, Convergence, converging
 from pdpetsc.studies.sets import Set, grid, text_of
 
 # How long a run that an earlier study left behind may take to end [s].
 PATIENCE = 60.0
+# Share of a result that is open, over the tolerance of Newton's residual, and the least that there is [-].
+AMPLIFIED, LEAST_NOISE = 100.0, 1e-8
 # What tells that a launcher of MPI has started this process.
 LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK")
 
@@ -208,6 +210,7 @@ class Runs:
             {name: float(value) for name, value in (results or {}).items()}, working_seconds(summary),
             sum(summary.get("peak_memory_bytes") or []) / 2**20,
             sum(bool(step.get("negative_pivots")) for step in steps) if isinstance(steps, list) else 0,
+            _noise(summary),
         )  # fmt: skip
         # A run that somebody has stopped has not failed: it is to be run.
         if question.identity is not None and summary.get("error") != "Interrupted":
@@ -235,6 +238,17 @@ def _summary(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _noise(summary: Mapping[str, Any]) -> float:
+    """Return the share of a result that the solver of a run leaves open: its tolerance, and what makes of that more."""
+    try:
+        if not str(summary["solver"]).startswith("snes"):
+            return NOISE
+        tolerance = float(summary["options"]["snes_rtol"]["value"])
+    except (KeyError, TypeError, ValueError):
+        return NOISE
+    return max(LEAST_NOISE, AMPLIFIED * tolerance) if math.isfinite(tolerance) else NOISE
 
 
 def _is_asked(summary: Mapping[str, Any], question: Question) -> bool:
@@ -344,16 +358,18 @@ class Refinement:
         sizes = [float(outcome.parameters[self.name]) for outcome, _ in have]
         sizes = [1.0 / size if size else 0.0 for size in sizes] if self.of.startswith("1/") else sizes
         rest = {key: value for key, value in members[0][0].parameters.items() if key != self.name}
-        exact = self.exact.get(name)
+        exact, notes = self.exact.get(name), []
         if exact is None and self.expected:
-            wanted = {question.expected[name] for _, question in have if name in question.expected}
+            wanted = {question.expected.get(name) for _, question in have}
             if len(wanted) == 1:
                 exact = wanted.pop()
-        found = converging(name, sizes, [outcome.results[name] for outcome, _ in have], exact, rest)
+            elif wanted:
+                notes.append("what the case expects differs between the sizes, so the order is not against it")
+        noise = max((outcome.noise for outcome, _ in have), default=NOISE)
+        found = converging(name, sizes, [outcome.results[name] for outcome, _ in have], exact, rest, noise)
         if lost := len(members) - len(have):
-            note = "; ".join(filter(None, [found.note, f"{lost} of {len(members)} runs failed and are left out"]))
-            return dataclasses.replace(found, note=note)
-        return found
+            notes.append(f"{lost} of {len(members)} runs failed and are left out")
+        return dataclasses.replace(found, note="; ".join(filter(None, [found.note, *notes])))
 
 
 def study(

@@ -863,8 +863,9 @@ def test_sets_of_one_name_are_refused(folder):
     deck = changed(folder, "block.yaml", ("    Left Node Set:", '    LEFT  NODE SET: "2"\n    Left Node Set:'))
     with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
         import_deck(deck)
-    with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
-        import_deck(changed(folder, "plate.yaml", ("      Corner: 1\n", "      Corner: 1\n      LEFT: 2\n")))
+    for more in ("LEFT: 2", "RIGHT: 2", "corner: x < 0.6", "Block_1: 2", "block_1: x < 0.6", "BLOCK_1: All"):
+        with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
+            import_deck(changed(folder, "plate.yaml", ("      Corner: 1\n", f"      Corner: 1\n      {more}\n")))
     with pytest.raises(pd.CaseError, match="the name of a block"):
         pd.TextFile(folder / "plate.txt", node_sets={"block_1": [1]}).chunk(0, 1)
 

@@ -157,6 +157,7 @@ def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: 
         f"{relative(path, folder)}, node_sets=NODE_SETS, dim={dim}" if sets else f"{relative(path, folder)}, dim={dim}"
     )
     helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
+    refuse_same_names(whole.sets)
     called = {tidy(name): name for name in whole.sets}
     return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called)
 

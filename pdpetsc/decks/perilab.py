@@ -114,8 +114,6 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
                 f"modulus in the place of that of the deck; it {_NO_PART}: give --ignore {column!r} if the answer does "
                 f"not depend on it."
             )
-    if given is not None:
-        refuse_same_names([*given.entries])
     files: dict[str, Path | list[int]] = {}
     regions: dict[str, str] = {}
     # Whether z is there says whether the body is plane.
@@ -142,6 +140,7 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
                 [node.value(dict(zip("xyz", map(float, x), strict=False))) != 0.0 for x in places], dtype=bool
             )
     body = text_body(path, folder, files, dim)
+    refuse_same_names([*body.sets, *chosen])
     sets = {**body.sets, **chosen}
     called = {**body.called, **{tidy(name): name for name in chosen}}
     return Body(body.code, body.helpers, body.x, sets, called, regions)

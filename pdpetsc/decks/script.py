@@ -570,12 +570,12 @@ def refuse_same_names(names: Iterable[str]) -> None:
     """Raise CaseError where two sets of a deck have names that are the same without blanks and capitals."""
     found: dict[str, str] = {}
     for name in names:
-        other = found.setdefault(tidy(name), name)
-        if other != name:
+        if tidy(name) in found:
             raise CaseError(
-                f"The deck or its mesh has the sets {other!r} and {name!r}, whose names are the same without blanks "
-                f"and capitals; give one another name."
+                f"The deck or its mesh has the sets {found[tidy(name)]!r} and {name!r}, whose names are the same "
+                f"without blanks and capitals; give one another name."
             )
+        found[tidy(name)] = name
 
 
 def words(text: str) -> Sequence[str]:

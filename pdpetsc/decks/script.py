@@ -321,7 +321,9 @@ class Script:
         if given.since is not None and "t" in names and _table(given, self.body, [given.since]).any():
             if given.kind == "Displacement":
                 _refuse_rests(given, values, self.times)
-            code = f"{code} - ({given.value.python({**_COORDINATES, 't': f'({given.since!r})'})})"
+            # In brackets, since a negative number before a power would lose its sign.
+            at = repr(given.since) if given.since >= 0.0 else f"({given.since!r})"
+            code = f"{code} - ({given.value.python({**_COORDINATES, 't': at})})"
             self.notes.differs(f"{given.place} counts from its value at time {given.since:g}, as {self.program} does.")
         if not (names & set("xyz")):
             code = f"{code} + 0.0 * x[:, 0]" if given.kind == "Temperature" else code

@@ -579,6 +579,53 @@ def test_temperature_counts_from_the_beginning(folder):
     assert case.material.reference == 0.0
 
 
+def test_temperature_counts_from_time_zero_wherever_the_deck_begins(folder):
+    deck = changed(
+        folder, "block.yaml", ("Density: 7800.0", "Thermal Expansion Coefficient: 1.0e-5"),
+        ("    Weight:\n", f'    All Node Set: "{" ".join(map(str, range(1, 37)))}"\n    Heat:\n      Type: "Prescribed '
+         'Temperature"\n      Node Set: "All Node Set"\n      Value: "7.0*x + 20.0*t"\n    Weight:\n'),
+        ("Initial Time: 0.0", "Initial Time: 2.0"),
+    )  # fmt: skip
+    heat = next(c for c in case_of(import_deck(deck)[0]).conditions if isinstance(c, pd.Temperature))
+    assert heat.value(np.ones((2, 3)), 1.0) == pytest.approx([100.0, 100.0])
+    assert heat.value(np.ones((2, 3)), 0.5) == pytest.approx([70.0, 70.0])
+
+
+def of_peridigm(value, times):
+    """Return the displacement at the times as ``BoundaryCondition::evaluateParser`` and the load steps have it."""
+    u = [0.0]
+    for before, now in itertools.pairwise(times):
+        change = value(now) - value(before)
+        u.append(u[-1] + (value(now) - u[-1] if change == 0.0 else change))
+    return u
+
+
+@pytest.mark.parametrize(
+    ("text", "first", "refused"),
+    [
+        ("0.1 + 0.05*(t - 2.5 + fabs(t - 2.5))", 0.0, True), ("0.1 + 0.02*t", 0.0, False),
+        ("0.05*(t - 2.5 + fabs(t - 2.5))", 0.0, False), ("0.02*t^2", -1.0, False),
+        ("0.02*(x - 3.5)*t + 0.1", 0.0, True),
+        ("0.02*x*t + 0.1", -1.0, False), ("0.3*(t - 2) - 0.3*fabs(t - 2)", 0.0, True),
+        ("0.3*(t - 1) - 0.3*fabs(t - 1)", -1.0, True), ("0.1*(t - fabs(t))", -5.0, True),
+    ],
+)  # fmt: skip
+def test_displacements_are_those_that_peridigm_adds_up(folder, text, first, refused):
+    deck = changed(
+        folder, "block.yaml", ('"value = 0.02*x*t/5.0;"', f'"{text}"'), ("Initial Time: 0.0", f"Initial Time: {first}")
+    )
+    if refused:
+        with pytest.raises(pd.CaseError, match=r"Pull.* rests from time"):
+            import_deck(deck)
+        return
+    pull = case_of(import_deck(deck)[0]).conditions[3].x
+    value = parse(text, "a value", set("xyzt"), negation_first=True)
+    times = [first, 0.5 * (first + 5.0), 5.0]
+    expected = of_peridigm(lambda t: value.value({"x": 3.5, "y": 0.5, "z": 0.5, "t": t}), times)
+    found = [np.broadcast_to(pull(np.array([[3.5, 0.5, 0.5]]), step), 1)[0] for step in (0.0, 0.5, 1.0)]
+    assert found == pytest.approx(expected, abs=1e-14)
+
+
 def test_cracks_are_those_of_the_bond_filters(folder):
     crack = """\
     Bond Filters:
@@ -655,8 +702,14 @@ def test_columns_that_perilab_would_take_for_fields_are_refused(folder):
     rows = text.splitlines()
     for name, message in (("Young's_Modulus", "young's_modulus"), ("Angles", "angles")):
         mesh.write_text("\n".join([*rows[:2], f"{rows[2]} {name}", *(f"{row} 1.0" for row in rows[3:])]) + "\n")
-        with pytest.raises(pd.CaseError, match=message):
+        with pytest.raises(pd.CaseError, match=f"--ignore .*{message}"):
             import_deck(folder / "plate.yaml")
+        path, said = import_deck(folder / "plate.yaml", ignore=[name], overwrite=True)
+        assert f"ignored the column {message} of the mesh plate.txt" in said
+        assert message in path.read_text()
+        with pytest.raises(pd.CaseError, match="nothing called 'Bulk_Modulus'"):
+            import_deck(folder / "plate.yaml", ignore=[name, "Bulk_Modulus"], overwrite=True)
+        path.unlink()
     mesh.write_text("\n".join([*rows[:2], f"{rows[2]} Activation_Time", *(f"{row} 1.0" for row in rows[3:])]) + "\n")
     _, said = import_deck(folder / "plate.yaml")
     assert any("activation_time" in line for line in said)
@@ -810,8 +863,9 @@ def test_sets_of_one_name_are_refused(folder):
     deck = changed(folder, "block.yaml", ("    Left Node Set:", '    LEFT  NODE SET: "2"\n    Left Node Set:'))
     with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
         import_deck(deck)
-    with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
-        import_deck(changed(folder, "plate.yaml", ("      Corner: 1\n", "      Corner: 1\n      LEFT: 2\n")))
+    for more in ("LEFT: 2", "RIGHT: 2", "corner: x < 0.6", "Block_1: 2", "block_1: x < 0.6", "BLOCK_1: All"):
+        with pytest.raises(pd.CaseError, match="same without blanks and capitals"):
+            import_deck(changed(folder, "plate.yaml", ("      Corner: 1\n", f"      Corner: 1\n      {more}\n")))
     with pytest.raises(pd.CaseError, match="the name of a block"):
         pd.TextFile(folder / "plate.txt", node_sets={"block_1": [1]}).chunk(0, 1)
 

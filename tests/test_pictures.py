@@ -9,7 +9,7 @@ from PIL import Image
 
 import pdpetsc as pd
 from pdpetsc.command_line.plot import plot
-from pdpetsc.output import picture
+from pdpetsc.output import picture, scene
 from pdpetsc.output.crack import polydata
 from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
@@ -100,6 +100,14 @@ def test_lattices_are_told_from_other_clouds(rng):
     hole = np.hypot(x[:, 0] - 3.5, x[:, 1] - 3.0) > 1.6
     assert np.allclose(lattice_steps(x[hole]), [1.0, 1.5])
     assert lattice_steps(x + rng.uniform(-0.2, 0.2, x.shape)) is None
+
+
+def test_a_picture_of_a_part_of_the_particles_says_so(plane, solid, monkeypatch):
+    monkeypatch.setattr(scene, "MOST", 30)
+    drawn = scene_of(plane, "stress", "xx", 1.0, "bar")
+    assert len(drawn.x) == 24 and len(drawn.cracks) == 0
+    assert drawn.title.endswith(" N, 1 particle in 3 shown, cracks not drawn")
+    assert scene_of(solid, "stress", "xx", 1.0, "bar").title.endswith(" MN, 1 particle in 7 shown")
 
 
 def test_round_off_does_not_fill_the_scale_of_colours():

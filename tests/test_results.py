@@ -18,6 +18,7 @@ from pdpetsc.command_line.new import new
 from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
+from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import scene_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.comparison import Comparison, Outcome, columns_of
@@ -171,6 +172,7 @@ from pdpetsc.command_line import doctor
 from pdpetsc.discrete.communicator import world
 from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
+from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import scene_of
 
 def looks(comm):
@@ -369,14 +371,29 @@ def test_what_cannot_be_compared_is_refused(two, tmp_path):
     with pytest.raises(pd.CaseError, match=r"holds no summary\.json"):
         pd.compare([two[0], tmp_path])
     one, other = (bar(tmp_path / unit, units=pd.Units(unit, "N")) for unit in ("mm", "m"))
-    with pytest.raises(pd.CaseError, match="mm is in mm and N, m in m and N"):
+    with pytest.raises(pd.CaseError, match="mm is in mm and N, m is in m and N"):
         pd.compare([one, other])
     pd.compare([one, two[0]])
+    given = {"m": {"length": "m", "force": "N", "temperature": "K"}, "also": {"length": "m", "force": "N"}}
+    given["other"] = {**given["m"], "temperature": "degC"}
+    runs = {name: Result(Path(name), {}, {}, {"units": units}) for name, units in given.items()}
+    Comparison({name: runs[name] for name in ("also", "m")})
+    with pytest.raises(pd.CaseError, match="m has temperatures in K, other has temperatures in degC"):
+        Comparison({name: runs[name] for name in ("also", "m", "other")})
     short = bar(tmp_path / "short", steps=2)
     short.fields  # noqa: B018
     (short.folder / "fields" / "step_00002.h5").unlink()
     with pytest.raises(pd.CaseError):
         pd.compare([short, two[1]]).difference("displacement")
+
+
+def test_a_step_time_that_a_path_comes_to_again_is_refused(two, tmp_path, monkeypatch):
+    both = pd.compare({"a": two[0], "b": two[1]})
+    turn = {0: 0.0, 1: 0.5, 2: 1.0, 3: 0.5, 4: 0.25}
+    monkeypatch.setattr(StoredFields, "time", lambda self, step=None: turn[self.steps[-1] if step is None else step])
+    with pytest.raises(pd.CaseError, match=r"b comes to step time 0\.5 in each of the steps 1, 3; compare"):
+        both.difference("displacement", t=0.5)
+    assert both.difference("displacement", t=1.0)["b"].shape == (72, 3)
 
 
 def test_forces_on_particles_have_no_values_between_them(tmp_path):

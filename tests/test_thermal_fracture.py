@@ -144,6 +144,41 @@ def test_an_eigenstrain_that_jumps_is_refused_and_one_that_does_not_is_no_crack(
     assert np.isfinite(pd.JIntegral(**WHERE).evaluate(even))
 
 
+def near_tip(x, radius=0.12):
+    return np.hypot(*x[:, :2].T) < radius
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"conditions": [*CORNER, pd.Eigenstrain(pd.region.Sphere((0.0, 0.0), 0.12), xx=0.01, schedule=pd.Hold())]},
+            "without",
+        ),
+        ({"material": pd.Graded(LAW, lambda x: 1.0 + 4.0 * near_tip(x))}, "moduli that jump"),
+        (
+            {
+                "material": pd.Thermal(LAW, 1e-3),
+                "conditions": [*CORNER, pd.Temperature(EVERYWHERE, lambda x, t: 20.0 * near_tip(x) + 9.0 * x[:, 0])],
+            },
+            "strain without stress that jumps",
+        ),
+        (
+            {
+                "material": pd.Thermal(LAW, 0.0, factor=lambda T: 1.0 + T),
+                "conditions": [*CORNER, pd.Temperature(pd.region.Sphere((0.0, 0.0), 0.12), 1.0, pd.Hold())],
+            },
+            "moduli that jump",
+        ),
+    ],
+    ids=["eigenstrain", "graded", "hot spot on a slope", "softer spot"],
+)
+def test_a_jump_next_to_the_tip_is_refused(changes, message):
+    """Only a temperature may be steep there, and not beyond the root of the distance."""
+    with pytest.raises(pd.CaseError, match=message):
+        pd.JIntegral(**WHERE).evaluate(body(**({"conditions": CORNER} | changes)).solution())
+
+
 @pytest.mark.parametrize("horizon", [1.015, 2.015, 3.015])
 def test_a_temperature_that_jumps_is_told_from_one_that_is_steep(horizon):
     """Whatever the horizon, and where neighbours are all next to each other."""

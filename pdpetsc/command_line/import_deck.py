@@ -17,7 +17,8 @@ USAGE = """usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...]
 
   DECK           a deck of Peridigm (YAML, or XML of parameter lists) or PeriLab (YAML)
   -o CASE.py     the case file to write (default: the name of the deck, in this folder)
-  --ignore NAME  leave out the entry or section of this name or path, such as Contact or Solver/Verlet; may be repeated
+  --ignore NAME  leave out the entry or section of this name or path, such as Contact or Solver/Verlet, or a column of
+                 the mesh of PeriLab; may be repeated
   --static       solve a deck in time (Verlet, Implicit, Newmark) statically
   --overwrite    write over a file that is there
 
@@ -62,13 +63,22 @@ def import_deck(
         raise CaseError(f"{path} is there already; give another name with -o, or --overwrite.")
     root = read(deck)
     notes = Notes(ignored=root.without(ignore))
-    for name in ignore:
-        if not any(entry.partition(" (line")[0].endswith(name) for entry in notes.ignored):
-            raise CaseError(f"The deck {deck} has nothing called {name!r} to ignore.")
     translate, root = _program(deck, root)
+    left = [name for name in ignore if not any(entry.partition(" (line")[0].endswith(name) for entry in notes.ignored)]
+    if left and translate is not perilab.translate:
+        raise _nothing_called(deck, left[0])
+    # They may be columns of the mesh, which is read later.
+    notes.columns = {name.lower(): False for name in left}
     script = translate(deck, root, notes, path.parent, static)
+    for name in left:
+        if not notes.columns[name.lower()]:
+            raise _nothing_called(deck, name)
     _write(path, script.text(), overwrite)
     return path, [*notes.differences, *(f"ignored {entry}" for entry in notes.ignored)]
+
+
+def _nothing_called(deck: Path, name: str) -> CaseError:
+    return CaseError(f"The deck {deck} has nothing called {name!r} to ignore.")
 
 
 def _program(deck: Path, root: Section) -> tuple[Translate, Section]:

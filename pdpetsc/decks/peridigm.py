@@ -157,6 +157,7 @@ def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: 
         f"{relative(path, folder)}, node_sets=NODE_SETS, dim={dim}" if sets else f"{relative(path, folder)}, dim={dim}"
     )
     helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
+    refuse_same_names(whole.sets)
     called = {tidy(name): name for name in whole.sets}
     return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called)
 
@@ -449,12 +450,13 @@ def _conditions(script: Script, section: Section, static: bool) -> None:
         set_name, text = one.text("Node Set"), one.text("Value")
         value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"}, negation_first=True)
         where = script.body.named(set_name, one.place, nodes=True)
-        # Displacements and changes of temperature are counted from the beginning.
-        given = Given(known[kind], axis, where, value, one.place, kind != "Body Force")
+        # Displacements are counted from the beginning, changes of temperature from time 0.
+        since = {"Prescribed Displacement": script.times.first, "Prescribed Temperature": 0.0}.get(kind)
+        given = Given(known[kind], axis, where, value, one.place, since)
         if kind == "Prescribed Temperature" and "t" not in value.names:
             raise CaseError(
-                f"{one.place} of the deck is a temperature that does not change: Peridigm counts changes from the "
-                f"beginning, so it has no effect; leave it out with --ignore {one.path!r}."
+                f"{one.place} of the deck is a temperature that does not change: Peridigm counts changes from "
+                f"time 0, so it has no effect; leave it out with --ignore {one.path!r}."
             )
         script.given.append(given)
     if any(given.kind == "Temperature" for given in script.given):

@@ -105,13 +105,15 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
     for column in TextFile(path).columns or ():
         if column in _UNUSED_COLUMNS:
             notes.differs(f"The column {column} of the mesh is not read: the deck has no model that does.")
+        elif column in notes.columns:
+            notes.columns[column] = True
+            notes.ignored.append(f"the column {column} of the mesh {path.name}")
         elif column not in ("x", "y", "z", "block", "volume"):
             raise CaseError(
-                f"The mesh {path} has the column {column!r}, which PeriLab takes for a field of that name; it "
-                f"{_NO_PART}, so take it out of the mesh if the answer does not depend on it."
+                f"The mesh {path} has the column {column!r}, which PeriLab takes for a field of that name, such as a "
+                f"modulus in the place of that of the deck; it {_NO_PART}: give --ignore {column!r} if the answer does "
+                f"not depend on it."
             )
-    if given is not None:
-        refuse_same_names([*given.entries])
     files: dict[str, Path | list[int]] = {}
     regions: dict[str, str] = {}
     # Whether z is there says whether the body is plane.
@@ -138,6 +140,7 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
                 [node.value(dict(zip("xyz", map(float, x), strict=False))) != 0.0 for x in places], dtype=bool
             )
     body = text_body(path, folder, files, dim)
+    refuse_same_names([*body.sets, *chosen])
     sets = {**body.sets, **chosen}
     called = {**body.called, **{tidy(name): name for name in chosen}}
     return Body(body.code, body.helpers, body.x, sets, called, regions)

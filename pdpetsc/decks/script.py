@@ -57,10 +57,10 @@ class Given:
         Of which particles.
     value : Node
         What it is, of x, y, z and the time t of the deck.
-    from_start : bool
-        Whether what it is at the beginning is taken off.
     place : str
         Where it is in the deck.
+    since : float, optional
+        The time of the deck whose value is taken off.
     """
 
     kind: str
@@ -68,7 +68,7 @@ class Given:
     where: Where
     value: Node
     place: str
-    from_start: bool = False
+    since: float | None = None
 
 
 @dataclass
@@ -139,11 +139,14 @@ class Notes:
         Entries that only say what is written or how a solver is tuned.
     ignored : list of str
         Entries that were ignored because it was asked for.
+    columns : dict of str to bool
+        Names to ignore that no entry has, in small letters: they may be columns of the mesh; true where one is.
     """
 
     differences: list[str] = field(default_factory=list)
     left_out: list[Entry] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
+    columns: dict[str, bool] = field(default_factory=dict)
 
     def differs(self, sentence: str) -> None:
         """Note a difference, once."""
@@ -297,7 +300,7 @@ class Script:
                 if not (one.where.mask & other.where.mask).any():
                     continue
                 self.given[earlier] = Given(
-                    one.kind, one.axis, one.where.without(other.where), one.value, one.place, one.from_start
+                    one.kind, one.axis, one.where.without(other.where), one.value, one.place, one.since
                 )
         self.given = [given for given in self.given if given.where.mask.any()]
 
@@ -305,7 +308,6 @@ class Script:
         """Return the condition, with its place in the deck."""
         names = given.value.names - {"pi"}
         comment = f"# {plain(given.place)}"
-        start = given.from_start and "t" in names
         component = f"{given.axis}=" if given.axis else ""
         if not names:
             value = given.value.value({})
@@ -314,13 +316,15 @@ class Script:
             # The deck jumps to a value that does not change; a number of a case would grow with the step time.
             hold = "" if value == 0.0 and given.kind != "Temperature" else ", schedule=pd.Hold()"
             return [comment, f"pd.{given.kind}({given.where.code}, {component}{value!r}{hold}),"]
-        _refuse_not_numbers(given, self.body, self.times)
+        values = _table(given, self.body, self.times.values)
         code = given.value.python({**_COORDINATES, "t": self.times.code})
-        if start:
-            before = given.value.python({**_COORDINATES, "t": repr(self.times.first)})
-            if any(v != 0.0 for v in _values(given, self.body, self.times.first)):
-                code = f"{code} - ({before})"
-                self.notes.differs(f"{given.place} counts from its value at the beginning, as {self.program} does.")
+        if given.since is not None and "t" in names and _table(given, self.body, [given.since]).any():
+            if given.kind == "Displacement":
+                _refuse_rests(given, values, self.times)
+            # In brackets, since a negative number before a power would lose its sign.
+            at = repr(given.since) if given.since >= 0.0 else f"({given.since!r})"
+            code = f"{code} - ({given.value.python({**_COORDINATES, 't': at})})"
+            self.notes.differs(f"{given.place} counts from its value at time {given.since:g}, as {self.program} does.")
         if not (names & set("xyz")):
             code = f"{code} + 0.0 * x[:, 0]" if given.kind == "Temperature" else code
         return [comment, f"pd.{given.kind}({given.where.code}, {component}lambda x, t: {code}),"]
@@ -364,13 +368,40 @@ def _values(given: Given, body: Body, t: float) -> list[float]:
     return found
 
 
-def _refuse_not_numbers(given: Given, body: Body, times: Times) -> None:
+def _table(given: Given, body: Body, times: Sequence[float]) -> Float:
+    """Return what a condition is at times of the deck and at each of its particles (n_times, n).
+
+    Raises
+    ------
+    CaseError
+        It is not a number there, or has a coordinate that the body has not.
+    """
     beyond = sorted((given.value.names & set("xyz")) - set("xyz"[: body.dim]))
     if beyond:
         raise CaseError(f"{given.place} of the deck has {beyond[0]} of a body of {body.dim} dimensions.")
-    for t in times.values:
-        if not all(math.isfinite(value) for value in _values(given, body, t)):
+    found = np.array([_values(given, body, t) for t in times])
+    for t, values in zip(times, found, strict=True):
+        if not np.isfinite(values).all():
             raise CaseError(f"{given.place} of the deck is not a number at time {t:g}.")
+    return found
+
+
+def _refuse_rests(given: Given, values: Float, times: Times) -> None:
+    """Raise CaseError where Peridigm does not count a displacement from its value at the beginning throughout.
+
+    It adds up what the values (n_times, n) change by; where one does not change it goes to the value itself.
+    """
+    u = np.zeros_like(values[0])
+    for step in range(1, len(values)):
+        change = values[step] - values[step - 1]
+        u = np.where(change == 0.0, values[step], u + change)
+        wrong = np.abs(u - (values[step] - values[0])) > 1e-9 * np.abs(values).max()
+        if wrong.any():
+            raise CaseError(
+                f"{given.place} of the deck rests from time {times.values[step - 1]:g} to {times.values[step]:g}: "
+                f"Peridigm counts a displacement from its value at the beginning, which is not zero, until it rests "
+                f"and jumps to the value itself; take the value at the beginning off in the deck."
+            )
 
 
 def _listed(items: Iterable[str], marks: bool = True) -> str:
@@ -541,12 +572,12 @@ def refuse_same_names(names: Iterable[str]) -> None:
     """Raise CaseError where two sets of a deck have names that are the same without blanks and capitals."""
     found: dict[str, str] = {}
     for name in names:
-        other = found.setdefault(tidy(name), name)
-        if other != name:
+        if tidy(name) in found:
             raise CaseError(
-                f"The deck or its mesh has the sets {other!r} and {name!r}, whose names are the same without blanks "
-                f"and capitals; give one another name."
+                f"The deck or its mesh has the sets {found[tidy(name)]!r} and {name!r}, whose names are the same "
+                f"without blanks and capitals; give one another name."
             )
+        found[tidy(name)] = name
 
 
 def words(text: str) -> Sequence[str]:

@@ -110,8 +110,13 @@ def scene_of(
     horizon = summary.get("horizon")
     whole = stride == 1
     broken = broken_pairs(folder, shown, x) if whole else np.empty((0, 2), dtype=np.int64)
-    given = summary.get("cracks") if dim == 2 and whole else None
+    given = summary.get("cracks") if dim == 2 else None
     lines = [line for line in given if len(line) > 1] if isinstance(given, list) else []
+    if not whole:
+        words += f", 1 particle in {stride} shown"
+        if lines or (dim == 2 and (folder / "broken_bonds.csv").exists()):
+            words += ", cracks not drawn"
+        lines = []
     axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0) if len(x) > 1 else np.array([0])
     F, inside = about(x[:, axes], scale * u[:, axes], broken, lines)
     cracks = faces_between(x[:, :2], scale * u[:, :2], broken, lines) if dim == 2 else np.empty((0, 2, 2))

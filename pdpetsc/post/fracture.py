@@ -129,7 +129,8 @@ class AtTip(Quantity):
             return "holds moduli that change from place to place; take smaller radii, or a JIntegral"
         if remembers(solution) and self._softens(solution, changing):
             return f"holds a material with history whose moduli change with temperature from place to place{advice}"
-        what = jumping(solution, inside, [frame.tip for frame in domain.frames]) if changing else ""
+        tips = [frame.tip for frame in domain.frames]
+        what = jumping(solution, inside, tips, domain.outer) if changing else ""
         if what:
             return f"holds {what} that jump{'s' * (what != 'moduli')} between neighbours; take smaller radii{advice}"
         return ""

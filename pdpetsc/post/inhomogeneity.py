@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,8 +28,12 @@ SMOOTH = 0.5
 NOTHING, ROUGH = 1e-5, 0.05
 # A temperature is changed by this share of its range for the derivative of the energy of a law by it.
 LAW_STEP = 1e-4
-# Within so many horizons of a crack tip a temperature may have a singular slope.
-SINGULAR = 2.0
+# Within so many horizons of a crack tip, at most this share of the outer radius, a temperature may have a singular
+# slope: that of the root of the distance, up to this many times.
+SINGULAR, SINGULAR_MOST, STEEPER = 2.0, 0.5, 3.0
+
+# What differs between particles, in words.
+STRAIN, MODULI = "strain without stress", "moduli"
 
 
 @dataclass(frozen=True)
@@ -45,18 +50,21 @@ class OfPlace:
         What multiplies the moduli, of place and of temperature [-].
     temperature : (n_local,) float64 or None
         Where a law depends on it otherwise.
+    given : tuple of (str, (n_local,) float64)
+        What no temperature makes of these, with what it is: eigenstrains, and moduli graded by place.
     """
 
     solution: Solution
     strain: Float | None
     factor: Float
     temperature: Float | None
+    given: tuple[tuple[str, Float], ...]
 
     @cached_property
     def columns(self) -> list[tuple[str, Float]]:
         """Return all its numbers (n_local,) with what they are."""
-        found = [] if self.strain is None else [("strain without stress", column) for column in self.strain.T]
-        found.append(("moduli", self.factor))
+        found = [] if self.strain is None else [(STRAIN, column) for column in self.strain.T]
+        found.append((MODULI, self.factor))
         if self.temperature is not None:
             found.append(("a temperature", self.temperature))
         return found
@@ -68,26 +76,33 @@ def of_place(solution: Solution) -> OfPlace:
 
 
 def _of_place(solution: Solution) -> OfPlace:
-    cloud, expansion, t = solution.cloud, solution.problem.body.expansion, solution.state.t
-    _, factor = materials_of(solution)
+    expansion, t = solution.problem.body.expansion, solution.state.t
+    _, graded = materials_of(solution)
+    factor = _with_ghosts(solution, graded)
     if expansion is None:
-        return OfPlace(solution, None, _with_ghosts(solution, factor), None)
+        return OfPlace(solution, None, factor, None, ((MODULI, factor),))
     of_temperature = expansion.factor(t)
-    if of_temperature is not None:
-        factor = factor * of_temperature
-    strain = np.zeros((cloud.n_local, 3, 3))
-    strain[: cloud.n_owned] = expansion.strain(t)
+    whole = factor if of_temperature is None else _with_ghosts(solution, graded * of_temperature)
+    own = expansion.strain(t).copy()
     if isinstance(solution.problem.matter, BondForces):
-        strain[: cloud.n_owned, :2, :2] = expansion.in_body(t)
+        own[:, :2, :2] = expansion.in_body(t)
+    given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain(t)).T))
+    by_law = any(one is not None and one.law is not None for one in expansion.thermals)
+    temperature = expansion.temperature(t) if by_law else None
+    kept = None if temperature is None else _with_ghosts(solution, temperature)
+    return OfPlace(solution, _shown(solution, own), whole, kept, given)
+
+
+def _shown(solution: Solution, own: Float) -> Float:
+    """Return strains of the own particles (n_owned, 3, 3) as those of the local ones (n_local, 4) (collective)."""
+    cloud = solution.cloud
+    strain = np.zeros((cloud.n_local, 3, 3))
+    strain[: cloud.n_owned] = own
     cloud.halo.forward(strain)
     # Behind a mirror plane a shear has the other sign.
     if len(cloud.sign):
         strain[cloud.n_owned :, 0, 1] *= cloud.sign.prod(axis=1)
-    shown = np.stack([strain[:, 0, 0], strain[:, 1, 1], strain[:, 0, 1], strain[:, 2, 2]], axis=1)
-    by_law = any(one is not None and one.law is not None for one in expansion.thermals)
-    temperature = expansion.temperature(t) if by_law else None
-    kept = None if temperature is None else _with_ghosts(solution, temperature)
-    return OfPlace(solution, shown, _with_ghosts(solution, factor), kept)
+    return np.stack([strain[:, 0, 0], strain[:, 1, 1], strain[:, 0, 1], strain[:, 2, 2]], axis=1)
 
 
 def explicit_derivative(solution: Solution) -> Float:
@@ -189,31 +204,37 @@ def uneven(solution: Solution, inside: Mask) -> list[str]:
     return found
 
 
-def jumping(solution: Solution, inside: Mask, tips: list[Float]) -> str:
+def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -> str:
     """Return what of it jumps between some own particles (n_owned,) and their neighbours; empty where nothing does.
 
-    A jump has no slope: what it does to the energy lies between the particles. Collective.
+    A jump has no slope: what it does to the energy lies between the particles. Next to a tip the slope of a temperature
+    grows as one over the root of the distance, which looks like a jump there; it must not be steeper than that.
+    Collective.
 
     Parameters
     ----------
     tips : list of (2,) float64
-        Crack tips, near which slopes may be singular [length].
+        Crack tips, near which slopes of temperatures may be singular [length].
+    outer : float
+        Within which of a tip the particles are [length].
     """
-    cloud = solution.cloud
-    reach = cloud.reach[: len(inside)]
-    zone = inside.copy()
-    for tip in tips:
-        zone &= np.linalg.norm(solution.x - tip, axis=1) > SINGULAR * reach
-    chosen = np.flatnonzero(zone)
-    pairs, left = pairs_of(solution, chosen)
-    pairs = pairs[left == 1.0]
-    xi = cloud.x[pairs[:, 1]] - cloud.x[pairs[:, 0]]
-    length = np.linalg.norm(xi, axis=1)
-    least = np.full(len(inside), np.inf)
-    np.minimum.at(least, pairs[:, 0], length)
-    near, far = length < NEXT * least[pairs[:, 0]], length > 1.0 / SMOOTH * least[pairs[:, 0]] * (1.0 - 1e-9)
+    place, reach = of_place(solution), solution.cloud.reach[: len(inside)]
+    start = min(SINGULAR * solution.largest(float(reach[inside].max(initial=0.0))), SINGULAR_MOST * outer)
+    distance = np.min([np.linalg.norm(solution.x - tip, axis=1) for tip in tips], axis=0)
+    what = _jumping(solution, inside, inside, place.given)
+    if what or solution.problem.body.expansion is None:
+        return what
+    return _jumping(solution, inside, inside & (distance > start), place.columns) or _steep(
+        solution, inside & (distance <= start), inside & (distance > start) & (distance <= 2.0 * start), start
+    )
+
+
+def _jumping(solution: Solution, inside: Mask, zone: Mask, columns: Sequence[tuple[str, Float]]) -> str:
+    """Return what of some numbers of the local particles jumps in a zone of those inside (collective)."""
+    pairs, xi, length, near, least = _bonds_in(solution, zone)
+    far = length > 1.0 / SMOOTH * least[pairs[:, 0]] * (1.0 - 1e-9)
     some_far = solution.largest(float(np.count_nonzero(far))) > 0.0
-    for name, column in of_place(solution).columns:
+    for name, column in columns:
         low, high = _range(solution, column[: len(inside)][inside])
         if high - low <= SAME * max(abs(high), abs(low)):
             continue
@@ -225,6 +246,41 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float]) -> str:
         if close > allowed:
             return name
     return ""
+
+
+def _steep(solution: Solution, core: Mask, ring: Mask, start: float) -> str:
+    """Return what changes faster between neighbours in the core about a tip than a root of the distance (collective).
+
+    By its changes in the ring round the core, which begins at a distance ``start`` from the tip.
+    """
+    slopes = []
+    shortest = np.inf
+    for zone in (core, ring):
+        pairs, _, length, near, _ = _bonds_in(solution, zone)
+        slopes.append((pairs[near], length[near]))
+        shortest = min(shortest, -solution.largest(-float(length.min(initial=np.inf))))
+    for name, column in of_place(solution).columns:
+        low, high = _range(solution, column[: len(core)][core | ring])
+        within, around = (
+            solution.largest(float((np.abs(column[p[:, 1]] - column[p[:, 0]]) / length).max(initial=0.0)))
+            for p, length in slopes
+        )
+        noise = max(SAME * max(abs(high), abs(low)), NOTHING * (high - low))
+        if within > STEEPER * np.sqrt(start / shortest) * around + noise / shortest:
+            return name
+    return ""
+
+
+def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float, Mask, Float]:
+    """Return whole bonds of some own particles, their vectors and lengths, whether to next ones, and least lengths."""
+    cloud = solution.cloud
+    pairs, left = pairs_of(solution, np.flatnonzero(zone))
+    pairs = pairs[left == 1.0]
+    xi = cloud.x[pairs[:, 1]] - cloud.x[pairs[:, 0]]
+    length = np.linalg.norm(xi, axis=1)
+    least = np.full(len(zone), np.inf)
+    np.minimum.at(least, pairs[:, 0], length)
+    return pairs, xi, length, length < NEXT * least[pairs[:, 0]], least
 
 
 def slopes_of_particles(solution: Solution, values: Float) -> Float:

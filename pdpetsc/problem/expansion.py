@@ -132,15 +132,11 @@ class StressFree:
         """
 
         def make() -> Float:
-            temperature = self.temperature(t)
-            strain = np.zeros((self._cloud.n_owned, 3, 3))
+            temperature, strain = self.temperature(t), self.eigenstrain(t).copy()
             with agreed(self._cloud.comm):
                 if temperature is not None:
                     for own, thermal in self._thermals:
-                        strain[own] = thermal.strain(temperature[own])
-                for where, condition in self._eigenstrains:
-                    if len(where):
-                        strain[where] += condition.strain(t)
+                        strain[own] += thermal.strain(temperature[own])
                 flat = np.flatnonzero(~(np.linalg.eigvalsh(strain)[:, 0] > -1.0))
                 if len(flat):
                     raise CaseError(
@@ -150,6 +146,19 @@ class StressFree:
             return strain
 
         return self._at("strain", t, make)
+
+    def eigenstrain(self, t: float) -> Float:
+        """Return the part of these strains that no temperature makes (n_owned, 3, 3) [-] (collective)."""
+
+        def make() -> Float:
+            strain = np.zeros((self._cloud.n_owned, 3, 3))
+            with agreed(self._cloud.comm):
+                for where, condition in self._eigenstrains:
+                    if len(where):
+                        strain[where] += condition.strain(t)
+            return strain
+
+        return self._at("eigenstrain", t, make)
 
     def factor(self, t: float) -> Float | None:
         """Return what multiplies the moduli of the own particles (n_owned,) [-]; None for nothing (collective)."""

@@ -162,13 +162,9 @@ class Comparison:
         self.runs = dict(runs)
         self._labels = {name: Labels.of(run.summary) for name, run in self.runs.items()}
         units = {name: labels.units for name, labels in self._labels.items() if labels.units is not None}
-        for name, one in units.items():
-            first = next(iter(units))
-            if one != units[first]:
-                raise CaseError(
-                    f"{first} is in {units[first].length} and {units[first].force}, {name} in {one.length} and "
-                    f"{one.force}; their numbers cannot be compared."
-                )
+        _refuse_apart("is in", {name: f"{one.length} and {one.force}" for name, one in units.items()})
+        # Runs without temperatures need not say what they would be in.
+        _refuse_apart("has temperatures in", {name: one.temperature for name, one in units.items() if one.temperature})
 
     @property
     def outcomes(self) -> list[Outcome]:
@@ -236,8 +232,8 @@ class Comparison:
         Raises
         ------
         CaseError
-            A run has no such field, or not at this step time; or it is one of forces on particles, of other particles
-            or at points.
+            A run has no such field, or not at this step time, or at several steps with it, as where a path is
+            followed; or it is one of forces on particles, of other particles or at points.
         """
         names = list(self.runs)
         steps = {name: self._step(name, t) for name in names}
@@ -307,6 +303,16 @@ class Comparison:
         if not math.isclose(times[near], t, rel_tol=1e-9, abs_tol=1e-12):
             known = ", ".join(f"{time:g}" for time in times[:12])
             raise CaseError(f"{name} has no fields at step time {t:g}; it has some at {known}.")
+        there = [
+            step
+            for step, time in zip(stored.steps, times, strict=True)
+            if math.isclose(time, times[near], rel_tol=1e-9)
+        ]
+        if len(there) > 1:
+            raise CaseError(
+                f"{name} comes to step time {t:g} in each of the steps {', '.join(map(str, there[:12]))}; compare "
+                f"field(name, step) of those that are meant."
+            )
         return stored.steps[near]
 
 
@@ -356,6 +362,14 @@ def table_html(columns: Mapping[str, Sequence[Any]]) -> str:
     rows = zip(*columns.values(), strict=True)
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(_text(value))}</td>' for value in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _refuse_apart(what: str, units: Mapping[str, str]) -> None:
+    """Raise CaseError where one of the runs has another unit than the first."""
+    first = next(iter(units), "")
+    for name, unit in units.items():
+        if unit != units[first]:
+            raise CaseError(f"{first} {what} {units[first]}, {name} {what} {unit}; their numbers cannot be compared.")
 
 
 def _text(value: Any) -> str:

@@ -270,7 +270,7 @@ def test_points_of_bonds_keep_their_history_in_the_order_of_the_bonds(rng):
         histories = []
         for problem in problems:
             problem.commit(problem.state(rough(problem.body.cloud)))
-            (array,) = problem.arrays().values()
+            (array,) = problem.matter.arrays().values()
             histories.append(array.values)
         assert np.abs(histories[0] - histories[1]).max() < ALIKE
 

@@ -300,6 +300,19 @@ def test_stronger_moduli_everywhere_count_in_a_stress_intensity():
     assert pd.StressIntensity(**WHERE).evaluate(twice) == pytest.approx(2.0, rel=0.02)
 
 
+def test_a_law_at_its_temperature_counts_in_a_stress_intensity():
+    """Half as stiff at 5 as at zero, all over."""
+
+    def law(T):
+        return dataclasses.replace(LAW, E=1000.0 * (1.0 - 0.1 * T))
+
+    conditions = [*CORNER, pd.Temperature(EVERYWHERE, 5.0, pd.Hold())]
+    softer = body(material=pd.Thermal(law(0.0), 0.0, law=law), conditions=conditions)
+    assert pd.StressIntensity(**WHERE).evaluate(at(softer, lambda x: k_field(x, 1.0, 0.0, law(5.0)))) == pytest.approx(
+        1.0, rel=0.015
+    )
+
+
 @pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_held_strip_opens_at_its_cold_edge(ranks, tmp_path):
     """Within 3 % of finite elements already with 20 particles along the crack, on any rank count."""

@@ -384,14 +384,21 @@ def materials_in(solution: Solution, inside: Mask) -> list[int]:
     return [int(number) for number in np.flatnonzero(count)]
 
 
-def elastic_law(solution: Solution, number: int) -> LinearElastic | None:
-    """Return the isotropic linear law that a material is at small strain, None where it is none (not collective)."""
+def elastic_law(solution: Solution, number: int, inside: Mask) -> LinearElastic | None:
+    """Return the isotropic linear law that a material is at small strain, None where it is none (collective)."""
     matter = solution.problem.matter
     if isinstance(matter, BondForces):
         return matter.materials[number].elastic(solution.problem.dim)
     if not isinstance(matter, MaterialPoints):
         return None
     law = matter.materials[number].material
+    expansion = solution.problem.body.expansion
+    thermal = None if expansion is None else expansion.thermals[number]
+    if thermal is not None and thermal.law is not None:
+        # Of own particles inside (n_owned,), which have one temperature: others are refused.
+        temperature = expansion.temperature(solution.state.t) if expansion is not None else None
+        if temperature is not None:
+            law = thermal.material_at(solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
     if not isinstance(law, IsotropicMaterial):
         return None
     return LinearElastic(law.E, law.nu, law.plane)

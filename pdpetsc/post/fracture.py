@@ -437,7 +437,7 @@ class StressIntensity(AtTip):
     def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
         """Return the elastic law in the domain, with the moduli that it has there everywhere (collective)."""
         inside = domain.near(solution.x)
-        law = elastic_law(solution, materials_in(solution, inside)[0])
+        law = elastic_law(solution, materials_in(solution, inside)[0], inside)
         factor = solution.largest(float(of_place(solution).factor[: len(inside)][inside].max(initial=0.0)))
         return None if law is None else replace(law, E=law.E * factor)
 

@@ -77,6 +77,37 @@ def test_sampling_in_other_units_and_shaken_clouds_is_exact_for_linear_fields(di
     assert np.allclose(found, at @ slope, rtol=1e-9, atol=1e-9 * np.abs(at @ slope).max())
 
 
+@pytest.mark.parametrize(
+    "spacing", [(1.0, 1 / 6), (1.0, 0.1), (1.0, 0.03), (1.0, 1.0, 4.0), (1e-6, 6e-6, 1e-6)], ids=lambda s: str(s)
+)
+def test_particles_in_rows_and_layers_far_apart_are_sampled_between_them(spacing):
+    """The nearest particles of a point then lie in one row or layer, which says nothing of the slope across it."""
+    dim = len(spacing)
+    counts = [5 if h == max(spacing) else 15 for h in spacing]
+    axes = [h * np.arange(n) for n, h in zip(counts, spacing, strict=True)]
+    x = np.zeros((np.prod(counts), 3))
+    x[:, :dim] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+    at = np.random.default_rng(2).uniform(0.0, 1.0, (300, dim)) * [axis[-1] for axis in axes]
+    slope = np.array([1.0, -2.0, 3.0])[:dim]
+    assert np.allclose(sampled(x, x[:, :dim] @ slope, at), at @ slope, rtol=0.0, atol=1e-9 * np.max(spacing))
+    low = np.array(at)
+    short = int(np.argmin(spacing))
+    low[:, short] = -max(spacing) - spacing[short]
+    assert np.isnan(sampled(x, x[:, 0], low)).all()
+
+
+def test_a_change_of_size_of_the_cells_is_no_hole():
+    """Fine particles to the left of coarse ones; a hole of many cells is one still."""
+    fine = np.stack(np.meshgrid(np.arange(-0.195, 0.0, 0.01), np.arange(0.005, 1.0, 0.01)), axis=-1).reshape(-1, 2)
+    coarse = np.stack(np.meshgrid(np.arange(0.05, 1.0, 0.1), np.arange(0.05, 1.0, 0.1)), axis=-1).reshape(-1, 2)
+    coarse = coarse[np.hypot(*(coarse - 0.5).T) > 0.31]
+    x = np.zeros((len(fine) + len(coarse), 3))
+    x[:, :2] = np.concatenate([fine, coarse])
+    at = np.array([[0.005, 0.5], [0.015, 0.43], [0.02, 0.5], [0.03, 0.27], [0.04, 0.9]])
+    assert np.allclose(sampled(x, x[:, 0], at), at[:, 0])
+    assert np.isnan(sampled(x, x[:, 0], [(0.5, 0.5), (-0.3, 0.5), (-0.22, 0.5), (1.3, 0.5)])).all()
+
+
 def test_places_of_a_line_are_points():
     x = np.zeros((6, 3))
     x[:, 0] = np.arange(6.0)

@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.material.base import IsotropicMaterial
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.post.bonds_left import pairs_of
-from pdpetsc.post.inhomogeneity import materials_of
+from pdpetsc.post.inhomogeneity import heated, materials_of
 from pdpetsc.post.solution import Solution
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.material_points import MaterialPoints
@@ -29,8 +29,12 @@ CUT = 0.5
 # Tractions on faces change along a crack by less than this share from one half of the radius to the other.
 UNIFORM = 0.1
 # Densities within so many horizons of a tip, at most this share of the outer radius, follow from those up to so many
-# times further out, integrated with so many points.
-CORE, CORE_MOST, FURTHER, GAUSS = 2.0, 0.5, 4.0, 12
+# times further out, integrated with so many points: near by, where slopes of moduli and strains are bounded and change
+# in their own way; over more particles, where those of a temperature are singular too.
+CORE, CORE_MOST, FURTHER, FURTHER_BY_HEAT, GAUSS = 2.0, 0.5, 2.0, 4.0, 12
+# What follows differs from the sum of the densities there by less than this share of the number that it is part of, or
+# of this share of the sum of their sizes where the number is small beside that: the rest is too much to be guessed.
+GUESSED, CANCELS = 0.15, 0.1
 # They are expanded in these powers of the distance.
 POWERS = np.array([0.0, 1.0, 2.0])
 # Loads beside the crack are body forces as elsewhere where they are at most this many times as dense.
@@ -125,6 +129,36 @@ def _continuum(solution: Solution) -> Continuum:
 
 
 @dataclass(frozen=True)
+class Integral:
+    """The integral of a density that is not known next to a crack tip.
+
+    Attributes
+    ----------
+    value : float
+        What follows from the density further out.
+    plain : float
+        Sum of the density over all particles.
+    size : float
+        Sum of the size of the slope that it is a component of.
+    """
+
+    value: float
+    plain: float
+    size: float
+
+    def trouble(self, whole: float, part: float) -> str:
+        """Return why it is not known well enough in a number ``whole`` that has ``part`` of it (not collective)."""
+        guessed = abs(part * (self.value - self.plain))
+        if not guessed > GUESSED * max(abs(whole), CANCELS * abs(part) * self.size):
+            return ""
+        return (
+            f"holds moduli or strains that change too fast near the tip: what they do within two horizons of it is "
+            f"{part * self.value:.3g} by the densities around and {part * self.plain:.3g} by the sum, of {whole:.3g}; "
+            f"take more particles"
+        )
+
+
+@dataclass(frozen=True)
 class Domain:
     """The particles about a crack tip over which a quantity is summed.
 
@@ -183,8 +217,10 @@ class Domain:
         slope[falling] -= self.closed / self.ring
         return q, slope
 
-    def integral(self, solution: Solution, densities: Sequence[Float]) -> float:
-        """Return ``int q rho dA`` of densities of place, one (n_owned,) for each frame, which grow as 1 / r at most.
+    def integral(self, solution: Solution, slopes: Sequence[Float]) -> Integral:
+        """Return ``int q rho dA`` of the first columns of densities (n_owned, 2), which grow as 1 / r at most.
+
+        One is given for each frame, by its axes: along the crack and across it.
 
         Within some horizons of the tip the fields of a nonlocal body are not those of a continuum, and what lies there
         of such densities is a share h / R of the whole. It follows from those further out: ``2 pi r`` times the mean
@@ -193,13 +229,15 @@ class Domain:
         """
         reach = solution.cloud.reach[: len(solution.x)][self.near(solution.x)]
         start = min(CORE * solution.largest(float(reach.max(initial=0.0))), CORE_MOST * self.outer)
-        outside, normal, right = 0.0, np.zeros((3, 3)), np.zeros(3)
-        for frame, rho in zip(self.frames, densities, strict=True):
-            at = frame.at(solution.x)
+        further = FURTHER_BY_HEAT if heated(solution, self.near(solution.x)) else FURTHER
+        sums, normal, right = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+        for frame, slope in zip(self.frames, slopes, strict=True):
+            at, rho = frame.at(solution.x), slope[:, 0]
             r = np.linalg.norm(at, axis=1)
             q, _ = weight(at, self.inner, self.outer)
-            outside += float((self.area * q * (r >= start)) @ rho)
-            chosen = (r >= start) & (r < min(FURTHER * start, self.outer))
+            share = self.area * q
+            sums += [(share * (r >= start)) @ rho, share @ rho, share @ np.linalg.norm(slope, axis=1)]
+            chosen = (r >= start) & (r < min(further * start, self.outer))
             powers = (r[chosen, None] / start) ** POWERS
             by = (self.area[chosen] / r[chosen])[:, None] * powers
             normal += by.T @ powers
@@ -209,7 +247,8 @@ class Domain:
         radii = 0.5 * start * (1.0 + points)
         q, _ = weight(np.column_stack([radii, np.zeros(GAUSS)]), self.inner, self.outer)
         inside = (0.5 * start * shares * q) @ (radii[:, None] / start) ** POWERS
-        return float(solution.sum(outside) + inside @ np.linalg.lstsq(normal, right, rcond=None)[0])
+        outside, plain, size = solution.sum(sums)
+        return Integral(float(outside + inside @ np.linalg.lstsq(normal, right, rcond=None)[0]), plain, size)
 
     def between(self, at: Float) -> Mask:
         """Return which positions (n, 2) from a tip are between the radii (n,)."""
@@ -345,14 +384,21 @@ def materials_in(solution: Solution, inside: Mask) -> list[int]:
     return [int(number) for number in np.flatnonzero(count)]
 
 
-def elastic_law(solution: Solution, number: int) -> LinearElastic | None:
-    """Return the isotropic linear law that a material is at small strain, None where it is none (not collective)."""
+def elastic_law(solution: Solution, number: int, inside: Mask) -> LinearElastic | None:
+    """Return the isotropic linear law that a material is at small strain, None where it is none (collective)."""
     matter = solution.problem.matter
     if isinstance(matter, BondForces):
         return matter.materials[number].elastic(solution.problem.dim)
     if not isinstance(matter, MaterialPoints):
         return None
     law = matter.materials[number].material
+    expansion = solution.problem.body.expansion
+    thermal = None if expansion is None else expansion.thermals[number]
+    if thermal is not None and thermal.law is not None:
+        # Of own particles inside (n_owned,), which have one temperature: others are refused.
+        temperature = expansion.temperature(solution.state.t) if expansion is not None else None
+        if temperature is not None:
+            law = thermal.material_at(solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
     if not isinstance(law, IsotropicMaterial):
         return None
     return LinearElastic(law.E, law.nu, law.plane)

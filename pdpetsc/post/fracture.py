@@ -92,14 +92,17 @@ class AtTip(Quantity):
         self.check(solution.problem.dim)
         domain = self._domain(solution)
         why = trouble(solution, domain, self.follows is not None) or self._why_not(solution, domain)
+        number = math.nan
+        if not why:
+            number, why = self.number(solution, domain)
         if why and self.follows is not None:
             return math.nan
         refuse(f"a {type(self).__name__} at {tuple(self.tip)}", why)
-        return self.number(solution, domain)
+        return number
 
     @abstractmethod
-    def number(self, solution: Solution, domain: Domain) -> float:
-        """Return the number of a domain that nothing is wrong with (collective)."""
+    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
+        """Return the number of a domain that can have one, and why it is wrong nevertheless, if so (collective)."""
 
     def _domain(self, solution: Solution) -> Domain:
         """Return the domain about the tip where it is now (collective)."""
@@ -172,8 +175,8 @@ class _Release(AtTip):
             found += _of_loads(solution, domain, frame, u, H, on_faces)
         return found
 
-    def _of_place(self, solution: Solution, domain: Domain) -> float:
-        """Return ``- int q dpsi/dX . e dA`` (collective)."""
+    def _with_place(self, solution: Solution, domain: Domain, rest: float) -> tuple[float, str]:
+        """Return the rest of a number with ``- int q dpsi/dX . e dA``, and why it is wrong, if so (collective)."""
         if self.explicit is not None:
             explicit = np.asarray(called("explicit derivative", self.explicit, solution), dtype=float)
             if explicit.shape != solution.x.shape:
@@ -184,8 +187,10 @@ class _Release(AtTip):
         elif uneven(solution, domain.near(solution.x)):
             explicit = explicit_derivative(solution)
         else:
-            return 0.0
-        return -domain.integral(solution, [explicit @ frame.turn[0] for frame in domain.frames])
+            return rest, ""
+        by_place = domain.integral(solution, [explicit @ frame.turn.T for frame in domain.frames])
+        whole = rest - by_place.value
+        return whole, by_place.trouble(whole, -1.0)
 
 
 @dataclass(frozen=True)
@@ -239,13 +244,14 @@ class JIntegral(_Release):
 
     dimension = "energy per area"
 
-    def number(self, solution: Solution, domain: Domain) -> float:
-        """Return J."""
+    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
+        """Return J, and why it is wrong, if so."""
         fields, share = continuum(solution), 0.0
         for frame in domain.frames:
             _, slope = domain.weight(frame, solution.x)
             share -= float(np.einsum("p,pm,pm->", domain.area, frame.tensors(fields.momentum)[:, 0], slope))
-        return float(solution.sum(share + self._of_loads(solution, domain)) + self._of_place(solution, domain))
+        rest = float(solution.sum(share + self._of_loads(solution, domain)))
+        return self._with_place(solution, domain, rest)
 
 
 @dataclass(frozen=True)
@@ -284,8 +290,8 @@ class EnergyReleaseRate(_Release):
 
     dimension = "energy per area"
 
-    def number(self, solution: Solution, domain: Domain) -> float:
-        """Return G."""
+    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
+        """Return G, and why it is wrong, if so."""
         matter = solution.problem.matter
         if not isinstance(matter, MaterialPoints):
             raise CaseError(
@@ -306,7 +312,8 @@ class EnergyReleaseRate(_Release):
                 volume[moved] *= np.linalg.det(by)
                 change -= float(volume @ matter.energy_at(at, volume)) / (2.0 * d)
         share = change / solution.problem.body.thickness
-        return float(solution.sum(share + self._of_loads(solution, domain)) + self._of_place(solution, domain))
+        rest = float(solution.sum(share + self._of_loads(solution, domain)))
+        return self._with_place(solution, domain, rest)
 
 
 @dataclass(frozen=True)
@@ -350,8 +357,8 @@ class StressIntensity(AtTip):
     knows_graded_moduli: ClassVar[bool] = False
     advice: ClassVar[str] = ""
 
-    def number(self, solution: Solution, domain: Domain) -> float:
-        """Return K."""
+    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
+        """Return K, and why it is wrong, if so."""
         law = self._law(solution, domain)
         assert law is not None
         fields, share, (on_faces, _) = continuum(solution), 0.0, loads_in(solution, domain)
@@ -365,10 +372,14 @@ class StressIntensity(AtTip):
             flow[:, 0] -= np.einsum("pik,pik->p", s, H - eps)
             share += float(np.einsum("p,pm,pm->", domain.area, flow, slope))
             share += _of_loads(solution, domain, frame, w, v, on_faces)
-            along = frame.tensors(np.einsum("pabm,m->pab", changes, frame.turn[0]))
-            densities.append(np.einsum("pik,pik->p", s, along))
-        K = solution.sum(share) + (domain.integral(solution, densities) if place.strain is not None else 0.0)
-        return float(0.5 * plane_modulus(law) * K)
+            by_axes = [frame.tensors(np.einsum("pabm,m->pab", changes, axis)) for axis in frame.turn]
+            densities.append(np.stack([np.einsum("pik,pik->p", s, along) for along in by_axes], axis=1))
+        half, rest = 0.5 * plane_modulus(law), float(solution.sum(share))
+        if place.strain is None:
+            return half * rest, ""
+        by_place = domain.integral(solution, densities)
+        K = half * (rest + by_place.value)
+        return K, by_place.trouble(K, half)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
         """Return also why the fields are not those of linear fracture mechanics."""
@@ -426,7 +437,7 @@ class StressIntensity(AtTip):
     def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
         """Return the elastic law in the domain, with the moduli that it has there everywhere (collective)."""
         inside = domain.near(solution.x)
-        law = elastic_law(solution, materials_in(solution, inside)[0])
+        law = elastic_law(solution, materials_in(solution, inside)[0], inside)
         factor = solution.largest(float(of_place(solution).factor[: len(inside)][inside].max(initial=0.0)))
         return None if law is None else replace(law, E=law.E * factor)
 

@@ -204,6 +204,16 @@ def uneven(solution: Solution, inside: Mask) -> list[str]:
     return found
 
 
+def heated(solution: Solution, inside: Mask) -> bool:
+    """Return whether temperatures differ between some own particles (n_owned,) (collective)."""
+    expansion = solution.problem.body.expansion
+    temperature = None if expansion is None else expansion.temperature(solution.state.t)
+    if temperature is None:
+        return False
+    low, high = _range(solution, temperature[inside])
+    return bool(high - low > SAME * max(abs(high), abs(low)))
+
+
 def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -> str:
     """Return what of it jumps between some own particles (n_owned,) and their neighbours; empty where nothing does.
 

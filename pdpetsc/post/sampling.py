@@ -7,13 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.errors import CaseError
 
 # Nearest particles that a value is fitted to, by the dimension of the body.
 FITTED = {1: 4, 2: 10, 3: 24}
 # Singular values below this share of the largest belong to directions in which the particles do not differ.
 FLAT = 1e-8
+# Particles fix a slope in as many directions as singular values of their fit are above this share of the largest; they
+# lie in as many as moments of the directions to them are above the second.
+THIN, SPREAD = 1e-3, 0.1
+# At most so many nearest particles are looked at for one point, and so many for all points at once.
+MOST, AT_ONCE = 4096, 1_000_000
+# One beyond a point that is far from its nearest particle is looked for among so many times those of a fit, where
+# the cosine to the direction from that one is above the second.
+AROUND, OPPOSITE = 8, 0.0
 # Over the distance of a particle from its nearest neighbour, how far values of the field reach from it.
 FARTHEST = 1.5
 
@@ -94,7 +102,9 @@ def sampled(x: Float, values: Float, points: Float) -> Float:
     -------
     (m, ...) float64
         nan at points that are farther from their nearest particle than 1.5 times the distance of that one from its own
-        nearest neighbour: so far holes between the particles of a shaken cloud may reach. Points of three coordinates
+        nearest neighbour, so far holes between the particles of a shaken cloud may reach, unless another one lies as
+        near beyond them: nearer than 1.5 times the distance in which one of both has neighbours in all directions, as
+        in lattices of long cells and where the size of cells changes. Points of three coordinates
         that lie off a line or plane body by more than that distance have nan too.
 
     Raises
@@ -125,21 +135,69 @@ def sampled(x: Float, values: Float, points: Float) -> Float:
     at = given if given.shape[1] == len(axes) else given[:, axes]
     inside, dim = x[:, axes], len(axes)
     tree = cKDTree(inside)
-    most = min(FITTED[dim], len(x))
-    distance, near = tree.query(at, k=most)
-    distance, near = distance.reshape(len(at), -1), near.reshape(len(at), -1)
-    spacing = tree.query(inside[near[:, 0]], k=2)[0][:, 1]
-    scale = np.maximum(distance[:, -1], np.finfo(float).tiny)[:, None]
-    weight = np.exp(-((2.0 * distance / scale) ** 2))
-    basis = np.concatenate([np.ones((*near.shape, 1)), (inside[near] - at[:, None]) / scale[..., None]], axis=2)
-    fit = np.linalg.pinv(weight[..., None] * basis, rcond=FLAT)[:, 0] * weight
-    found = np.einsum("me,me...->m...", fit, values[near])
-    outside = distance[:, 0] > FARTHEST * spacing
+    found = np.full((len(at), *np.shape(values)[1:]), np.nan)
+    nearest, first = tree.query(at, k=1)
+    spacing = tree.query(inside[first], k=2)[0][:, 1]
+    outside = nearest > FARTHEST * spacing
+    rank = np.linalg.matrix_rank(inside - inside.mean(axis=0), tol=FLAT * float(np.ptp(inside, axis=0).max()))
+    todo, most = np.arange(len(at)), min(FITTED[dim], len(x))
+    while len(todo):
+        kept = list[Float]()
+        for part in np.array_split(todo, 1 + len(todo) * most // AT_ONCE):
+            distance, near = (one.reshape(len(part), -1) for one in tree.query(at[part], k=most))
+            fit, spans = _fits(inside[near] - at[part, None], distance, 1 + int(rank))
+            away, there = (at[part] - inside[first[part]])[:, None], inside[near] - at[part, None]
+            beyond = (there * away).sum(axis=2) > OPPOSITE * distance * nearest[part, None]
+            beyond &= distance > FLAT * distance[:, -1:]
+            # Far from the nearest particle a place is still inside where one lies as near on its other side.
+            opposite = np.where(beyond, distance, np.inf).min(axis=1)
+            between = np.isfinite(opposite) | ~outside[part] | (most >= AROUND * FITTED[dim])
+            done = (spans & between) | (most == len(x)) | (2 * most > MOST)
+            here = part[done]
+            fit[~spans] = np.nan
+            found[here] = np.einsum("me,me...->m...", fit[done], values[near[done]])
+            far = outside[here]
+            if far.any():
+                across = near[done, np.where(beyond, distance, np.inf).argmin(axis=1)[done]][far]
+                reach = np.maximum(_width(tree, first[here[far]], int(rank)), _width(tree, across, int(rank)))
+                wide = np.maximum(nearest[here[far]], opposite[done][far])
+                outside[here[far]] = wide > FARTHEST * reach
+            kept.append(part[~done])
+        todo, most = np.concatenate(kept).astype(np.int64), min(2 * most, len(x))
     if given.shape[1] == 3 and dim < 3:
         across = np.setdiff1d(np.arange(3), axes)
         outside |= np.linalg.norm(given[:, across] - x[0, across], axis=1) > spacing * (1.0 + FLAT)
     found[outside] = np.nan
     return np.asarray(found)
+
+
+def _fits(xi: Float, distance: Float, rank: int) -> tuple[Float, Mask]:
+    """Return the weights (m, k) of a linear fit at the origin of places (m, k, dim), and whether they fix it (m,)."""
+    scale = np.maximum(distance[:, -1], np.finfo(float).tiny)[:, None]
+    weight = np.exp(-((2.0 * distance / scale) ** 2))
+    basis = weight[..., None] * np.concatenate([np.ones((*xi.shape[:2], 1)), xi / scale[..., None]], axis=2)
+    size = np.linalg.svd(basis, compute_uv=False)
+    return np.linalg.pinv(basis, rcond=FLAT)[:, 0] * weight, (size > THIN * size[:, :1]).sum(axis=1) >= rank
+
+
+def _width(tree: cKDTree, of: LocalIndex, rank: int) -> Float:
+    """Return how far the nearest neighbours of particles (m,) are that lie in all directions from it (m,) [length]."""
+    found, todo, most = np.zeros(len(of)), np.arange(len(of)), min(4, tree.n)
+    while len(todo):
+        kept = list[LocalIndex]()
+        for part in np.array_split(todo, 1 + len(todo) * most // AT_ONCE):
+            distance, near = tree.query(tree.data[of[part]], k=most)
+            xi = tree.data[near[:, 1:]] - tree.data[of[part], None]
+            along = xi / np.maximum(distance[:, 1:, None], np.finfo(float).tiny)
+            spread = np.linalg.eigvalsh(np.cumsum(along[..., :, None] * along[..., None, :], axis=1))[..., -rank]
+            wide = spread > SPREAD
+            done = wide[:, -1] | (most == tree.n) | (2 * most > MOST)
+            found[part[done]] = np.where(wide[:, -1], distance[np.arange(len(part)), 1 + wide.argmax(axis=1)], 0.0)[
+                done
+            ]
+            kept.append(part[~done])
+        todo, most = np.concatenate(kept), min(2 * most, tree.n)
+    return found
 
 
 def _of_one(x: Float, values: Float, given: Float) -> Float:

@@ -155,3 +155,30 @@ def test_commands_that_write_files_work_in_one_process(tmp_path):
     assert refused.returncode == 2
     assert "new works in one process; call it without mpirun." in refused.stderr
     assert not (tmp_path / "bar.py").exists()
+
+
+def test_the_log_says_what_is_held_and_which_reactions_are_of_nothing(tmp_path):
+    (tmp_path / "bar.py").write_text(
+        "import pdpetsc as pd\n\n\n"
+        "def case(dx=1.0):\n"
+        "    return pd.Case(\n"
+        "        particles=pd.Lattice((0.0, 0.0), (10.0, 4.0), dx), horizon=1.5 * dx,\n"
+        "        material=pd.LinearElastic(100.0, 0.3, plane='stress'),\n"
+        "        conditions=[\n"
+        "            pd.Displacement(pd.region.Slab('x', high=dx), x=0.0, y=0.0),\n"
+        "            pd.Displacement(pd.region.Nearest((5.0, 0.0)), y=0.01),\n"
+        "        ],\n"
+        "        history={'free': pd.Reaction('y', pd.region.Slab('x', low=9.0)), 'held': pd.Reaction('y')},\n"
+        "    )\n"
+    )
+    done = run(tmp_path / "bar.py", ranks=2, output=tmp_path / "out")
+    assert done.returncode == 0
+    assert "Displacement condition 1: 4 particles held in x and y" in done.stdout
+    assert "Displacement condition 2: 2 particles held in y" in done.stdout
+    assert done.stderr.count("free of the history is the reaction of particles of which none is held in y") == 1
+    assert "held of the history" not in done.stderr
+    wrong = (tmp_path / "bar.py").read_text().replace("plane=", "plan=")
+    (tmp_path / "wrong.py").write_text(wrong)
+    refused = run(tmp_path / "wrong.py", output=tmp_path / "none")
+    assert refused.returncode == 2
+    assert "it takes E, nu, plane (did you mean plane?)." in refused.stderr

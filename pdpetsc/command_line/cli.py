@@ -575,7 +575,19 @@ def _guarded(path: Path, call: Callable[[], Any]) -> Any:
         where = _line_of(path, error) or " somewhere below it"
         words = " ".join(str(error).split()).rstrip(".")
         said = f"{type(error).__name__}: {words}" if words else type(error).__name__
-        raise CaseError(f"The case file {path} failed{where}: {said}.") from error
+        raise CaseError(f"The case file {path} failed{where}: {said}{_keywords(words)}.") from error
+
+
+def _keywords(words: str) -> str:
+    """Return which words a class or function of pdpetsc takes, where an error says that it was given another one."""
+    import pdpetsc
+
+    found = re.match(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'", words)
+    taker = getattr(pdpetsc, found[1], None) if found and found[1] in pdpetsc.__all__ else None
+    if found is None or taker is None:
+        return ""
+    known = [name for name in inspect.signature(taker).parameters if name != "self"]
+    return f"; it takes {', '.join(known)}{meant(found[2], known, ' (did you mean {}?)')}"
 
 
 def _line_of(path: Path, error: BaseException) -> str:

@@ -105,6 +105,10 @@ class Suited(Conforming):
             return Unsuited(str(error)).of(operator, cloud, families, surface, solve)
 
 
+# What a gradient is where it should be another one.
+NEED_NOT_CONVERGE = "standard weights on an irregular cloud, where they need not converge"
+
+
 @dataclass(frozen=True)
 class Unsuited(Standard):
     """The weights of the scheme on an irregular cloud that cannot have conforming ones."""
@@ -115,7 +119,7 @@ class Unsuited(Standard):
         self, operator: GradientOperator, cloud: Cloud, families: Families, surface: Surface | None, solve: SolveSystem
     ) -> GradientOperator:
         """Return the gradient as it is, with a note."""
-        note = f"standard weights on an irregular cloud, where they need not converge. {self.why}"
+        note = f"{NEED_NOT_CONVERGE}. {self.why}"
         return replace(operator, note="; ".join(filter(None, [operator.note, note])))
 
 

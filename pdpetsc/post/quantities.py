@@ -72,6 +72,10 @@ class Quantity(Declared, ABC):
     def check(self, dim: int) -> None:
         """Raise CaseError where a body of ``dim`` dimensions lacks what is asked for; nothing is computed."""
 
+    def note(self, solution: Solution) -> str:
+        """Return what a user should know who reads the value, as the end of a sentence; empty mostly (collective)."""
+        return ""
+
     def drawn(self, solution: Solution) -> tuple[Sequence[Float], bool] | None:
         """Return lines or surfaces that a run leaves as a file, each as points (n, dim), and whether they are closed.
 
@@ -172,6 +176,14 @@ class Reaction(Quantity):
         """Return the sum."""
         mask = solution.select(self.region)
         return float(solution.sum(component(reaction(solution), self.component)[mask].sum()))
+
+    def note(self, solution: Solution) -> str:
+        """Return that it is zero where nothing is held."""
+        mask = solution.select(self.region)
+        fixed = solution.problem.supports.fixed[: len(mask), "xyz".index(self.component)]
+        if int(solution.sum(float(np.count_nonzero(mask & fixed)))):
+            return ""
+        return f"is the reaction of particles of which none is held in {self.component}, which is 0"
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ ONE_SIDED = 0.9
 class _Held:
     """One component of a displacement on the particles ``where``."""
 
+    name: str
     condition: Displacement
     axis: int
     value: Value
@@ -79,7 +80,7 @@ class Supports:
                         f"(id {cloud.gid[twice[0]]}); let each degree of freedom have one condition."
                     )
                 self.fixed[where, axis] = True
-                self._held.append(_Held(condition, axis, value, where))
+                self._held.append(_Held(name, condition, axis, value, where))
 
     def prescribe_strain(self, condition: MeanStrain, components: Sequence[tuple[int, float]]) -> None:
         """Prescribe components of the mean strain of the cell."""
@@ -103,6 +104,14 @@ class Supports:
             for (_, unknown, value), factor in zip(self._strains, factors, strict=True):
                 self.cell.rows(u)[unknown] += self.cell.sizes[unknown] * value * factor
         return u
+
+    def held_by_condition(self) -> list[tuple[str, str, int]]:
+        """Return the name of every displacement, the components that it prescribes, and of how many particles."""
+        names = list(dict.fromkeys(held.name for held in self._held))
+        axes = ["".join("xyz"[held.axis] for held in self._held if held.name == name) for name in names]
+        here = [next(len(held.where) for held in self._held if held.name == name) for name in names]
+        counts = np.atleast_1d(total(self.body.cloud.comm, np.array([*here, 0], dtype=np.int64)))[: len(names)]
+        return [(name, axis, int(count)) for name, axis, count in zip(names, axes, counts, strict=True)]
 
     def held_at_cut_families(self) -> int:
         """Return how many particles are held in the direction in which their family is cut, beside ones that are free.

@@ -21,6 +21,7 @@ from pdpetsc.case import Case
 from pdpetsc.discrete.communicator import Comm, agreed, alone, communicator, is_root, total
 from pdpetsc.discrete.failure import all_failed, give_up, messages_apart
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
+from pdpetsc.gradient.weights import NEED_NOT_CONVERGE
 from pdpetsc.kernels.compile import cache_trouble
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
@@ -381,6 +382,12 @@ class _Run:
             self.report.warn(
                 f"nothing used the option{'s' if len(left) > 1 else ''} {' '.join(f'-{name}' for name in left)}."
             )
+        if self.solver is not None and self.solver.ended:
+            self.report.say(self.solver.ended)
+        if NEED_NOT_CONVERGE in str((self.summary.get("scheme") or {}).get("note")):
+            self.report.warn(
+                f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
+            )
         unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
         # Where the load is sought, equilibria past its limit are meant to be found.
         if unstable and not case.solver.finds_load:
@@ -400,8 +407,11 @@ class _Run:
         CaseError
             A field has no row for each particle, or not the component of the picture.
         """
-        for quantity in self.case.history.values():
+        for name, quantity in self.case.history.items():
             value = quantity.evaluate(start)
+            note = quantity.note(start)
+            if note:
+                self.report.warn(f"{name} of the history {note}.")
             with agreed(self.comm):
                 if isinstance(value, Sequence) or np.ndim(value) or np.asarray(value).dtype.kind not in "fiub":
                     raise CaseError(
@@ -450,6 +460,7 @@ class _Run:
         whole = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
         beside = f", beside {lone} lone particles" if lone else ""
         carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
+        carried += " since its restart" if carried and self.restart is not None else ""
         self.report.say(f"{whole}{beside}{carried}")
 
     def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
@@ -519,6 +530,12 @@ class _Run:
         ]
         for name, t, force in resultants:
             self.report.say(f"{name}: resultant {' '.join(f'{f:.6g}' for f in force)} at step time {t:g}")
+        held = problem.supports.held_by_condition()
+        self.summary["supports"] = [
+            {"condition": name, "components": axes, "particles": count} for name, axes, count in held
+        ]
+        for name, axes, count in held:
+            self.report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
         cut = problem.supports.held_at_cut_families()
         self.summary["held_at_cut_families"] = cut
         if cut:

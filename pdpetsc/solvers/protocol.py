@@ -154,11 +154,14 @@ class Solver(ABC):
         What a user may try when it failed.
     resumed : (n_rows, dim) float64 or None
         Displacements whose tangent the first step begins with [length], where they are not those it starts from.
+    ended : str
+        What ended a march that finds its own end, for the log; empty where the load is what ends it.
     """
 
     unit: str
     advice: str
     resumed: Float | None = None
+    ended: str = ""
 
     @classmethod
     @abstractmethod

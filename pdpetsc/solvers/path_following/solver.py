@@ -188,7 +188,11 @@ class PathSolver(StepSolver):
             resume = {**dict(now), **balance.resume}
             yield Converged(u, load, result, failures, broken, sweeps, resume, work=work)
             failures = []
-            if result.reference <= options.until * highest or self._measure.at_end(u):
+            fallen = result.reference <= options.until * highest
+            if fallen or self._measure.at_end(u):
+                left = f"{result.reference / highest:.2g} of the largest forces" if highest > 0.0 else "no force"
+                why = f"the load fell to until={options.until:g}" if fallen else "the measure came to its end"
+                self.ended = f"the path ended because {why}; {left} left"
                 return
         raise SolveError(f"More than {options.most} steps up to load factor {load:.6g}; raise most of PathFollowing.")
 

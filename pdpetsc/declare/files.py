@@ -34,7 +34,7 @@ from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.formats import FORMATS, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
-from pdpetsc.declare.text_file import refuse_thickness, without_constant
+from pdpetsc.declare.text_file import refuse_thickness, version_of, without_constant
 from pdpetsc.errors import CaseError
 
 # A cell whose volume is below this share of that of the box around it has none.
@@ -104,7 +104,7 @@ class Mesh(Particles):
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
-        count, found = _whole_surface(self, _version(Path(self.path)))
+        count, found = _whole_surface(self, version_of(Path(self.path)))
         _, area, particle, _ = found.arrays
         rows = slice(part * count // parts, (part + 1) * count // parts)
         along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
@@ -116,7 +116,7 @@ class Mesh(Particles):
         Their tags are groups of boundary lines and faces, side sets, and node sets: the facets with all corners in
         these. They have the names of the sets of particles; where cells have the name too it stands for the facets.
         """
-        count, found = self._facets(cracks) if cracks else _whole_surface(self, _version(Path(self.path)))
+        count, found = self._facets(cracks) if cracks else _whole_surface(self, version_of(Path(self.path)))
         return found.of_particles(part * count // parts, (part + 1) * count // parts)
 
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
@@ -247,14 +247,6 @@ def _whole_surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, Facets]:
     The result is cached, since every traction asks for it, as long as the file has the same ``version``.
     """
     return mesh._facets(())
-
-
-def _version(path: Path) -> tuple[int, int]:
-    try:
-        found = path.stat()
-    except OSError:
-        return 0, 0
-    return found.st_mtime_ns, found.st_size
 
 
 def _volumes_and_centroids(path: Path, points: Float, blocks: list[Block]) -> tuple[Float, Float]:

@@ -200,7 +200,7 @@ class Column:
         CaseError
             There is no particle at one of them.
         """
-        tree, values, extent = _placed(self, _version(Path(self.path)))
+        tree, values, extent = _placed(self, version_of(Path(self.path)))
         distance, which = tree.query(x)
         off = np.flatnonzero(distance > _THERE * extent)
         if len(off):
@@ -217,7 +217,8 @@ def _placed(column: Column, version: tuple[int, int]) -> tuple[Any, Float, float
     return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
 
 
-def _version(path: Path) -> tuple[int, int]:
+def version_of(path: Path) -> tuple[int, int]:
+    """Return what tells a file from the same one after it has changed, zeros where it cannot be read."""
     try:
         found = path.stat()
     except OSError:

@@ -98,7 +98,7 @@ def scene_of(
         )
     summary = read_summary(folder) if (folder / "summary.json").exists() else {}
     labels = Labels.of(summary)
-    stride = max(1, -(-stored.n_particles // MOST))
+    stride = _stride(stored)
     x = stored.of_particles("position", stride)
     u = stored.field("displacement", step, stride)
     values = component_of(stored.field(name, step, stride), component)
@@ -138,7 +138,7 @@ def frame_of(
         There is no such step, field or component.
     """
     stored = StoredFields(folder)
-    stride = max(1, -(-stored.n_particles // MOST))
+    stride = _stride(stored)
     x = stored.of_particles("position", stride)
     dim = int((np.ptp(x, axis=0) > 0.0).sum())
     ends, lows, highs = [], [], []
@@ -151,6 +151,11 @@ def frame_of(
         highs.append(y.max(axis=0))
     limits = float(np.min(ends)), float(np.max(ends))
     return limits, (np.min(lows, axis=0), np.max(highs, axis=0))
+
+
+def _stride(stored: StoredFields) -> int:
+    """Return one in how many particles is drawn."""
+    return max(1, -(-stored.n_particles // MOST))
 
 
 def limits_of(values: Float) -> tuple[float, float]:

@@ -107,11 +107,13 @@ class Supports:
 
     def held_by_condition(self) -> list[tuple[str, str, int]]:
         """Return the name of every displacement, the components that it prescribes, and of how many particles."""
-        names = list(dict.fromkeys(held.name for held in self._held))
-        axes = ["".join("xyz"[held.axis] for held in self._held if held.name == name) for name in names]
-        here = [next(len(held.where) for held in self._held if held.name == name) for name in names]
-        counts = np.atleast_1d(total(self.body.cloud.comm, np.array([*here, 0], dtype=np.int64)))[: len(names)]
-        return [(name, axis, int(count)) for name, axis, count in zip(names, axes, counts, strict=True)]
+        found: dict[str, tuple[str, int]] = {}
+        for held in self._held:
+            axes, _ = found.get(held.name, ("", 0))
+            found[held.name] = axes + "xyz"[held.axis], len(held.where)
+        here = np.array([count for _, count in found.values()], dtype=np.int64)
+        counts = total(self.body.cloud.comm, here)
+        return [(name, axes, int(count)) for (name, (axes, _)), count in zip(found.items(), counts, strict=True)]
 
     def held_at_cut_families(self) -> int:
         """Return how many particles are held in the direction in which their family is cut, beside ones that are free.

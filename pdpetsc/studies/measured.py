@@ -14,6 +14,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
+from pdpetsc.studies.sets import text_in
 
 # How far a measured place may lie beyond the history of a run, over the length of that [-]: what adding steps leaves.
 SLACK = 1e-9
@@ -82,12 +83,7 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
     CaseError
         There is no such file or column, or something else than numbers in it.
     """
-    try:
-        text = path.read_text()
-    except (OSError, ValueError) as error:
-        raise CaseError(
-            f"Cannot read the measured curve {path}: {getattr(error, 'strerror', None) or error}."
-        ) from None
+    text = text_in(path, "measured curve")
     names, there = zip(*((name, other or name) for name, _, other in (c.partition(":") for c in columns)), strict=True)
     rows = [row for row in csv.reader(io.StringIO(text, newline="")) if any(word.strip() for word in row)]
     header = [word.strip() for word in rows[0]] if rows else []

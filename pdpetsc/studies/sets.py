@@ -25,6 +25,14 @@ METHODS = ("latin_hypercube", "sobol")
 SCALES = ("linear", "log", "integer")
 
 
+def text_in(path: Path, what: str) -> str:
+    """Return the text of a file that a user has written; raises CaseError where it cannot be read."""
+    try:
+        return path.read_text()
+    except (OSError, ValueError) as error:
+        raise CaseError(f"Cannot read the {what} {path}: {getattr(error, 'strerror', None) or error}.") from None
+
+
 def text_of(value: Any) -> str:
     """Return a value as the command line takes it: the shortest text that gives the same number back."""
     if isinstance(value, bool):
@@ -102,12 +110,7 @@ def read_sets(path: Path) -> list[Set]:
     kinds = {".csv": _from_csv, ".json": _from_json, ".toml": _from_toml}
     if path.suffix not in kinds:
         raise CaseError(f"The file of parameter sets {path} must end in .csv, .json or .toml.")
-    try:
-        text = path.read_text()
-    except (OSError, ValueError) as error:
-        raise CaseError(
-            f"Cannot read the parameter sets {path}: {getattr(error, 'strerror', None) or error}."
-        ) from None
+    text = text_in(path, "parameter sets")
     try:
         found = kinds[path.suffix](text)
     except CaseError as error:

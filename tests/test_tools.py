@@ -103,13 +103,37 @@ def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     _, message = process.communicate(timeout=60)
-    assert process.returncode == 1
+    assert process.returncode == 1, message
     assert "the same command goes on" in message
     assert "Traceback" not in message
     first = next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime
     assert tool(*words[3:]).returncode == 0
     assert len(table(tmp_path)) == 3
     assert next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime == first
+
+
+INTERRUPTED_IN_A_FORK = """
+import os, signal, sys
+import pdpetsc as pd
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.register_at_fork(after_in_parent=lambda: os.kill(os.getpid(), signal.SIGINT))
+    try:
+        pd.study(sys.argv[1], {"n": [4, 8]}, sys.argv[2])
+    except KeyboardInterrupt:
+        sys.exit(7)
+"""
+
+
+def test_a_signal_that_comes_while_a_run_is_started_ends_a_study(tmp_path):
+    # What a handler raises inside the calls that Python makes around a fork is dropped by Python.
+    (tmp_path / "case.py").write_text(CRASHING)
+    (tmp_path / "study.py").write_text(INTERRUPTED_IN_A_FORK)
+    words = [sys.executable, tmp_path / "study.py", tmp_path / "case.py", tmp_path / "out"]
+    finished = subprocess.run(words, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert finished.returncode == 7, finished.stderr
+    assert not list((tmp_path / "out").glob("*/outcome.json"))
 
 
 def test_compare_on_two_ranks_and_with_petsc_options(tmp_path):

@@ -92,6 +92,31 @@ def watched(comm: Comm, stuck: Callable[[], None]) -> Iterator[Signals]:
             signal.signal(number, handler)
 
 
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Let signals that come in the body do after it what they do outside.
+
+    Notes
+    -----
+    Python drops what a handler raises inside a fork's own calls, and with it the signal. Not collective. Outside the
+    main thread, and where a signal has no handler in Python, nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: handler for number in SIGNALS if callable(handler := signal.getsignal(number))}
+    came: list[tuple[int, FrameType | None]] = []
+    for number in handlers:
+        signal.signal(number, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for arrived, frame in came:
+            handlers[signal.Signals(arrived)](arrived, frame)
+
+
 def _watch(read: int, signals: Signals, over: threading.Event, stuck: Callable[[], None]) -> None:
     """Wait for a signal that Python does not get to handle."""
     try:

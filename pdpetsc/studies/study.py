@@ -17,6 +17,7 @@ from pdpetsc.discrete.communicator import alone
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.folder import holder_of, holding, set_aside
 from pdpetsc.running.comparison import working_seconds
+from pdpetsc.running.signals import held
 from pdpetsc.studies import table
 from pdpetsc.studies.asking import CaseFile, Question
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
@@ -185,7 +186,9 @@ class Runs:
                     folder = folder_of(self.folder, questions[number].parameters)
                     yield number, _of_changed(Outcome(questions[number].parameters, folder, "failed"), changed)
                     continue
-                running[number] = self._start(questions[number])
+                line, log = self._prepared(questions[number])
+                with held():
+                    running[number] = Job(line, log)
                 tell.started(questions[number])
             for number, job in list(running.items()):
                 if (status := job.ended) is not None:
@@ -194,7 +197,8 @@ class Runs:
                     yield number, outcome
             time.sleep(LOOK)
 
-    def _start(self, question: Question) -> Job:
+    def _prepared(self, question: Question) -> tuple[list[str], Path]:
+        """Make the folder of a run ready; return its command and where its output goes."""
         folder = folder_of(self.folder, question.parameters)
         _wait_for_others(folder)
         # Nothing of an earlier run is left to be taken for what this one gives.
@@ -202,8 +206,8 @@ class Runs:
         set_aside(alone(), folder)
         left(folder)
         given = [f"{name}={value}" for name, value in question.parameters.items()]
-        words = command(self.case, given, folder, self.how.options)
-        return Job(launched(words, self.how.ranks, self.how.launcher), folder / LOG)
+        line = command(self.case, given, folder, self.how.options)
+        return launched(line, self.how.ranks, self.how.launcher), folder / LOG
 
     def _judged(self, question: Question, job: Job, status: int) -> Outcome:
         """Return how a run ended, by its exit status and its own summary, and keep that."""

@@ -39,6 +39,7 @@ from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
+from pdpetsc.running.crack_shares import CrackShare, crack_share
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
@@ -161,6 +162,7 @@ class _Run:
         self.history: dict[str, list[float]] = {}
         self.failed: list[StepResult] = []
         self.unit = "Newton"
+        self._share: CrackShare | None = None
         self.prepared: Prepared | None = None
         self.solver: Solver | None = None
         self.keeper: Keeper | None = None
@@ -388,6 +390,8 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
+        if self._share is not None and self._share.grave:
+            self.report.warn(f"What the cracks of this run took is not known. {self._share.said}")
         unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
         # Where the load is sought, equilibria past its limit are meant to be found.
         if unstable and not case.solver.finds_load:
@@ -516,12 +520,10 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:
             self.report.say(f"scheme: {matter.note}")
-        if self.case.damage is not None and self.case.damage.assumes_share and not self.case.of_bonds:
-            self.report.warn(
-                "The fracture energy is that of a body of bonds with the same modulus, and a crack through deformation "
-                "gradients takes another one, a third of it or more; give the share that it takes, "
-                "FractureEnergy(Gc, share=...), from the table in the page on fracture."
-            )
+        share = self._share = crack_share(self.case)
+        if share is not None:
+            self.summary["fracture_energy"] = share.record
+            (self.report.warn if share.grave else self.report.say)(share.said)
 
     def _report_loads(self, problem: Problem) -> None:
         resultants = [found for term in problem.terms for found in term.resultants]

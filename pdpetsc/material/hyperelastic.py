@@ -332,7 +332,7 @@ class Hyperelastic(EnergyMaterial):
     - or principal stretches ``l1, l2, l3``, ``l1bar, ...``, ``J``, in which it must be symmetric.
 
     Stress and tangent are derived from it exactly and compiled once; the machine code is kept on disk. The value at
-    F = I is taken off. Strains beyond a bound, where the argument of a logarithm or what is divided by changes its sign,
+    F = I is taken off. Strains beyond a bound, where the argument of a logarithm or a divisor changes its sign,
     have no stress: a step that leads there is cut back.
 
     Parameters

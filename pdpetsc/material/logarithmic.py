@@ -15,7 +15,7 @@ from pdpetsc.material.stepped import SteppedMaterial, blocks
 
 # Numbers of a history between G and the state of the law: hidden elastic strain, hidden whole strain, step time.
 KEPT = 3
-# Strains that differ by less than this share of the spread of all three, or of the largest, are taken as equal where the
+# Strains nearer to each other than this share of the spread of all three, or of the largest, count as equal where the
 # difference quotient of their stresses is asked: the stress of a body that yields early turns within tiny strains.
 EQUAL, ROUND_OFF = 1e-5, 1e-9
 

@@ -303,9 +303,9 @@ class ExpandedAtPoints(MaterialAtPoints):
             Law(rows, law, law.history_kernels(inside), law.constants(inside))
             for rows, law in zip(parts, laws, strict=True)
         ]
-        for law in made:
-            if law.material.timed:
-                law.constants[-1] = self._constants[-1]
+        for one in made:
+            if one.material.timed:
+                one.constants[-1] = self._constants[-1]
         return made
 
     def _by_law(self) -> Iterator[tuple[Law, Float]]:

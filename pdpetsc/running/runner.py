@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pdpetsc.case import Case
+from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.discrete.communicator import Comm, agreed, alone, communicator, is_root, total
 from pdpetsc.discrete.failure import all_failed, give_up, messages_apart
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
@@ -31,6 +32,7 @@ from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.output.records import plain, write_summary
+from pdpetsc.output.surface import write_surface
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
@@ -342,6 +344,8 @@ class _Run:
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.keeper, self.history = keeper, keeper.history
+            if self._fields():
+                write_surface(self.comm, self.folder, keeper.run, case.particles)
             if not keeper.took_over:
                 self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
 
@@ -554,6 +558,8 @@ def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
             "fields": {field.__name__: dimension_of(field) for field in fields},
         },
         "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
+        "cuts": [recorded_crack(crack) for crack in case.cracks],
+        "thickness": case.particles.thickness,
     }
 
 

@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pdpetsc.case import Case
+from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.discrete.communicator import Comm, agreed, alone, communicator, is_root, total
 from pdpetsc.discrete.failure import all_failed, give_up, messages_apart
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
@@ -31,6 +32,7 @@ from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.output.records import plain, write_summary
+from pdpetsc.output.surface import write_surface
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
@@ -43,6 +45,7 @@ from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
 from pdpetsc.running.signals import Signals, watched
+from pdpetsc.running.so_far import SoFar, steps_before
 from pdpetsc.solvers.protocol import Converged, Solver, Start, StepResult
 
 
@@ -158,6 +161,9 @@ class _Run:
         self.comm = comm
         self.phases = Phases()
         self.steps: list[dict[str, Any]] = []
+        # What a restart goes on from: the steps of the run before it, and what came up in them.
+        self.earlier: list[Any] = []
+        self.so_far = SoFar()
         self.history: dict[str, list[float]] = {}
         self.failed: list[StepResult] = []
         self.unit = "Newton"
@@ -325,6 +331,11 @@ class _Run:
             start = origin.start
             with prepared.options.active():
                 solver.resume(_start(start))
+            self.so_far = SoFar.of(origin)
+            self.earlier = self.comm.bcast(steps_before(origin) if is_root(self.comm) else None)
+            self.summary["restart"] = {"step": start.step, "t": start.t}
+            if problem.matter.n_detached:
+                self.summary["detached_particles"] = problem.matter.n_detached
         step = start.step
         self.phases.now = "output"
         self._try_records(start)
@@ -342,8 +353,15 @@ class _Run:
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.keeper, self.history = keeper, keeper.history
+            keeper.so_far = self.so_far.numbers
+            self.summary["run"] = keeper.run
+            if self._fields():
+                write_surface(self.comm, self.folder, keeper.run, case.particles)
             if not keeper.took_over:
-                self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
+                self.report.warn(
+                    f"No history of this case is beside the checkpoint: it starts at step {step}, and results that "
+                    f"are made of it, as its largest force, know of nothing before."
+                )
 
         def on_failure(at: float, dt: float, result: StepResult) -> None:
             self.failed.append(result)
@@ -359,6 +377,8 @@ class _Run:
             self.report.step(converged.t, solver.line(step, converged))
             self._say_detached(problem)
             self.steps.append(_step_summary(step, converged, solver.unit))
+            self.so_far.add(converged)
+            keeper.so_far = self.so_far.numbers
             self.failed.clear()
             with self.phases.timed("output"):
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
@@ -388,12 +408,12 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
-        unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
+        found = self.so_far
         # Where the load is sought, equilibria past its limit are meant to be found.
-        if unstable and not case.solver.finds_load:
+        if found.unstable and not case.solver.finds_load:
             self.report.warn(
-                f"{unstable} of {len(self.steps)} equilibria are unstable, the first at step time "
-                f"{next(found['t'] for found in self.steps if found['negative_pivots']):.6g}; perturb the body, or let "
+                f"{found.unstable} of {found.steps} equilibria are unstable, the first at step time "
+                f"{found.first_unstable:.6g}; perturb the body, or let "
                 f'Steps(unstable="shorten") end the run before.'
             )
         self._show(results)
@@ -454,13 +474,14 @@ class _Run:
             return
         pieces, lone = pieces_left(problem)
         self.summary["pieces"] = {"pieces": pieces, "lone_particles": lone}
-        forces = [step["reference"] for step in self.steps]
-        left = forces[-1] / max(forces) if forces and max(forces) > 0.0 else float("nan")
+        found = self.so_far
+        left = found.last_force / found.largest_force if found.largest_force > 0.0 else float("nan")
         self.summary["pieces"]["forces_left"] = left
         whole = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
         beside = f", beside {lone} lone particles" if lone else ""
         carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
-        carried += " since its restart" if carried and self.restart is not None else ""
+        # A checkpoint of an earlier version does not tell what the forces before it were.
+        carried += " since its restart" if carried and not found.whole else ""
         self.report.say(f"{whole}{beside}{carried}")
 
     def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
@@ -474,7 +495,7 @@ class _Run:
         return self.summary | {
             "status": status,
             "results": dict(results),
-            "steps": self.steps,
+            "steps": [*self.earlier, *self.steps],
             "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
             "timings": self.phases.timings,
             "peak_memory_bytes": memory,
@@ -554,6 +575,8 @@ def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
             "fields": {field.__name__: dimension_of(field) for field in fields},
         },
         "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
+        "cuts": [recorded_crack(crack) for crack in case.cracks],
+        "thickness": case.particles.thickness,
     }
 
 

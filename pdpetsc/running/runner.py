@@ -368,6 +368,7 @@ class _Run:
             self.report.cut_back(at, dt, result)
 
         self.unit = solver.unit
+        self.summary["doubts"] = {}
         self.report.begin(start.t, step)
         self.phases.now = "solve"
         before = time.perf_counter()
@@ -384,6 +385,7 @@ class _Run:
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
                 state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields, converged.work)
+                self._doubt(state)
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
@@ -408,6 +410,9 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
+        for name, doubt in self.summary["doubts"].items():
+            times = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")
+            self.report.warn(f"{name} of the history at {times} {doubt['why']}.")
         found = self.so_far
         # Where the load is sought, equilibria past its limit are meant to be found.
         if found.unstable and not case.solver.finds_load:
@@ -453,6 +458,14 @@ class _Run:
                     )
                 if picture is not None and field is picture.field:
                     _refuse_component(values.ndim, picture.component)
+
+    def _doubt(self, state: Solution) -> None:
+        """Note which numbers of the history of a step may be wrong, for the summary (collective)."""
+        doubts = self.summary["doubts"]
+        for name, quantity in self.case.history.items():
+            why = quantity.doubt(state)
+            if why:
+                doubts.setdefault(name, {"t": state.t, "why": why, "steps": 0})["steps"] += 1
 
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""

@@ -39,6 +39,8 @@ from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
+from pdpetsc.running.confined import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
+from pdpetsc.running.confined import words as confined_words
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
@@ -367,6 +369,7 @@ class _Run:
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
+        confined = self._confined(prepared, solver, keeper.last)
         self.phases.now = "results"
         self.signals.patient = False
         with agreed(self.comm):
@@ -388,6 +391,8 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
+        if confined is not None and confined.wrong:
+            self.report.warn(confined_words(confined))
         unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
         # Where the load is sought, equilibria past its limit are meant to be found.
         if unstable and not case.solver.finds_load:
@@ -462,6 +467,19 @@ class _Run:
         carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
         carried += " since its restart" if carried and self.restart is not None else ""
         self.report.say(f"{whole}{beside}{carried}")
+
+    def _confined(self, prepared: Prepared, solver: Solver, last: Solution) -> Unbalanced | None:
+        """Find what unbalanced forces make of the last state of a nearly incompressible body (collective)."""
+        problem = prepared.problem
+        with agreed(self.comm):
+            asked = nearly_incompressible(self.case, problem.dim)
+        if not asked or not self.steps:
+            return None
+        with prepared.options.active():
+            found = unbalanced(problem, solver, unbalanced_areas(self.case, problem), last.unknowns, last.t)
+        note = confined_words(found) if found.wrong else ""
+        self.summary["unbalanced"] = dataclasses.asdict(found) | {"note": note}
+        return found
 
     def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
         """Write the summary of a run that has ended, and return it as the file has it (collective)."""

@@ -316,6 +316,28 @@ def test_supports_that_give_way_are_said(kind, depth, changes, off, tmp_path, ca
     assert "Do not rely on these stresses" in _notes(found.summary)
 
 
+@pytest.mark.parametrize("kind", ["lattice", "nodes"])
+def test_a_load_between_walls_that_give_way_moves_the_body_too_far(kind, tmp_path):
+    """The stress is right, by balance; the displacement of the lattice is nine times that of the confined modulus."""
+    case = confined(kind)
+    thick, traction = (0.126, {"normal": (0.0, 1.0)}) if kind == "lattice" else (0.01, {})
+    top = pd.region.Slab("y", low=1.0 - thick)
+    sides = pd.region.Slab("x", high=thick) | pd.region.Slab("x", low=1.0 - thick)
+    found = pd.run(dataclasses.replace(
+        case, history={"u": pd.Mean(pd.displacement, "y", top)},
+        conditions=[pd.Displacement(sides, x=0.0), pd.Displacement(pd.region.Slab("y", high=thick), y=0.0),
+                    pd.Traction(top, y=-1e-3, **traction)],
+        results=lambda h: {"u": h["u"][-1] / (-1e-3 * 1.499 * 0.002 / 0.501)},
+    ), tmp_path)  # fmt: skip
+    if kind == "nodes":
+        assert found["u"] == pytest.approx(1.0, abs=1e-9)
+        assert found.summary["held_at_cut_families"] == 0
+    else:
+        assert found["u"] > 3.0
+        assert found.summary["unbalanced"]["displacement"] > 0.5
+        assert found.summary["unbalanced"]["note"]
+
+
 def test_layers_two_horizons_deep_are_held(tmp_path):
     found = pd.run(confined(depth=4, n=12), tmp_path)
     assert found["stress"] == pytest.approx(1.0, abs=1e-9)

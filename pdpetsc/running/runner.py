@@ -555,6 +555,9 @@ class _Run:
         for name, axes, count in held:
             self.report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
         cut = problem.supports.held_at_cut_families()
+        if cut and problem.body.surface is not None and not self.case.of_bonds:
+            # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
+            cut *= int(any(self.comm.allgather(bool(unbalanced_areas(self.case, problem).any()))))
         self.summary["held_at_cut_families"] = cut
         if cut:
             self.report.say(

@@ -174,6 +174,8 @@ def _notes(summary: Mapping[str, Any]) -> str:
         )
     for name, found in (summary.get("doubts") or {}).items():
         notes.append(f"{name} of the history at step time {found['t']:.6g} {found['why']}.")
+    if (summary.get("unbalanced") or {}).get("note"):
+        notes.append(str(summary["unbalanced"]["note"]))
     if summary.get("unused_options"):
         notes.append(f"Nothing used the options {', '.join(map(str, summary['unused_options']))}.")
     pieces = summary.get("pieces") or {}

@@ -106,7 +106,7 @@ def test_plane_strain_breaks_at_the_stretch_of_the_same_body_in_plane_stress(mad
     ("case", "why"),
     [
         (gradients(horizon=2.515), "horizon of 2.515 spacings"),
-        (gradients(nu=0.29), "Poisson's ratio that is 0.29"),
+        (gradients(nu=0.275), "Poisson's ratio that is 0.275"),
         (gradients(control=pd.Silling(0.4)), "not measured for this material, scheme"),
         (gradients(control=None), "not measured for this material, scheme"),
         (gradients(scheme=pd.SubHorizons(), control=None), "not measured for this material, scheme"),

@@ -58,6 +58,11 @@ class Particles(Declared, ABC):
         """Return whether particles are known to be in the middles of equal boxes: their places tell their surface."""
         return False
 
+    @property
+    def on_surface(self) -> bool:
+        """Return whether particles are known to lie on the surface itself, as nodes do."""
+        return False
+
     def surface(self, part: int, parts: int, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that nothing lies behind, particles counted from its first one.
 
@@ -305,6 +310,11 @@ class LatticeNodes(Particles):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._cells  # noqa: B018 - refuses what is no lattice
+
+    @property
+    def on_surface(self) -> bool:
+        """Return True."""
+        return True
 
     def estimate(self) -> int:
         """Return the number of corners, of cells that are cut out or not."""

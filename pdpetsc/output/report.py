@@ -172,6 +172,10 @@ def _notes(summary: Mapping[str, Any]) -> str:
             f"{summary['held_at_cut_families']} particles are held at a face that cuts their families: stresses within "
             f"two horizons of it are those of no continuum."
         )
+    for name, found in (summary.get("doubts") or {}).items():
+        notes.append(f"{name} of the history at step time {found['t']:.6g} {found['why']}.")
+    if (summary.get("unbalanced") or {}).get("note"):
+        notes.append(str(summary["unbalanced"]["note"]))
     if summary.get("unused_options"):
         notes.append(f"Nothing used the options {', '.join(map(str, summary['unused_options']))}.")
     pieces = summary.get("pieces") or {}

@@ -122,6 +122,11 @@ class Result(Mapping[str, float]):
         """Return the named results."""
         return dict(self._results)
 
+    @property
+    def doubts(self) -> dict[str, str]:
+        """Return which numbers of the history may be wrong though the run has ended well, and why; mostly none."""
+        return {name: str(found["why"]) for name, found in self.summary.get("doubts", {}).items()}
+
     def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
         """Return a field at points, by linear fits to the nearest particles (not collective).
 

@@ -40,6 +40,8 @@ from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
+from pdpetsc.running.confined import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
+from pdpetsc.running.confined import words as confined_words
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
@@ -367,6 +369,7 @@ class _Run:
             self.report.cut_back(at, dt, result)
 
         self.unit = solver.unit
+        self.summary["doubts"] = {}
         self.report.begin(start.t, step)
         self.phases.now = "solve"
         before = time.perf_counter()
@@ -383,9 +386,11 @@ class _Run:
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
                 state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields, converged.work)
+                self._doubt(state)
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
+        confined = self._confined(prepared, solver, keeper.last)
         self.phases.now = "results"
         self.signals.patient = False
         with agreed(self.comm):
@@ -407,6 +412,11 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
+        for name, doubt in self.summary["doubts"].items():
+            times = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")
+            self.report.warn(f"{name} of the history at {times} {doubt['why']}.")
+        if confined is not None and confined.wrong:
+            self.report.warn(confined_words(confined))
         found = self.so_far
         # Where the load is sought, equilibria past its limit are meant to be found.
         if found.unstable and not case.solver.finds_load:
@@ -453,6 +463,14 @@ class _Run:
                 if picture is not None and field is picture.field:
                     _refuse_component(values.ndim, picture.component)
 
+    def _doubt(self, state: Solution) -> None:
+        """Note which numbers of the history of a step may be wrong, for the summary (collective)."""
+        doubts = self.summary["doubts"]
+        for name, quantity in self.case.history.items():
+            why = quantity.doubt(state)
+            if why:
+                doubts.setdefault(name, {"t": state.t, "why": why, "steps": 0})["steps"] += 1
+
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""
         wanted = self.case.written
@@ -482,6 +500,19 @@ class _Run:
         # A checkpoint of an earlier version does not tell what the forces before it were.
         carried += " since its restart" if carried and not found.whole else ""
         self.report.say(f"{whole}{beside}{carried}")
+
+    def _confined(self, prepared: Prepared, solver: Solver, last: Solution) -> Unbalanced | None:
+        """Find what unbalanced forces make of the last state of a nearly incompressible body (collective)."""
+        problem = prepared.problem
+        with agreed(self.comm):
+            asked = nearly_incompressible(self.case, problem.dim)
+        if not asked or not self.steps:
+            return None
+        with prepared.options.active():
+            found = unbalanced(problem, solver, unbalanced_areas(self.case, problem), last.unknowns, last.t)
+        note = confined_words(found) if found.wrong else ""
+        self.summary["unbalanced"] = dataclasses.asdict(found) | {"note": note}
+        return found
 
     def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
         """Write the summary of a run that has ended, and return it as the file has it (collective)."""
@@ -557,6 +588,9 @@ class _Run:
         for name, axes, count in held:
             self.report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
         cut = problem.supports.held_at_cut_families()
+        if cut and problem.body.surface is not None and not self.case.of_bonds:
+            # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
+            cut *= int(any(self.comm.allgather(bool(unbalanced_areas(self.case, problem).any()))))
         self.summary["held_at_cut_families"] = cut
         if cut:
             self.report.say(

@@ -1,7 +1,9 @@
 """Batch scripts with stand-ins for srun and sbatch, stages of PETSc's log, and what each rank holds."""
 
+import contextlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from numba.core.caching import _CacheLocator
 
 from tests.commands import ROOT, run
 
@@ -36,6 +39,26 @@ def case():
 """
 
 
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory):
+    """Return a folder of kernels as the scripts keep it, with those that this checkout has compiled already."""
+    folder = tmp_path_factory.mktemp("kernels")
+    for room in ("kernels", "material"):
+        place = ROOT / "pdpetsc" / room
+        name = _CacheLocator.get_suitable_cache_subpath(str(place / "__init__.py"))
+        with contextlib.suppress(OSError):  # none yet, or one that another process writes now
+            shutil.copytree(
+                place / "__pycache__", folder / name, ignore=shutil.ignore_patterns("pdpetsc_made", "*.py?")
+            )
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def kept(kernels, monkeypatch):
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(kernels))
+
+
 def submit(folder, script, *words, srun=ON_TWO_RANKS, **variables):
     """Run a batch script as a batch system does; return the finished process."""
     stand_ins = folder / "bin"
@@ -45,7 +68,6 @@ def submit(folder, script, *words, srun=ON_TWO_RANKS, **variables):
         (stand_ins / name).chmod(0o755)
     path = f"{stand_ins}:{Path(sys.executable).parent}:{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "HOME": str(folder), **variables}
-    environment.setdefault("NUMBA_CACHE_DIR", str(ROOT / "pdpetsc" / "__pycache__"))
     return subprocess.run(
         ["bash", f"runs/hpc/{script}", *map(str, words)],
         cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False,

@@ -196,7 +196,7 @@ def test_no_array_of_a_rank_grows_with_the_whole(tmp_path):
     for ranks in (3, 6):
         words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, str(script)]
         finished = subprocess.run(
-            words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=True
+            words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=True
         )
         found.append(json.loads(finished.stdout.splitlines()[-1]))
     small, large = found
@@ -245,7 +245,7 @@ def test_fields_are_the_same_written_together_or_in_turn(tmp_path):
     script.write_text(TOGETHER)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     words = [str(ROOT / ".ci" / "mpirun"), "3", sys.executable, str(script), str(tmp_path)]
-    done = subprocess.run(words, cwd=ROOT, env=environment, check=True, timeout=120, capture_output=True, text=True)
+    done = subprocess.run(words, cwd=ROOT, env=environment, check=True, timeout=300, capture_output=True, text=True)
     if "parallel True" not in done.stdout:
         pytest.skip("h5py has no parallel HDF5: serial would be compared with serial")
     with h5py.File(tmp_path / "turn/fields.h5", "r") as one, h5py.File(tmp_path / "together/fields.h5", "r") as two:

@@ -114,7 +114,7 @@ def test_a_browser_shows_the_report_without_a_network(reported, tmp_path):
         "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={tmp_path / 'user'}", "--window-size=1100,1600",
         f"--screenshot={picture}", (reported / "report.html").as_uri(),
     ]  # fmt: skip
-    done = subprocess.run(words, capture_output=True, text=True, timeout=90, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert picture.exists(), done.stderr[-500:]
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     assert pixels.shape == (1600, 1100, 3)

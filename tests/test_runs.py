@@ -255,7 +255,7 @@ def signalled(folder, number, ranks):
     history = folder / "history.csv"
     wait_until(lambda: history.exists() and len(history.read_text().splitlines()) > 4, "The third step")
     process.send_signal(number)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 
 
@@ -343,7 +343,7 @@ matrix.destroy()
 """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     words = [command("x")[0], "-c", script]
-    out = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=120).stdout
+    out = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=300).stdout
     predicted, measured = map(int, out.split())
     assert predicted > 100 * 2**20
     assert measured == pytest.approx(predicted, rel=0.2)

@@ -101,7 +101,7 @@ def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
     process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, start_new_session=True, **pipes)
     wait_until(lambda: list(tmp_path.glob("ny=3*/outcome.json")), "the first run")
     os.killpg(process.pid, signal.SIGINT)
-    _, message = process.communicate(timeout=120)
+    _, message = process.communicate(timeout=300)
     assert process.returncode == 1, message
     assert "the same command goes on" in message
     assert "Traceback" not in message
@@ -130,7 +130,7 @@ def test_a_signal_that_comes_while_a_run_is_started_ends_a_study(tmp_path):
     (tmp_path / "case.py").write_text(CRASHING)
     (tmp_path / "study.py").write_text(INTERRUPTED_IN_A_FORK)
     words = [sys.executable, tmp_path / "study.py", tmp_path / "case.py", tmp_path / "out"]
-    finished = subprocess.run(words, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    finished = subprocess.run(words, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, timeout=300)
     assert finished.returncode == 7, finished.stderr
     assert not list((tmp_path / "out").glob("*/outcome.json"))
 
@@ -247,7 +247,7 @@ def test_a_comparison_that_is_ended_ends_its_run(tmp_path):
     process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, **pipes)
     wait_until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text(), "the run")
     process.send_signal(signal.SIGTERM)
-    _, message = process.communicate(timeout=120)
+    _, message = process.communicate(timeout=300)
     assert process.returncode == 1
     assert "the same command goes on" in message
     pid = int((tmp_path / "pid").read_text())

@@ -336,6 +336,41 @@ def test_a_state_without_a_thickness_is_inadmissible():
     assert not problem.admissible(problem.state(30.0 * x))
 
 
+GENT = "-mu/2*Jm*log(1 - (I1 - 3)/Jm) - mu*log(J) + lam/2*log(J)**2"
+LOCKING = {
+    "strain": GENT,
+    "stress": "mu/2*(Jm/(1 - (I1 - 3)/Jm)) - mu*log(J) + lam/2*log(J)**2",
+    "solid": "mu*Jm*(l1**2 + l2**2 + l3**2 - 3)/(Jm + 3 - l1**2 - l2**2 - l3**2)/2 - mu*log(J) + lam/2*log(J)**2",
+}
+
+
+@pytest.mark.parametrize("kind", LOCKING)
+def test_no_strain_is_taken_beyond_that_at_which_a_chain_is_straight(kind):
+    """Beyond it the derivatives of these energies are finite again, those of Gent's with the other sign."""
+    dim, limit = 3 if kind == "solid" else 2, 2.0
+    law = pd.Hyperelastic(LOCKING[kind], "stress" if kind == "stress" else "strain", mu=1.0, lam=2.0, Jm=limit)
+    for stretch in (1.1, 1.5, 1.6, 2.2, 3.0):
+        F = np.diag([stretch, 1.0 / stretch, 1.0])[None, :dim, :dim]
+        across = law.hidden_stretch(F, np.empty((1, 0)))[0] if kind == "stress" else 1.0
+        left = limit - (stretch**2 + 1.0 / stretch**2 + across**2 - 3.0)
+        assert law.defined(F, np.zeros(1, dtype=np.int64), np.empty((1, 0))) == (left > 0.0)
+
+
+def test_a_body_is_not_pulled_past_straight_chains(tmp_path):
+    case = strip(pd.Hyperelastic(GENT, mu=1.0, lam=2.0, Jm=2.0))
+    x = pd.prepare(case).problem
+    position = x.body.cloud.x[: x.body.cloud.n_owned]
+    assert x.admissible(x.state(0.5 * position * [1.0, -0.5]))
+    assert not x.admissible(x.state(1.5 * position * [1.0, -0.4]))
+
+
+@pytest.mark.parametrize("text", ["mu/2*(I1 - 3 - 2*log(J)) + mu*(log(I1 - 5) + (I1 - 3)/2)/9 + mu*(J - 1)**2"])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_logarithm_of_a_negative_number_is_no_energy(text, named):
+    with pytest.raises(pd.CaseError, match="no finite number at F = I"):
+        pd.Hyperelastic(text.replace("5", "c") if named else text, mu=1.0, **({"c": 5.0} if named else {}))
+
+
 CHILD = """
 import sys
 import numpy as np, pdpetsc as pd

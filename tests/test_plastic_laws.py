@@ -393,6 +393,26 @@ def test_constants_may_be_in_any_unit():
         assert np.allclose(A, found[1][1], rtol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["strain", "stress", "solid"])
+@pytest.mark.parametrize("name", ["voce", "drucker_prager"])
+def test_the_tangent_of_a_body_that_yields_at_tiny_strains_is_exact(name, kind, rng):
+    """Principal strains lie closer together than those of steel by far, and stresses turn within them all the same."""
+    size, (dim, plane) = 1e-5, BODIES[kind]
+    law = {
+        "voce": pd.J2(E, NU, plane, Y * size, hard.Voce(0.4 * size, 8.0 / size)),
+        "drucker_prager": pd.DruckerPrager(E, NU, plane, 0.15 * size, 0.5, 0.2, 0.4),
+    }[name]
+    points = Points(law, dim)
+    F = np.eye(dim) + 0.1 * size * (rng.standard_normal((N, dim, dim)) - np.eye(dim) * (name != "voce"))
+    points.commit(np.eye(dim) + 0.3 * (F - np.eye(dim)))
+    A, different = points.tangent(F), np.empty((N, dim, dim, dim, dim))
+    step = 5.0 * STEP * size * np.eye(dim * dim).reshape(dim, dim, dim, dim)
+    for i, m in np.ndindex(dim, dim):
+        change = points.stress(F + step[i, m]) - points.stress(F - step[i, m])
+        different[..., i, m] = change / (2.0 * step[i, m, i, m])
+    assert np.abs(A - different).max() < 2e-3 * np.abs(A).max()
+
+
 @pytest.mark.parametrize("name", ["voce", "perzyna"])
 def test_the_tangent_of_a_body_in_plane_stress_is_that_of_differences(name, rng):
     model = body(2, material=dataclasses.replace(LAWS[name], plane="stress"), rng=rng)

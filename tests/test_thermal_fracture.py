@@ -101,8 +101,14 @@ def test_graded_moduli_give_nothing_without_a_crack_tip():
         lambda x: x * np.array([0.0, 0.1]),
     )
     assert abs(without.evaluate(uneven)) > 0.1 * energy
-    with pytest.raises(pd.CaseError, match="moduli that change from place to place"):
-        pd.StressIntensity(**WHERE).evaluate(uneven)
+
+
+def test_moduli_that_follow_an_uneven_temperature_are_refused_in_a_stress_intensity():
+    conditions = [*CORNER, pd.Temperature(EVERYWHERE, lambda x, t: 2.0 + x[:, 0])]
+    softer = body(material=pd.Thermal(LAW, 1e-3, factor=lambda T: 1.0 - 0.1 * T), conditions=conditions).solution()
+    with pytest.raises(pd.CaseError, match="moduli that change with temperature from place to place"):
+        pd.StressIntensity(**WHERE).evaluate(softer)
+    assert np.isfinite(pd.JIntegral(**WHERE).evaluate(softer))
 
 
 @pytest.mark.parametrize("plane", ["strain", "stress"])
@@ -187,12 +193,19 @@ def released_by_elements(factor, m=60, grip=0.9):
 GRADED = {
     "even": lambda x: 1.0 + 0.0 * x[:, 0],
     "exponential": lambda x: np.exp(3.0 * x[:, 0]),
+    "gentle": lambda x: np.exp(1.5 * x[:, 0]),
     "step": lambda x: 2.0 + np.tanh((x[:, 0] - 0.3) / 0.1),
 }
 
 
-def released(name, n, folder):
-    """Return J on three contours in a held square with a crack, whose moduli are graded."""
+def settled(name):
+    """Return what elements of two sizes say of a grading: their error falls with the size."""
+    coarse, fine = (released_by_elements(GRADED[name], m) for m in (30, 60))
+    return 2.0 * fine - coarse
+
+
+def released(name, n, folder, contours=((0.21, 0.4), (0.3, 0.6), (0.4, 0.8))):
+    """Return J on contours in a held square with a crack, whose moduli are graded, and what is doubted."""
     dx = 2.0 / n
     case = pd.Case(
         particles=pd.Lattice((-1.0, -1.0), (1.0, 1.0), dx),
@@ -205,31 +218,41 @@ def released(name, n, folder):
             pd.Displacement(pd.region.Slab("y", high=-0.9), x=0.0, y=0.0),
             pd.Displacement(pd.region.Slab("y", low=0.9), y=0.01),
         ],
-        history={
-            f"J{k}": pd.JIntegral((0.0, 0.0), (1.0, 0.0), *radii)
-            for k, radii in enumerate(((0.21, 0.4), (0.3, 0.6), (0.4, 0.8)))
-        },
+        history={f"J{k}": pd.JIntegral((0.0, 0.0), (1.0, 0.0), *radii) for k, radii in enumerate(contours)},
         fields=[],
     )
-    history = pd.run(case, folder).history
-    return np.array([history[f"J{k}"][-1] for k in range(3)])
+    result = pd.run(case, folder)
+    return np.array([result.history[f"J{k}"][-1] for k in range(len(contours))]), result.doubts
 
 
-def test_moduli_that_are_steep_near_the_tip_are_right_or_refused(tmp_path):
-    """Over those of even moduli, beside elements: within 8 % on all contours with coarse particles."""
-    exact = released_by_elements(GRADED["exponential"]) / released_by_elements(GRADED["even"])
-    even = released("even", 40, tmp_path / "even")
-    assert released("exponential", 40, tmp_path / "graded") / even == pytest.approx(exact, rel=0.08)
-    with pytest.raises(pd.RunError, match="change too fast near the tip"):
-        released("step", 40, tmp_path / "coarse")
+@pytest.mark.parametrize("name", ["exponential", "step"])
+def test_moduli_that_are_steep_near_the_tip_count(name, tmp_path):
+    """Within 7 % of elements with coarse particles, also where J is the small rest of large numbers."""
+    found, doubts = released(name, 40, tmp_path / "graded")
+    assert found == pytest.approx(settled(name), rel=0.07)
+    assert not doubts
+
+
+def test_too_few_particles_for_a_number_are_said(tmp_path, caplog):
+    """Radii two spacings apart: the run ends well, and log, summary and result say that contours disagree."""
+    folder, contours = tmp_path / "coarse", ((0.35, 0.6), (0.35, 0.8))
+    with caplog.at_level("WARNING"):
+        found, doubts = released("gentle", 20, folder, contours)
+    assert list(doubts) == ["J0"]
+    assert "differ by more than 0.05 of it" in doubts["J0"]
+    assert f"J0 of the history at step time 1 {doubts['J0']}." in caplog.text
+    assert json.loads((folder / "summary.json").read_text())["doubts"]["J0"]["steps"] == 1
+    assert pd.open(folder).doubts == doubts
+    # What lies next to the tip is a third of the whole, and was a quarter off where it followed from few particles.
+    assert found == pytest.approx(settled("gentle"), rel=0.08)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["exponential", "step"])
 def test_steep_moduli_are_within_four_percent_with_finer_particles(name, tmp_path):
-    exact = released_by_elements(GRADED[name]) / released_by_elements(GRADED["even"])
-    even = released("even", 80, tmp_path / "even")
-    assert released(name, 80, tmp_path / "graded") / even == pytest.approx(exact, rel=0.04)
+    found, doubts = released(name, 80, tmp_path / "graded")
+    assert found == pytest.approx(settled(name), rel=0.04)
+    assert not doubts
 
 
 def near_tip(x, radius=0.12):

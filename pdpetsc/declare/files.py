@@ -119,6 +119,25 @@ class Mesh(Particles):
         count, found = self._facets(cracks) if cracks else _whole_surface(self, version_of(Path(self.path)))
         return found.of_particles(part * count // parts, (part + 1) * count // parts)
 
+    def triangles(self, part: int, parts: int) -> Float | None:
+        """Return the free facets of the cells, by their corners, all as the first part; quadrilaterals are halved."""
+        mesh = read_mesh(Path(self.path), self.format)
+        if _of_spheres(mesh):
+            return None
+        mesh, points, blocks = self._cells(mesh)
+        if points.shape[1] < 3:
+            return None
+        if part > 0:
+            return np.empty((0, 3, 3))
+        found = facets(points, blocks)
+        corners, area = found.corners[found.free], found.area[found.free]
+        with_four = corners[:, 3] >= 0
+        halves = points[np.concatenate([corners[:, :3], corners[with_four][:, [0, 2, 3]]])]
+        area = np.concatenate([area, area[with_four]])
+        inward = (np.cross(halves[:, 1] - halves[:, 0], halves[:, 2] - halves[:, 0]) * area).sum(axis=1) < 0.0
+        halves[inward] = halves[inward][:, ::-1]
+        return np.asarray(halves)
+
     def _facets(self, cracks: Sequence[Crack]) -> tuple[int, Facets]:
         """Return the number of particles, and the facets of all of them."""
         mesh, points, blocks = self._cells()

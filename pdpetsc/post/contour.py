@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.material.base import IsotropicMaterial
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.post.bonds_left import pairs_of
-from pdpetsc.post.inhomogeneity import heated, materials_of
+from pdpetsc.post.inhomogeneity import heated, materials_of, of_place, plane_tensors, slope_of_grading
 from pdpetsc.post.solution import Solution
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.material_points import MaterialPoints
@@ -73,16 +73,18 @@ def frames(cloud: Cloud, tip: Float, direction: Sequence[float]) -> list[Frame]:
     return [Frame(sign * tip + to, turn * sign) for sign, to in zip(*cloud.places.mirrors, strict=True)]
 
 
-def weight(x: Float, inner: float, outer: float) -> tuple[Float, Float]:
+def weight(x: Float, inner: float, outer: float, tilt: float = 0.0) -> tuple[Float, Float]:
     """Return the weight q (n,) [-] at positions x (n, 2) from the tip, and its gradient (n, 2) [1 / length].
 
     q is 1 up to the inner radius and 0 beyond the outer one, ``1 - 3 s^2 + 2 s^3`` between them: its gradient is
-    continuous, which sums over particles integrate better than a jump.
+    continuous, which sums over particles integrate better than a jump. A tilt t of -1 to 1 takes ``3 t s^2 (1 - s)^2``
+    from it: with 1 it falls mostly in the inner half, with -1 in the outer one.
     """
     r = np.linalg.norm(x, axis=1)
     s = np.clip((r - inner) / (outer - inner), 0.0, 1.0)
-    slope = -6.0 * s * (1.0 - s) / (outer - inner)
-    return 1.0 - s**2 * (3.0 - 2.0 * s), slope[:, None] * x / np.where(r > 0.0, r, 1.0)[:, None]
+    slope = -6.0 * s * (1.0 - s) * (1.0 + tilt * (1.0 - 2.0 * s)) / (outer - inner)
+    q = 1.0 - s**2 * (3.0 - 2.0 * s) - 3.0 * tilt * (s * (1.0 - s)) ** 2
+    return q, slope[:, None] * x / np.where(r > 0.0, r, 1.0)[:, None]
 
 
 @dataclass(frozen=True)
@@ -95,12 +97,15 @@ class Continuum:
         Gradient of the displacement [-].
     P : (n_owned, 2, 2) float64
         First Piola-Kirchhoff stress [stress].
+    psi : (n_owned,) float64
+        Energy density [energy / volume].
     momentum : (n_owned, 2, 2) float64
         ``psi I - H^T P``, the energy-momentum tensor [energy / volume].
     """
 
     H: Float
     P: Float
+    psi: Float
     momentum: Float
 
 
@@ -120,24 +125,25 @@ def _continuum(solution: Solution) -> Continuum:
         operator = matter.operator
         F, P, psi = matter.conjugates(state)
         H = F - one
-        share = (operator.volume / solution.volume[operator.owner])[:, None, None]
+        share = operator.volume / solution.volume[operator.owner]
         tensors = [H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P)]
-        return Continuum(*(operator.sum_over_points(share * T) for T in tensors))
+        H, P, momentum = (operator.sum_over_points(share[:, None, None] * T) for T in tensors)
+        return Continuum(H, P, operator.sum_over_points(share * psi), momentum)
     H = matter.deformation_gradient(state) - one
     P, psi = matter.first_piola_stress(state), matter.energy_density(state)
-    return Continuum(H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P))
+    return Continuum(H, P, psi, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P))
 
 
 @dataclass(frozen=True)
 class Integral:
-    """The integral of a density that is not known next to a crack tip.
+    """The integral of a density that is not known next to a crack tip, in two ways.
 
     Attributes
     ----------
     value : float
-        What follows from the density further out.
+        What is taken: what follows from the density further out, or from the work done on what is about the tip.
     plain : float
-        Sum of the density over all particles.
+        The other one: the sum of the density over all particles.
     size : float
         Sum of the size of the slope that it is a component of.
     """
@@ -146,15 +152,19 @@ class Integral:
     plain: float
     size: float
 
+    @property
+    def summed(self) -> Integral:
+        """Return the integral by the sum, in the place of what follows from the density further out."""
+        return Integral(self.plain, self.value, self.size)
+
     def trouble(self, whole: float, part: float) -> str:
         """Return why it is not known well enough in a number ``whole`` that has ``part`` of it (not collective)."""
         guessed = abs(part * (self.value - self.plain))
         if not guessed > GUESSED * max(abs(whole), CANCELS * abs(part) * self.size):
             return ""
         return (
-            f"holds moduli or strains that change too fast near the tip: what they do within two horizons of it is "
-            f"{part * self.value:.3g} by the densities around and {part * self.plain:.3g} by the sum, of {whole:.3g}; "
-            f"take more particles"
+            f"holds moduli or strains that change too fast near the tip: what they do is {part * self.value:.3g} in "
+            f"one way of integrating them and {part * self.plain:.3g} in another, of {whole:.3g}; take more particles"
         )
 
 
@@ -178,6 +188,8 @@ class Domain:
         Area of the cells between the radii.
     count : int
         Particles there.
+    tilt : float
+        Where between the radii the weight mostly falls, from -1 to 1 (``weight``).
     """
 
     frames: list[Frame]
@@ -189,22 +201,25 @@ class Domain:
     closed: Float
     ring: float
     count: int
+    tilt: float = 0.0
 
     @classmethod
-    def of(cls, solution: Solution, tip: Float, direction: Sequence[float], inner: float, outer: float) -> Domain:
-        """Return the domain about a tip (collective)."""
+    def of(
+        cls, solution: Solution, tip: Float, direction: Sequence[float], inner: float, outer: float, tilt: float = 0.0
+    ) -> Domain:
+        """Return the domain about a tip, with a weight that may be tilted (collective)."""
         area = solution.volume / solution.problem.body.thickness
         about, sums = frames(solution.cloud, tip, direction), np.zeros(6)
         for frame in about:
-            q, slope = weight(frame.at(solution.x), inner, outer)
+            q, slope = weight(frame.at(solution.x), inner, outer, tilt)
             falling = slope.any(axis=1)
             size = np.linalg.norm(slope, axis=1)
             sums += [area @ q, area @ size, *(area @ slope), area @ falling, np.count_nonzero(falling)]
         filled, falls, *closed, ring, count = solution.sum(sums)
         width = outer - inner
-        filled /= np.pi * inner**2 + 2.0 * np.pi * width * (0.5 * inner + 0.15 * width)
-        falls /= np.pi * (inner + outer)
-        return cls(about, inner, outer, area, filled, falls, np.array(closed), float(ring), int(count))
+        filled /= np.pi * inner**2 + 2.0 * np.pi * width * ((0.5 - 0.1 * tilt) * inner + (0.15 - 0.05 * tilt) * width)
+        falls /= np.pi * (inner + outer - 0.2 * tilt * width)
+        return cls(about, inner, outer, area, filled, falls, np.array(closed), float(ring), int(count), tilt)
 
     def weight(self, frame: Frame, x: Float) -> tuple[Float, Float]:
         """Return the weight q (n,) [-] of own particles and its gradient (n, 2) by the axes of a frame [1 / length].
@@ -212,7 +227,7 @@ class Domain:
         Sums of the gradient over the cells are made zero as its integral is: the momentum of a uniform state then gives
         nothing, to round-off.
         """
-        q, slope = weight(frame.at(x), self.inner, self.outer)
+        q, slope = weight(frame.at(x), self.inner, self.outer, self.tilt)
         falling = slope.any(axis=1)
         slope[falling] -= self.closed / self.ring
         return q, slope
@@ -234,7 +249,7 @@ class Domain:
         for frame, slope in zip(self.frames, slopes, strict=True):
             at, rho = frame.at(solution.x), slope[:, 0]
             r = np.linalg.norm(at, axis=1)
-            q, _ = weight(at, self.inner, self.outer)
+            q, _ = weight(at, self.inner, self.outer, self.tilt)
             share = self.area * q
             sums += [(share * (r >= start)) @ rho, share @ rho, share @ np.linalg.norm(slope, axis=1)]
             chosen = (r >= start) & (r < min(further * start, self.outer))
@@ -245,10 +260,58 @@ class Domain:
         normal, right = solution.sum(normal), solution.sum(right)
         points, shares = roots_legendre(GAUSS)
         radii = 0.5 * start * (1.0 + points)
-        q, _ = weight(np.column_stack([radii, np.zeros(GAUSS)]), self.inner, self.outer)
+        q, _ = weight(np.column_stack([radii, np.zeros(GAUSS)]), self.inner, self.outer, self.tilt)
         inside = (0.5 * start * shares * q) @ (radii[:, None] / start) ** POWERS
         outside, plain, size = solution.sum(sums)
         return Integral(float(outside + inside @ np.linalg.lstsq(normal, right, rcond=None)[0]), plain, size)
+
+    def at_tip(self, solution: Solution, values: Float) -> float:
+        """Return what a smooth positive number of the local particles (n_local,) is at the tip (collective).
+
+        Its logarithm is fitted by a quadratic over the particles within the inner radius.
+        """
+        normal, right = np.zeros((6, 6)), np.zeros(6)
+        for frame in self.frames:
+            x, y = frame.at(solution.x).T / self.inner
+            within = x**2 + y**2 < 1.0
+            powers = np.stack([x**0, x, y, x**2, x * y, y**2], axis=1)[within]
+            by = (self.area[within] / self.inner**2)[:, None] * powers
+            normal += by.T @ powers
+            right += by.T @ np.log(values[: len(x)][within])
+        normal, right = solution.sum(normal), solution.sum(right)
+        return float(np.exp(np.linalg.lstsq(normal, right, rcond=1e-12)[0][0]))
+
+    def of_energy(self, solution: Solution) -> Integral:
+        """Return ``int q g . e psi dA`` of the energy density psi, with the slopes g of moduli graded by place.
+
+        Next to the tip the energy density is not that of a continuum. With ``w = q g . e``, which does not change
+        there as fast, equilibrium makes it ``1/2 int (w tr(psi I - H^T P) - w,m P_im (u - u_0)_i + w f . (u - u_0))
+        dA`` of loads f, where the trace is zero in linear bodies without strain of their own, and ``u_0`` is the mean
+        displacement: the work done on the matter about the tip. No density is singular there. Collective.
+        """
+        fields, (g, bend) = continuum(solution), slope_of_grading(solution)
+        matter, thickness = solution.problem.matter, solution.problem.body.thickness
+        rest = np.einsum("pii->p", fields.momentum)
+        if isinstance(matter, BondForces) and matter.linear:
+            # The trace of a tip's bonds is what their best gradient misses of their energy.
+            free = of_place(solution).strain
+            own = np.zeros_like(fields.P) if free is None else plane_tensors(free[: len(g)])
+            rest = -np.einsum("pik,pik->p", fields.P, own)
+        moments, sums = np.zeros(3), np.zeros(3)
+        for frame in self.frames:
+            share = self.area * self.weight(frame, solution.x)[0]
+            moments += [*(share @ solution.u @ frame.turn.T), share.sum()]
+        *moved, area = solution.sum(moments)
+        for frame in self.frames:
+            q, slope = self.weight(frame, solution.x)
+            along, P = g @ frame.turn[0], frame.tensors(fields.P)
+            u, f = solution.u @ frame.turn.T - np.array(moved) / area, loads(solution) @ frame.turn.T
+            w, falls = q * along, along[:, None] * slope + q[:, None] * frame.tensors(bend)[:, 0]
+            by_parts = 0.5 * self.area * (w * rest - np.einsum("pm,pim,pi->p", falls, P, u))
+            by_parts += 0.5 / thickness * w * np.einsum("pi,pi->p", f, u)
+            sums += [by_parts.sum(), (self.area * w) @ fields.psi, self.area @ np.abs(w * fields.psi)]
+        value, plain, size = solution.sum(sums)
+        return Integral(value, plain, size)
 
     def between(self, at: Float) -> Mask:
         """Return which positions (n, 2) from a tip are between the radii (n,)."""

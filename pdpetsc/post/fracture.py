@@ -10,13 +10,14 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Complex, Float
 from pdpetsc.declared import called
 from pdpetsc.errors import CaseError
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.post.contour import (
     Domain,
     Frame,
+    Integral,
     continuum,
     elastic_law,
     loads,
@@ -27,11 +28,14 @@ from pdpetsc.post.contour import (
     weight,
 )
 from pdpetsc.post.inhomogeneity import (
-    explicit_derivative,
+    MODULI,
+    derivative_besides_grading,
     jumping,
     of_place,
+    plane_tensors,
     remembers,
     slopes_of_particles,
+    softened,
     turned_by_place,
     uneven,
 )
@@ -41,8 +45,33 @@ from pdpetsc.terms.material_points import MaterialPoints
 
 # Largest share by which the stresses of a body may differ from those of linear fracture mechanics [-].
 SMALL = 0.02
+# Numbers by the inner and the outer part of a domain differ by less than this share of them, or are in doubt; but
+# numbers below the second share of what they are sums of are nothing.
+PATHS, NO_NUMBER = 0.05, 0.005
 # A crack is moved by this share of the width of the domain, to both sides.
 MOVED = 1e-4
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a crack tip, and how well it is known.
+
+    Attributes
+    ----------
+    value : float
+        The number.
+    size : float
+        Sum of the sizes of what it is the sum of, between the radii: where it is far larger, the number is nothing.
+    guessed : float
+        What lies next to the tip, by another way of integrating it, less what is in the number.
+    why : str
+        Why it is wrong, as the end of a sentence; empty where it is not.
+    """
+
+    value: float
+    size: float = 0.0
+    guessed: float = 0.0
+    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,8 +88,9 @@ class AtTip(Quantity):
     outer: float
     follows: CrackTip | None = None
 
-    # Whether moduli may change from place to place, and what to do besides where a number is refused.
-    knows_graded_moduli: ClassVar[bool] = True
+    # Whether moduli may follow a temperature that changes from place to place, and what to do besides where a number is
+    # refused.
+    knows_softer_moduli: ClassVar[bool] = True
     advice: ClassVar[str] = ", or give the derivative of the energy density as explicit"
 
     def __post_init__(self) -> None:
@@ -92,26 +122,53 @@ class AtTip(Quantity):
         self.check(solution.problem.dim)
         domain = self._domain(solution)
         why = trouble(solution, domain, self.follows is not None) or self._why_not(solution, domain)
-        number = math.nan
+        number = Number(math.nan)
         if not why:
-            number, why = self.number(solution, domain)
+            number = self.number(solution, domain)
+            why = number.why
         if why and self.follows is not None:
             return math.nan
         refuse(f"a {type(self).__name__} at {tuple(self.tip)}", why)
-        return number
+        return number.value
+
+    def doubt(self, solution: Solution) -> str:
+        """Return why the number of this state may be wrong, though it is not refused (collective).
+
+        It does not depend on the path in a continuum: the number by a weight that falls mostly near the inner radius is
+        that by one that falls near the outer one. What is integrated next to the tip, where the body is none, counts
+        besides.
+        """
+        if self.follows is not None and math.isnan(self.evaluate(solution)):
+            return ""
+        number = self.number(solution, self._domain(solution))
+        near, far = (self.number(solution, self._domain(solution, tilt)).value for tilt in (1.0, -1.0))
+        least = max(PATHS * abs(number.value), NO_NUMBER * number.size)
+        if abs(near - far) > least:
+            return (
+                f"is {near:.4g} by what lies near its inner radius of {self.inner:g} and {far:.4g} by what lies near "
+                f"its outer one of {self.outer:g}, which differ by more than {PATHS:g} of it, and should not depend on "
+                f"the path; take more particles, radii further apart, or a domain further from loads, sides and the tip"
+            )
+        if abs(number.guessed) > least:
+            return (
+                f"is uncertain by {abs(number.guessed):.2g} of {number.value:.4g}, more than {PATHS:g} of it, which is "
+                f"what lies next to the tip, where moduli or strains change too fast for these particles; take more "
+                f"particles"
+            )
+        return ""
 
     @abstractmethod
-    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
-        """Return the number of a domain that can have one, and why it is wrong nevertheless, if so (collective)."""
+    def number(self, solution: Solution, domain: Domain) -> Number:
+        """Return the number of a domain that can have one (collective)."""
 
-    def _domain(self, solution: Solution) -> Domain:
+    def _domain(self, solution: Solution, tilt: float = 0.0) -> Domain:
         """Return the domain about the tip where it is now (collective)."""
         tip = np.asarray(self.tip, dtype=float)
         if self.follows is not None:
             along = np.asarray(self.follows.direction, dtype=float)
             along = along / np.linalg.norm(along)
             tip = tip + max(self.follows.evaluate(solution) - tip @ along, 0.0) * along
-        return Domain.of(solution, tip, self.direction, self.inner, self.outer)
+        return Domain.of(solution, tip, self.direction, self.inner, self.outer, tilt)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
         """Return why the material or the state forbids the number, in words after "it" (collective)."""
@@ -128,21 +185,15 @@ class AtTip(Quantity):
         if turned_by_place(solution, inside):
             return f"holds a material whose axes change from place to place; take smaller radii{advice}"
         changing = uneven(solution, inside)
-        if not self.knows_graded_moduli and {"moduli", "a temperature"} & set(changing):
-            return "holds moduli that change from place to place; take smaller radii, or a JIntegral"
-        if remembers(solution) and self._softens(solution, changing):
+        if not self.knows_softer_moduli and softened(solution, inside):
+            return "holds moduli that change with temperature from place to place; take smaller radii, or a JIntegral"
+        if remembers(solution) and softened(solution, inside):
             return f"holds a material with history whose moduli change with temperature from place to place{advice}"
         tips = [frame.tip for frame in domain.frames]
         what = jumping(solution, inside, tips, domain.outer) if changing else ""
         if what:
             return f"holds {what} that jump{'s' * (what != 'moduli')} between neighbours; take smaller radii{advice}"
         return ""
-
-    @staticmethod
-    def _softens(solution: Solution, changing: list[str]) -> bool:
-        """Return whether temperature changes moduli that differ from place to place (collective)."""
-        expansion = solution.problem.body.expansion
-        return expansion is not None and expansion.softens and bool({"moduli", "a temperature"} & set(changing))
 
 
 def _of_loads(solution: Solution, domain: Domain, frame: Frame, moved: Float, gradient: Float, on_faces: bool) -> float:
@@ -175,8 +226,8 @@ class _Release(AtTip):
             found += _of_loads(solution, domain, frame, u, H, on_faces)
         return found
 
-    def _with_place(self, solution: Solution, domain: Domain, rest: float) -> tuple[float, str]:
-        """Return the rest of a number with ``- int q dpsi/dX . e dA``, and why it is wrong, if so (collective)."""
+    def _with_place(self, solution: Solution, domain: Domain, rest: float, size: float) -> Number:
+        """Return the rest of a number with ``- int q dpsi/dX . e dA`` (collective)."""
         if self.explicit is not None:
             explicit = np.asarray(called("explicit derivative", self.explicit, solution), dtype=float)
             if explicit.shape != solution.x.shape:
@@ -184,13 +235,26 @@ class _Release(AtTip):
                     f"The explicit derivative of the energy density has the shape {solution.x.shape} of positions, "
                     f"not {explicit.shape}."
                 )
-        elif uneven(solution, domain.near(solution.x)):
-            explicit = explicit_derivative(solution)
-        else:
-            return rest, ""
-        by_place = domain.integral(solution, [explicit @ frame.turn.T for frame in domain.frames])
-        whole = rest - by_place.value
-        return whole, by_place.trouble(whole, -1.0)
+            return self._less(rest, size, [domain.integral(solution, along(domain, explicit))])
+        changing = uneven(solution, domain.near(solution.x))
+        if not changing:
+            return Number(rest, size)
+        parts = [domain.of_energy(solution)]
+        if solution.problem.body.expansion is not None:
+            parts.append(domain.integral(solution, along(domain, derivative_besides_grading(solution))))
+        return self._less(rest, size, parts)
+
+    @staticmethod
+    def _less(rest: float, size: float, parts: Sequence[Integral]) -> Number:
+        """Return a number less integrals, and why one of them is not known well enough in it, if so."""
+        whole = rest - sum(part.value for part in parts)
+        guessed = sum(abs(part.value - part.plain) for part in parts)
+        return Number(whole, size, guessed, next(filter(None, (part.trouble(whole, -1.0) for part in parts)), ""))
+
+
+def along(domain: Domain, slopes: Float) -> list[Float]:
+    """Return slopes (n, 2) by the axes of the frames of a domain."""
+    return [slopes @ frame.turn.T for frame in domain.frames]
 
 
 @dataclass(frozen=True)
@@ -244,14 +308,15 @@ class JIntegral(_Release):
 
     dimension = "energy per area"
 
-    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
-        """Return J, and why it is wrong, if so."""
-        fields, share = continuum(solution), 0.0
+    def number(self, solution: Solution, domain: Domain) -> Number:
+        """Return J."""
+        fields, sums = continuum(solution), np.zeros(2)
         for frame in domain.frames:
             _, slope = domain.weight(frame, solution.x)
-            share -= float(np.einsum("p,pm,pm->", domain.area, frame.tensors(fields.momentum)[:, 0], slope))
-        rest = float(solution.sum(share + self._of_loads(solution, domain)))
-        return self._with_place(solution, domain, rest)
+            flow = domain.area * np.einsum("pm,pm->p", frame.tensors(fields.momentum)[:, 0], slope)
+            sums += [-flow.sum(), np.abs(flow).sum()]
+        rest, size = solution.sum(sums + np.array([self._of_loads(solution, domain), 0.0]))
+        return self._with_place(solution, domain, float(rest), float(size))
 
 
 @dataclass(frozen=True)
@@ -290,8 +355,8 @@ class EnergyReleaseRate(_Release):
 
     dimension = "energy per area"
 
-    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
-        """Return G, and why it is wrong, if so."""
+    def number(self, solution: Solution, domain: Domain) -> Number:
+        """Return G."""
         matter = solution.problem.matter
         if not isinstance(matter, MaterialPoints):
             raise CaseError(
@@ -299,9 +364,9 @@ class EnergyReleaseRate(_Release):
             )
         operator = matter.operator
         F, _, _ = matter.conjugates(solution.state)
-        H, change, step = F - np.eye(2), 0.0, MOVED * (self.outer - self.inner)
+        H, change, step = F - np.eye(2), np.zeros(len(F)), MOVED * (self.outer - self.inner)
         for frame in domain.frames:
-            q, _ = weight(frame.at(solution.cloud.x), domain.inner, domain.outer)
+            q, _ = weight(frame.at(solution.cloud.x), domain.inner, domain.outer, domain.tilt)
             D = operator.gradient(np.ascontiguousarray(q[:, None] * frame.turn[0]))
             moved = np.flatnonzero(np.abs(D).max(axis=(1, 2)) > 0.0)
             for d in (step, -step):
@@ -310,10 +375,10 @@ class EnergyReleaseRate(_Release):
                 at[moved] = np.eye(2) + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
                 volume = operator.volume.copy()
                 volume[moved] *= np.linalg.det(by)
-                change -= float(volume @ matter.energy_at(at, volume)) / (2.0 * d)
-        share = change / solution.problem.body.thickness
-        rest = float(solution.sum(share + self._of_loads(solution, domain)))
-        return self._with_place(solution, domain, rest)
+                change -= volume * matter.energy_at(at, volume) / (2.0 * d)
+        change /= solution.problem.body.thickness
+        rest, size = solution.sum([change.sum() + self._of_loads(solution, domain), np.abs(change).sum()])
+        return self._with_place(solution, domain, float(rest), float(size))
 
 
 @dataclass(frozen=True)
@@ -354,32 +419,38 @@ class StressIntensity(AtTip):
 
     mode: Literal["I", "II"] = "I"
 
-    knows_graded_moduli: ClassVar[bool] = False
+    knows_softer_moduli: ClassVar[bool] = False
     advice: ClassVar[str] = ""
 
-    def number(self, solution: Solution, domain: Domain) -> tuple[float, str]:
-        """Return K, and why it is wrong, if so."""
+    def number(self, solution: Solution, domain: Domain) -> Number:
+        """Return K."""
         law = self._law(solution, domain)
         assert law is not None
-        fields, share, (on_faces, _) = continuum(solution), 0.0, loads_in(solution, domain)
+        fields, sums, (on_faces, _) = continuum(solution), np.zeros(2), loads_in(solution, domain)
         (free, changes), place = self._free(solution, law), of_place(solution)
-        densities = list[Float]()
+        densities, stiffer = list[Float](), list[Float]()
+        softer = 1.0 - domain.at_tip(solution, place.factor) / place.factor[: len(solution.x)]
         for frame in domain.frames:
             _, slope = domain.weight(frame, solution.x)
-            s, v, w = westergaard(frame.at(solution.x), self.mode, law)
+            at = frame.at(solution.x)
+            s, v, w = westergaard(at, self.mode, law)
             H, P, eps = frame.tensors(fields.H), frame.tensors(fields.P), frame.tensors(free)
             flow = np.einsum("pim,pi->pm", P, v) + np.einsum("pim,pi->pm", s, H[:, :, 0])
             flow[:, 0] -= np.einsum("pik,pik->p", s, H - eps)
-            share += float(np.einsum("p,pm,pm->", domain.area, flow, slope))
-            share += _of_loads(solution, domain, frame, w, v, on_faces)
+            flow_in = domain.area * np.einsum("pm,pm->p", flow, slope)
+            sums += [flow_in.sum() + _of_loads(solution, domain, frame, w, v, on_faces), np.abs(flow_in).sum()]
             by_axes = [frame.tensors(np.einsum("pabm,m->pab", changes, axis)) for axis in frame.turn]
             densities.append(np.stack([np.einsum("pik,pik->p", s, along) for along in by_axes], axis=1))
-        half, rest = 0.5 * plane_modulus(law), float(solution.sum(share))
-        if place.strain is None:
-            return half * rest, ""
-        by_place = domain.integral(solution, densities)
-        K = half * (rest + by_place.value)
-        return K, by_place.trouble(K, half)
+            less = softer * strain_energy(P, westergaard_slope(at, self.mode), law)
+            stiffer.append(np.stack([less, np.zeros(len(less))], axis=1))
+        half, (rest, size) = 0.5 * plane_modulus(law), solution.sum(sums)
+        parts = [] if place.strain is None else [domain.integral(solution, densities)]
+        if MODULI in uneven(solution, domain.near(solution.x)):
+            parts.append(domain.integral(solution, stiffer).summed)
+        K = half * (rest + sum(part.value for part in parts))
+        guessed = half * sum(abs(part.value - part.plain) for part in parts)
+        why = next(filter(None, (part.trouble(K, half) for part in parts)), "")
+        return Number(float(K), float(half * size), float(guessed), why)
 
     def _why_not(self, solution: Solution, domain: Domain) -> str:
         """Return also why the fields are not those of linear fracture mechanics."""
@@ -413,6 +484,8 @@ class StressIntensity(AtTip):
         lam, mu = law.lame(2)
         strain = 0.5 * (fields.H + fields.H.transpose(0, 2, 1)) - self._free(solution, law)[0]
         exact = lam * np.einsum("pii->p", strain)[:, None, None] * np.eye(2) + 2.0 * mu * strain
+        place = of_place(solution).factor
+        exact *= (place[: len(exact)] / domain.at_tip(solution, place))[:, None, None]
         sums[:] = [ring * domain.area @ np.linalg.norm(T, axis=(1, 2)) for T in (fields.P - exact, fields.P)]
         apart, whole = solution.sum(sums)
         return float(apart / whole) if whole > 0.0 else 0.0
@@ -431,20 +504,46 @@ class StressIntensity(AtTip):
         part = place.strain[:, :3].copy()
         part[:, :2] += across * place.strain[:, 3:]
         slope = slopes_of_particles(solution, part)
-        return part[:n, [[0, 2], [2, 1]]], slope[:, [[0, 2], [2, 1]]]
+        return plane_tensors(part[:n]), plane_tensors(slope)
 
     @staticmethod
     def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
-        """Return the elastic law in the domain, with the moduli that it has there everywhere (collective)."""
+        """Return the elastic law in the domain, with the moduli that it has at the tip (collective)."""
         inside = domain.near(solution.x)
         law = elastic_law(solution, materials_in(solution, inside)[0], inside)
-        factor = solution.largest(float(of_place(solution).factor[: len(inside)][inside].max(initial=0.0)))
-        return None if law is None else replace(law, E=law.E * factor)
+        return None if law is None else replace(law, E=law.E * domain.at_tip(solution, of_place(solution).factor))
 
 
 def plane_modulus(law: LinearElastic) -> float:
     """Return ``E'`` of ``J = K^2 / E'`` [stress]: E in plane stress, ``E / (1 - nu^2)`` in plane strain."""
     return law.E if law.plane == "stress" else law.E / (1.0 - law.nu**2)
+
+
+def strain_energy(s: Float, t: Float, law: LinearElastic) -> Float:
+    """Return the work (n,) that plane stresses s (n, 2, 2) do on the elastic strains of others t (n, 2, 2)."""
+    across = law.nu / (1.0 + law.nu) if law.plane == "stress" else law.nu
+    both = np.einsum("pik,pik->p", s, t) - across * np.einsum("pii->p", s) * np.einsum("pii->p", t)
+    return np.asarray((1.0 + law.nu) / law.E * both)
+
+
+def westergaard_slope(x: Float, mode: str) -> Float:
+    """Return the derivative along the crack (n, 2, 2) of the stresses of ``westergaard`` [1 / length^3/2]."""
+    z = x[:, 0] + 1j * x[:, 1]
+    z = np.where(z == 0.0, np.finfo(float).tiny, z)
+    Z = -0.5 / (z * np.sqrt(2.0 * np.pi * z))  # the derivative of that of the field
+    return _stresses(Z, x[:, 1] * (-1.5 * Z / z), mode)
+
+
+def _stresses(Z: Complex, turned: Complex, mode: str) -> Float:
+    """Return the stresses (n, 2, 2) of Westergaard's function Z (n,) and ``turned = x_2 Z'`` (n,)."""
+    s = np.empty((len(Z), 2, 2))
+    if mode == "I":
+        s[:, 0, 0], s[:, 1, 1] = Z.real - turned.imag, Z.real + turned.imag
+        s[:, 0, 1] = s[:, 1, 0] = -turned.real
+    else:
+        s[:, 0, 0], s[:, 1, 1] = 2.0 * Z.imag + turned.real, -turned.real
+        s[:, 0, 1] = s[:, 1, 0] = Z.real - turned.imag
+    return s
 
 
 def westergaard(x: Float, mode: str, law: LinearElastic) -> tuple[Float, Float, Float]:
@@ -479,17 +578,13 @@ def westergaard(x: Float, mode: str, law: LinearElastic) -> tuple[Float, Float, 
     turned = x[:, 1] * (-0.5 * Z / z)  # x_2 Z'
     mu = 0.5 * law.E / (1.0 + law.nu)
     kappa = (3.0 - law.nu) / (1.0 + law.nu) if law.plane == "stress" else 3.0 - 4.0 * law.nu
-    s, v, w = np.empty((len(x), 2, 2)), np.empty((len(x), 2)), np.empty((len(x), 2))
+    s, v, w = _stresses(Z, turned, mode), np.empty((len(x), 2)), np.empty((len(x), 2))
     if mode == "I":
-        s[:, 0, 0], s[:, 1, 1] = Z.real - turned.imag, Z.real + turned.imag
-        s[:, 0, 1] = s[:, 1, 0] = -turned.real
         v[:, 0] = 0.5 * (kappa - 1.0) * Z.real - turned.imag
         v[:, 1] = 0.5 * (kappa + 1.0) * Z.imag - turned.real
         w[:, 0] = 0.5 * (kappa - 1.0) * whole.real - x[:, 1] * Z.imag
         w[:, 1] = 0.5 * (kappa + 1.0) * whole.imag - x[:, 1] * Z.real
     else:
-        s[:, 0, 0], s[:, 1, 1] = 2.0 * Z.imag + turned.real, -turned.real
-        s[:, 0, 1] = s[:, 1, 0] = Z.real - turned.imag
         v[:, 0] = 0.5 * (kappa + 1.0) * Z.imag + turned.real
         v[:, 1] = -0.5 * (kappa - 1.0) * Z.real - turned.imag
         w[:, 0] = 0.5 * (kappa + 1.0) * whole.imag + x[:, 1] * Z.real

@@ -60,6 +60,11 @@ class OfPlace:
     temperature: Float | None
     given: tuple[tuple[str, Float], ...]
 
+    @property
+    def graded(self) -> Float:
+        """Return what multiplies the moduli by place alone (n_local,) [-]."""
+        return self.given[0][1]
+
     @cached_property
     def columns(self) -> list[tuple[str, Float]]:
         """Return all its numbers (n_local,) with what they are."""
@@ -105,6 +110,11 @@ def _shown(solution: Solution, own: Float) -> Float:
     return np.stack([strain[:, 0, 0], strain[:, 1, 1], strain[:, 0, 1], strain[:, 2, 2]], axis=1)
 
 
+def plane_tensors(columns: Float) -> Float:
+    """Return the tensors (n, 2, 2) of columns xx, yy, xy (n, 3 or more)."""
+    return np.asarray(columns[:, [[0, 2], [2, 1]]])
+
+
 def explicit_derivative(solution: Solution) -> Float:
     """Return the derivative of the energy density by place at constant F (n_owned, 2) [energy / volume / length].
 
@@ -113,21 +123,48 @@ def explicit_derivative(solution: Solution) -> Float:
     which are exact where they are linear; ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` of linear bodies and bonds
     (``ExpandedAtPoints.energy_by_strain``). Collective.
     """
-    return solution.state.kept("explicit derivative", lambda: _explicit_derivative(solution))
+    return solution.state.kept("explicit derivative", lambda: _explicit_derivative(solution, of_place(solution).factor))
 
 
-def _explicit_derivative(solution: Solution) -> Float:
+def derivative_besides_grading(solution: Solution) -> Float:
+    """Return the explicit derivative without what moduli graded by place do (n_owned, 2) (collective)."""
+    place = of_place(solution)
+    return _explicit_derivative(solution, place.factor / place.graded)
+
+
+def slope_of_grading(solution: Solution) -> tuple[Float, Float]:
+    """Return ``g = c,m / c`` of the factor c of moduli graded by place (n_owned, 2) and its slope (n_owned, 2, 2).
+
+    [1 / length] and [1 / length^2], by the weights of the body. Collective.
+    """
+    return solution.state.kept("slope of grading", lambda: _slope_of_grading(solution))
+
+
+def _slope_of_grading(solution: Solution) -> tuple[Float, Float]:
+    cloud, graded = solution.cloud, of_place(solution).graded
+    n = len(solution.x)
+    local = np.zeros((cloud.n_local, cloud.dim))
+    local[:n] = slopes_of_particles(solution, graded[:, None])[:, 0] / graded[:n, None]
+    cloud.halo.forward(local)
+    # Behind a mirror plane the slope across it has the other sign.
+    if len(cloud.sign):
+        local[n:] *= cloud.sign
+    return local[:n], slopes_of_particles(solution, local)
+
+
+def _explicit_derivative(solution: Solution, moduli: Float) -> Float:
+    """Return the explicit derivative where moduli are multiplied by numbers of the local particles (collective)."""
     matter, state, place = solution.problem.matter, solution.state, of_place(solution)
-    factor = place.factor[: len(solution.x)]
+    factor = moduli[: len(solution.x)]
     if not isinstance(matter, MaterialPoints):
         assert isinstance(matter, BondForces)
-        found = (matter.energy_density(state) / factor)[:, None] * _of_families(solution, place.factor[:, None])[:, 0]
+        found = (matter.energy_density(state) / factor)[:, None] * _of_families(solution, moduli[:, None])[:, 0]
         if place.strain is not None:
             found += _of_bonds(solution, _of_families(solution, place.strain))
         return np.asarray(found)
     operator, owner = matter.operator, matter.operator.owner
     F, _, psi = matter.conjugates(state)
-    found = (psi / factor[owner])[:, None] * _of_points(matter, place.factor[:, None])[:, 0]
+    found = (psi / factor[owner])[:, None] * _of_points(matter, moduli[:, None])[:, 0]
     if place.strain is not None:
         S, slope = np.zeros((len(F), 3, 3)), _of_points(matter, place.strain)
         for one in matter.materials:
@@ -202,6 +239,17 @@ def uneven(solution: Solution, inside: Mask) -> list[str]:
         if high - low > SAME * max(abs(high), abs(low)) and name not in found:
             found.append(name)
     return found
+
+
+def softened(solution: Solution, inside: Mask) -> bool:
+    """Return whether a temperature makes moduli differ between some own particles (n_owned,) (collective)."""
+    place = of_place(solution)
+    by_heat = [place.factor / place.graded]
+    for column in by_heat if place.temperature is None else [*by_heat, place.temperature]:
+        low, high = _range(solution, column[: len(inside)][inside])
+        if high - low > SAME * max(abs(high), abs(low)):
+            return True
+    return False
 
 
 def heated(solution: Solution, inside: Mask) -> bool:

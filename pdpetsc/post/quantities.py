@@ -76,6 +76,13 @@ class Quantity(Declared, ABC):
         """Return what a user should know who reads the value, as the end of a sentence; empty mostly (collective)."""
         return ""
 
+    def doubt(self, solution: Solution) -> str:
+        """Return why the value of a converged step may be wrong, as the end of a sentence; empty mostly (collective).
+
+        Runs warn of it and keep it in their summary under ``doubts``.
+        """
+        return ""
+
     def drawn(self, solution: Solution) -> tuple[Sequence[Float], bool] | None:
         """Return lines or surfaces that a run leaves as a file, each as points (n, dim), and whether they are closed.
 

@@ -903,10 +903,20 @@ def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
 
 
 def test_a_checkpoint_without_its_history_warns_that_results_know_nothing_before(caplog, tmp_path):
+    """What was broken is listed all the same: values between particles are on one side of the crack."""
+    torn = {"pull": 0.9, "steps": 4}
+    pd.run(strip(**torn), output=tmp_path / "whole")
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path / "part")
+        pd.run(stopped(0.6, **torn), output=tmp_path / "part")
     (tmp_path / "alone").mkdir()
     shutil.copy(tmp_path / "part" / "checkpoint.h5", tmp_path / "alone")
-    pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "alone")
+    pd.run(strip(**torn), output=tmp_path / "rest", restart=tmp_path / "alone")
     warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert any("know of nothing before" in line for line in warned)
+    header = ["step", "t", "i", "j", "length", "x", "y"]
+    listed = [whole_rows(tmp_path / name / "broken_bonds.csv", header) for name in ("whole", "rest")]
+    assert len(listed[0]) > 10 and min(row[0] for row in listed[1]) == 3
+    assert sorted(row[2:] for row in listed[1]) == sorted(row[2:] for row in listed[0])
+    at = pd.grid((0.2, 0.2), (9.8, 3.8), (40, 8))
+    values = [pd.open(tmp_path / name).sample(at) for name in ("whole", "rest")]
+    assert np.allclose(*values, rtol=0.0, atol=1e-12)

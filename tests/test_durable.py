@@ -25,6 +25,7 @@ from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, fingerprint
 from pdpetsc.output.index import Index, Step, part_of, storable
 from pdpetsc.output.records import whole_rows, write_summary
+from pdpetsc.output.report import write_report
 from pdpetsc.running.build import make_cloud, make_problem
 from tests.commands import ROOT, Stop, command, field, run
 
@@ -900,6 +901,9 @@ def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
     assert other["restart"]["step"] == 6
     known = one["steps"][6:] if killed else one["steps"]
     assert [dict(step, norms=0) for step in other["steps"]] == [dict(step, norms=0) for step in known]
+    page = write_report(out).read_text()
+    assert "since the restart at step 6." in page
+    assert ("no record of the steps before step 7" in page) == killed and ("<p>8 steps," in page) != killed
 
 
 def test_a_checkpoint_without_its_history_warns_that_results_know_nothing_before(caplog, tmp_path):

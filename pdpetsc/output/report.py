@@ -273,6 +273,8 @@ def _timing(summary: Mapping[str, Any]) -> str:
         for name, seconds in sorted(timings.items(), key=lambda item: -item[1])
     ]
     parts = [_table(["phase", "seconds", ""], [*rows, ["all", f"{total:.3f}", ""]])] if rows else []
+    if rows and isinstance(summary.get("restart"), dict):
+        parts.append(f"<p>Seconds are those since the restart at step {_number(summary['restart'].get('step'))}.</p>")
     memory = summary.get("peak_memory_bytes") or []
     if memory:
         largest, whole = max(memory) / 2**20, sum(memory) / 2**20

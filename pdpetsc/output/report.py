@@ -164,7 +164,8 @@ def _notes(summary: Mapping[str, Any]) -> str:
         notes.append(f"This run did not reach its end: {status}")
     unstable = [step for step in summary.get("steps") or [] if step.get("negative_pivots")]
     if unstable:
-        notes.append(f"{len(unstable)} equilibria are unstable, the first at step {unstable[0].get('step')}.")
+        many = f"{len(unstable)} equilibria are" if len(unstable) > 1 else "One equilibrium is"
+        notes.append(f"{many} unstable, the first at step {unstable[0].get('step')}.")
     if summary.get("detached_particles"):
         notes.append(f"{summary['detached_particles']} particles have too few bonds left for a gradient.")
     if summary.get("held_at_cut_families"):

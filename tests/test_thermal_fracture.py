@@ -344,7 +344,21 @@ def test_a_held_strip_opens_at_its_cold_edge(ranks, tmp_path):
     found = results("runs/fracture/thermal_crack.py", "n=20", output=tmp_path, ranks=ranks)["results"]
     for name in ("K1_over", "J_over", "J_far_over"):
         assert found[name] == pytest.approx(stored["K1_over"], rel=0.03)
-    assert found["J_over"] == pytest.approx(0.49079323, rel=1e-6)  # the same on both rank counts
+    assert found["J_over"] == pytest.approx(0.48573933, rel=1e-6)  # the same on both rank counts
+
+
+def test_j_of_a_held_strip_is_what_its_own_energy_falls_by(tmp_path):
+    """Energies of the same particles with cracks of two lengths, a spacing shorter and longer: no integral at all."""
+    whole, dx, energies = thermal_crack.case(n=16), 0.5 / 16, []
+    for to in (0.0, -dx, dx):
+        history = whole.history if not to else {"E": pd.StrainEnergy()}
+        case = dataclasses.replace(
+            whole, cracks=[pd.Segment((-1.0, 0.0), (0.5 + to, 0.0))], history=history, results=None, picture=None
+        )
+        found = pd.run(case, tmp_path).history
+        J, energies = (found["J"][-1], energies) if not to else (J, [*energies, found["E"][-1]])
+    # Two halves behind the mirror plane.
+    assert J == pytest.approx((energies[0] - energies[1]) / dx, rel=0.02)
 
 
 @pytest.mark.long

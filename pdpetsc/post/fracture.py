@@ -452,7 +452,7 @@ class StressIntensity(AtTip):
         half, (rest, size) = 0.5 * plane_modulus(law), solution.sum(sums)
         parts = [] if place.strain is None else [domain.integral(solution, densities)]
         if MODULI in uneven(solution, domain.near(solution.x)):
-            parts.append(domain.integral(solution, stiffer).summed)
+            parts.append(domain.integral(solution, stiffer))
         K = half * (rest + sum(part.value for part in parts))
         guessed = half * sum(abs(part.value - part.plain) for part in parts)
         why = next(filter(None, (part.trouble(K, half) for part in parts)), "")

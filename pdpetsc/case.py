@@ -90,7 +90,7 @@ class Case(Declared):
     weights : Weights, optional
         ``Conforming()`` lets the gradients satisfy the divergence theorem up to the surface; ``Standard()`` leaves them
         as the scheme has them. By default they conform where particles that know their surface are no lattice, as
-        those of a mesh: standard weights do not converge there.
+        those of a mesh: standard weights do not converge there; and for ``MeanDilatation`` on ``LatticeNodes``.
     control : ZeroEnergyControl, optional
         Zero-energy control; none where absent.
     cracks : sequence of Crack
@@ -200,7 +200,11 @@ class Case(Declared):
         """
         if self.weights is not None:
             return self.weights
-        return Suited() if not self.of_bonds and self.particles.irregular else Standard()
+        if self.of_bonds:
+            return Standard()
+        # What shares its dilatation is pushed away from supports on the surface that weights do not conform to.
+        shared = self.gradients.patches is not None and self.particles.on_surface
+        return Suited() if shared or self.particles.irregular else Standard()
 
     @property
     def written(self) -> list[Field]:

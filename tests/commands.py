@@ -4,16 +4,18 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 import pdpetsc as pd
-from pdpetsc.command_line.cli import arguments_of, load_case
+from tests.ranks import asked, run_case
 
 ROOT = Path(__file__).parent.parent
-TIMEOUT = 120
+# Longer than anything takes on a busy machine [s].
+TIMEOUT = 300
 
 
 def command(case, *arguments, ranks=1, output=None):
@@ -36,42 +38,44 @@ def run(case, *arguments, ranks=1, output=None, **options):
 def results(case, *arguments, ranks=1, output):
     """Run a case file, which must succeed, and return its summary.
 
-    On one rank and without options it runs in this process, which saves the start of Python.
+    It runs in this process, or on ranks that are there already, which saves the start of Python.
     """
-    words = [str(word) for word in arguments]
-    if ranks == 1 and not any(word.startswith("-") for word in words):
-        function = load_case(ROOT / case)
-        parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
-        pd.run(function(**parameters), output=output, parameters=parameters)
+    if ranks == 1:
+        run_case([str(ROOT / case), *map(str, arguments)], output)
     else:
-        finished = run(case, *words, "--quiet", ranks=ranks, output=output)
-        assert finished.returncode == 0, finished.stderr
+        printed(case, *arguments, ranks=ranks, output=output)
     return json.loads((output / "summary.json").read_text())
 
 
-SEVERAL = """
-import json
-import sys
-from pathlib import Path
+def printed(case, *arguments, ranks=1, output, timeout=TIMEOUT):
+    """Run a case file, which must succeed, on ranks that stay for the next one; return what it printed."""
+    words = [str(ROOT / case), *map(str, arguments)]
+    answers = asked(ranks, {"what": "run", "words": words, "output": str(output)}, timeout)
+    return "".join(answer["stdout"] for answer in answers)
 
-import petsc4py
 
-petsc4py.init(sys.argv[:1])
-import pdpetsc as pd
-from pdpetsc.command_line.cli import arguments_of, load_case
+def called(*words, ranks=1, cwd=ROOT):
+    """Call the command line on ranks that stay; return a finished process, with the most that a rank left as status.
 
-for case, words, output in json.loads(sys.argv[1]):
-    function = load_case(Path(case))
-    parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
-    pd.run(function(**parameters), output=output, parameters=parameters)
-"""
+    For what does not start PETSc with options of its own, and does not test the process itself.
+    """
+    answers = asked(ranks, {"what": "command", "words": [str(word) for word in words], "folder": str(cwd)}, TIMEOUT)
+    out, err = ("".join(answer[name] for answer in answers) for name in ("stdout", "stderr"))
+    statuses = {answer["status"] for answer in answers}
+    assert len(statuses) == 1, (statuses, err)
+    return subprocess.CompletedProcess(words, statuses.pop(), out, err)
 
 
 def run_several(runs, ranks, timeout=TIMEOUT):
-    """Run cases ``[(case, arguments, output)]``, which must all succeed, one after the other in one start of MPI."""
-    listed = [(str(ROOT / case), [str(word) for word in words], str(output)) for case, words, output in runs]
-    done = python_on(ranks, "-c", SEVERAL, json.dumps(listed), timeout=timeout)
-    assert done.returncode == 0, done.stderr
+    """Run cases ``[(case, arguments, output)]``, which must all succeed, one after the other on the same ranks."""
+    for case, words, output in runs:
+        printed(case, *words, ranks=ranks, output=output, timeout=timeout)
+
+
+def script_on(ranks, text, *words, timeout=TIMEOUT):
+    """Execute the text of a script, which must succeed, on ranks that stay; return what it printed."""
+    request = {"what": "script", "text": text, "words": [str(word) for word in words]}
+    return "".join(answer["stdout"] for answer in asked(ranks, request, timeout))
 
 
 def python_on(ranks, *words, timeout=TIMEOUT):
@@ -81,6 +85,15 @@ def python_on(ranks, *words, timeout=TIMEOUT):
     return subprocess.run(
         words, capture_output=True, text=True, timeout=timeout, cwd=ROOT, env=environment, check=False
     )
+
+
+def wait_until(condition, what, seconds=60.0, every=0.02):
+    """Wait until ``condition()`` holds, which must come in time; return what it gave."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, f"{what} did not come within {seconds:g} s"
+        time.sleep(every)
+    return found
 
 
 class Stop(pd.Quantity):

@@ -8,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, split
-from tests.commands import run
+from tests.commands import called, run
 
 GOOD = """
     import numpy as np
@@ -66,7 +66,7 @@ def test_help_and_version(tmp_path):
     assert finished.returncode == 0
     assert finished.stdout.count("usage:") == 1
     assert "pull=0.1" in finished.stdout and "float" in finished.stdout
-    assert run("--version").stdout.strip() == f"pdpetsc {pd.__version__}"
+    assert called("--version").stdout.strip() == f"pdpetsc {pd.__version__}"
 
 
 def test_an_option_that_nothing_used_is_reported(tmp_path):
@@ -77,7 +77,7 @@ def test_an_option_that_nothing_used_is_reported(tmp_path):
 
 def test_the_command_line_wins_over_the_case_and_the_defaults(tmp_path):
     path = write(tmp_path, GOOD, ("results=", 'options={"ksp_type": "cg", "pc_type": "jacobi"}, results='))
-    assert "ksp cg, pc jacobi" in run(path, output=tmp_path / "out").stdout
+    assert "ksp cg, pc jacobi" in called(path, "-o", tmp_path / "out").stdout
     assert "ksp gmres, pc jacobi" in run(path, "-ksp_type", "gmres", output=tmp_path / "out").stdout
     assert (
         "ksp preonly, pc lu (mumps)" in run(write(tmp_path), "-pc_type", "lu", output=tmp_path / "out", ranks=2).stdout
@@ -119,15 +119,22 @@ WRONG = {
 }  # fmt: skip
 
 
+# What ends before anything parallel.
+AT_ONCE = ("unknown pdpetsc option", "syntax error", "no case function", "not a Case", "steps")
+# Of every kind one as a process of its own; PETSc promises nothing for the process in which it has refused something.
+ALONE = ("unknown pdpetsc option", "PETSc option value", "error in the case", "coincident", "output folder")
+
+
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_input_ends_with_one_sentence(name, ranks, tmp_path):
-    if ranks == 2 and name in ("unknown pdpetsc option", "syntax error", "no case function", "not a Case", "steps"):
+    if ranks == 2 and name in AT_ONCE:
         pytest.skip("found before anything parallel")
     changes, arguments, message = WRONG[name]
     path = write(tmp_path, GOOD, *changes)
     words = arguments if "-o" in arguments else (*arguments, "-o", tmp_path / "out")
-    finished = run(path, "--quiet", *words, ranks=ranks)
+    start = run if name in ALONE else called
+    finished = start(path, "--quiet", *words, ranks=ranks)
     assert finished.returncode == 2, finished.stderr
     said = [line for line in finished.stderr.splitlines() if line.startswith("pdpetsc:")]
     assert len(said) == 1
@@ -137,7 +144,7 @@ def test_wrong_input_ends_with_one_sentence(name, ranks, tmp_path):
 
 
 def test_a_missing_case_file_is_one_sentence():
-    finished = run("nowhere.py")
+    finished = called("nowhere.py")
     assert finished.returncode == 2
     assert finished.stderr.strip() == "pdpetsc: Cannot read the case file nowhere.py: file not found."
 
@@ -171,7 +178,7 @@ def test_the_log_says_what_is_held_and_which_reactions_are_of_nothing(tmp_path):
         "        history={'free': pd.Reaction('y', pd.region.Slab('x', low=9.0)), 'held': pd.Reaction('y')},\n"
         "    )\n"
     )
-    done = run(tmp_path / "bar.py", ranks=2, output=tmp_path / "out")
+    done = called(tmp_path / "bar.py", "-o", tmp_path / "out", ranks=2)
     assert done.returncode == 0
     assert "Displacement condition 1: 4 particles held in x and y" in done.stdout
     assert "Displacement condition 2: 2 particles held in y" in done.stdout
@@ -179,6 +186,6 @@ def test_the_log_says_what_is_held_and_which_reactions_are_of_nothing(tmp_path):
     assert "held of the history" not in done.stderr
     wrong = (tmp_path / "bar.py").read_text().replace("plane=", "plan=")
     (tmp_path / "wrong.py").write_text(wrong)
-    refused = run(tmp_path / "wrong.py", output=tmp_path / "none")
+    refused = called(tmp_path / "wrong.py", "-o", tmp_path / "none")
     assert refused.returncode == 2
     assert "it takes E, nu, plane (did you mean plane?)." in refused.stderr

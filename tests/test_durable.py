@@ -858,3 +858,55 @@ def test_files_of_others_under_the_same_names_are_not_moved(tmp_path):
         with pytest.raises(pd.CaseError, match="was not written by pdpetsc"):
             pd.run(strip(), output=place)
         assert (place / name).read_bytes() == content
+
+
+def said_at_the_end(caplog):
+    """Return what a run says of all of its steps: pieces, forces left, unstable equilibria."""
+    words = [record.getMessage() for record in caplog.records]
+    return [line for line in words if "largest forces" in line or "unstable" in line or "piece" in line]
+
+
+@pytest.mark.parametrize("killed", [False, True], ids=["stopped", "killed"])
+def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
+    """Steps, forces, work, unstable equilibria: those of the run in one go, after two restarts in the same folder."""
+    case = dataclasses.replace(
+        strip(steps=8, pull=0.9),
+        history={
+            "force": pd.Reaction("x", pd.region.Slab("x", high=1.0)),
+            "work": pd.ExternalWork(), "lost": pd.DissipatedEnergy(), "broken": pd.BrokenBonds(),
+        },
+        results=lambda history: {"peak": max(history["force"], key=abs), "lost": history["lost"][-1]},
+    )  # fmt: skip
+    caplog.set_level("INFO", "pdpetsc")
+    whole = pd.run(case, output=tmp_path / "whole")
+    expected = said_at_the_end(caplog)
+    assert any("largest forces" in line for line in expected)
+    out = tmp_path / "parts"
+    for at, again in ((0.4, {}), (0.7, {"restart": out})):
+        stopping = dataclasses.replace(case, history={**case.history, "broken": Counting(at)})
+        with pytest.raises(pd.Interrupted):
+            pd.run(stopping, output=out, **again)
+        if killed:
+            summary = json.loads((out / "summary.json").read_text())
+            (out / "summary.json").write_text(json.dumps({**summary, "status": "running", "steps": []}))
+    caplog.clear()
+    rest = pd.run(case, output=out, restart=out)
+    assert said_at_the_end(caplog) == expected
+    assert rest.results == whole.results
+    assert (out / "history.csv").read_bytes() == (tmp_path / "whole" / "history.csv").read_bytes()
+    assert (out / "broken_bonds.csv").read_bytes() == (tmp_path / "whole" / "broken_bonds.csv").read_bytes()
+    one, other = whole.summary, rest.summary
+    assert other["pieces"] == one["pieces"] and other.get("detached_particles") == one.get("detached_particles")
+    assert other["restart"]["step"] == 6
+    known = one["steps"][6:] if killed else one["steps"]
+    assert [dict(step, norms=0) for step in other["steps"]] == [dict(step, norms=0) for step in known]
+
+
+def test_a_checkpoint_without_its_history_warns_that_results_know_nothing_before(caplog, tmp_path):
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.5), output=tmp_path / "part")
+    (tmp_path / "alone").mkdir()
+    shutil.copy(tmp_path / "part" / "checkpoint.h5", tmp_path / "alone")
+    pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "alone")
+    warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert any("know of nothing before" in line for line in warned)

@@ -2,6 +2,8 @@
 
 import dataclasses
 import itertools
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +12,14 @@ import pdpetsc as pd
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.discrete.communicator import world
 from pdpetsc.gradient.mean_dilatation import boxes
+from pdpetsc.output.report import _notes
 from pdpetsc.petsc.constrained import Constrained
 from pdpetsc.running.build import rehearse
 from tests.commands import results
 from tests.scenes import SCHEMES, body, dense_tangent, differences, displacement, rotation
+
+sys.path.append(str(Path(__file__).parent.parent / "runs" / "convergence"))
+import common
 
 COOK = "runs/solids/cook_incompressible.py"
 CONTROL = pd.ByShear(pd.Silling(0.5))
@@ -252,13 +258,127 @@ def test_iterations_without_a_matrix_do_not_know_the_bulk_modulus(monkeypatch, t
     assert found[1] < 1.7 * found[0]
 
 
+def confined(
+    kind="lattice", dim=2, depth=1, weights=None, nu=0.499, scheme=None, unit=1.0, modulus=1.0, law=pd.LinearElastic,
+    n=0,
+):  # fmt: skip
+    """Return a block between rigid walls that is pressed by 1 %, displacements prescribed on ``depth`` layers."""
+    n, up = n or {2: 8, 3: 5}[dim], "xyz"[dim - 1]
+    low, high, dx = (0.0,) * dim, (unit,) * dim, unit / n
+    if kind == "shaken":
+        particles = common.of_nodes(*common.grid(n, 0.2, 0, (unit,) * dim, common.cubes))
+    else:
+        particles = {"lattice": pd.Lattice, "nodes": pd.LatticeNodes}[kind](low, high, dx)
+    thick = (depth - 0.5 * (kind != "lattice")) * dx * 1.001
+    pressed = {up: lambda x, t: -0.01 * x[:, dim - 1]}
+    conditions = []
+    for axis in "xyz"[:dim]:
+        for wall in (pd.region.Slab(axis, high=thick), pd.region.Slab(axis, low=unit - thick)):
+            conditions.append(pd.Displacement(wall, **(pressed if axis == up else {axis: 0.0})))
+    return pd.Case(
+        particles=particles, horizon=2.015 * dx, material=law(E=modulus, nu=nu), weights=weights, conditions=conditions,
+        scheme=pd.MeanDilatation(pd.Correspondence(), 2.0 * dx) if scheme is None else scheme, control=CONTROL,
+        history={"stress": pd.Mean(pd.stress, up + up)},
+        results=lambda h: {"stress": h["stress"][-1] / (-0.01 * modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu)))},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", ["nodes", "shaken"])
+def test_a_block_that_is_held_at_its_surface_is_pressed_by_the_confined_modulus(kind, dim, tmp_path):
+    """The patch test with one layer held, with the weights that such particles have by default."""
+    found = pd.run(confined(kind, dim), tmp_path)
+    assert found["stress"] == pytest.approx(1.0, abs=1e-9)
+    assert found.summary["unbalanced"]["particles"] == 0
+    assert not found.summary["unbalanced"]["note"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "depth", "changes", "off"),
+    [
+        ("lattice", 1, {}, (0.6, 1.0)),
+        ("lattice", 1, {"weights": pd.Conforming()}, (0.6, 1.0)),
+        ("lattice", 1, {"scheme": pd.MeanDilatation(pd.SubHorizons(), 0.25)}, (0.1, 0.6)),
+        ("lattice", 1, {"scheme": pd.Correspondence()}, (0.5, 1.0)),
+        ("nodes", 1, {"weights": pd.Standard()}, (0.6, 1.0)),
+        ("shaken", 1, {"weights": pd.Standard()}, (0.6, 1.0)),
+        ("lattice", 1, {"dim": 3}, (0.3, 1.0)),
+    ],
+)  # fmt: skip
+def test_supports_that_give_way_are_said(kind, depth, changes, off, tmp_path, caplog):
+    """Uniform stress pushes the layer behind the wall: the stress is far too low, and nobody is left to believe it."""
+    found = pd.run(confined(kind, depth=depth, **changes), tmp_path)
+    assert off[0] < 1.0 - found["stress"] < off[1]
+    said = found.summary["unbalanced"]
+    assert off[0] * 0.9 < said["stress"]
+    assert "Do not rely on these stresses" in said["note"]
+    assert said["note"] in caplog.text
+    assert "Do not rely on these stresses" in _notes(found.summary)
+
+
+@pytest.mark.parametrize("kind", ["lattice", "nodes"])
+def test_a_load_between_walls_that_give_way_moves_the_body_too_far(kind, tmp_path):
+    """The stress is right, by balance; the displacement of the lattice is nine times that of the confined modulus."""
+    case = confined(kind)
+    thick, traction = (0.126, {"normal": (0.0, 1.0)}) if kind == "lattice" else (0.01, {})
+    top = pd.region.Slab("y", low=1.0 - thick)
+    sides = pd.region.Slab("x", high=thick) | pd.region.Slab("x", low=1.0 - thick)
+    found = pd.run(dataclasses.replace(
+        case, history={"u": pd.Mean(pd.displacement, "y", top)},
+        conditions=[pd.Displacement(sides, x=0.0), pd.Displacement(pd.region.Slab("y", high=thick), y=0.0),
+                    pd.Traction(top, y=-1e-3, **traction)],
+        results=lambda h: {"u": h["u"][-1] / (-1e-3 * 1.499 * 0.002 / 0.501)},
+    ), tmp_path)  # fmt: skip
+    if kind == "nodes":
+        assert found["u"] == pytest.approx(1.0, abs=1e-9)
+        assert found.summary["held_at_cut_families"] == 0
+    else:
+        assert found["u"] > 3.0
+        assert found.summary["unbalanced"]["displacement"] > 0.5
+        assert found.summary["unbalanced"]["note"]
+
+
+def test_layers_two_horizons_deep_are_held(tmp_path):
+    found = pd.run(confined(depth=4, n=12), tmp_path)
+    assert found["stress"] == pytest.approx(1.0, abs=1e-9)
+    assert found.summary["unbalanced"]["particles"] == 0
+
+
+@pytest.mark.parametrize(("unit", "modulus"), [(1e-12, 1e20), (1e12, 1e-20)])
+def test_what_supports_give_way_knows_no_units(unit, modulus, tmp_path):
+    one = pd.run(confined(), tmp_path / "one").summary["unbalanced"]
+    other = pd.run(confined(unit=unit, modulus=modulus), tmp_path / "other").summary["unbalanced"]
+    matfree = pd.run(confined(), tmp_path / "matfree", options={"pd_jacobian": "matfree"}).summary["unbalanced"]
+    assert other["particles"] == one["particles"]
+    assert [other["stress"], other["displacement"]] == pytest.approx([one["stress"], one["displacement"]], rel=1e-4)
+    assert matfree["stress"] == pytest.approx(one["stress"], rel=1e-2)
+
+
+def test_what_cannot_be_told_of_supports_is_said(tmp_path):
+    """The tangent of what has flowed is elastic: how far the stress is off is not known, that it is, is."""
+    found = pd.run(confined(law=lambda E, nu: pd.J2(E=E, nu=nu, yield_stress=1e-3, hardening=0.1)), tmp_path)
+    assert found.summary["unbalanced"]["stress"] is None
+    assert "cannot be told" in found.summary["unbalanced"]["note"]
+
+
+def test_a_material_that_changes_its_volume_is_not_looked_at(tmp_path):
+    found = pd.run(confined(nu=0.3, scheme=pd.Correspondence()), tmp_path)
+    assert "unbalanced" not in found.summary
+
+
 @pytest.mark.long
 def test_two_ranks_find_what_one_does(tmp_path):
+    """Also how far supports that give way are behind the stress."""
     for law, nu, jacobian in (("neo_hookean", 0.3, "assembled"), ("linear", 0.4999, "matfree")):
         words = "n=6", f"law={law}", f"nu={nu}", "method=patches_control", "steps=1"
         one = results(COOK, *words, output=tmp_path / f"{law}_1")["results"]
         two = results(COOK, *words, "-pd_jacobian", jacobian, ranks=2, output=tmp_path / f"{law}_2")["results"]
         assert two["tip"] == pytest.approx(one["tip"], rel=1e-8)
+    words = "n=6", "law=linear", "method=patches_control", "weights=standard"
+    one, two = (results(COOK, *words, ranks=n, output=tmp_path / f"standard_{n}")["unbalanced"] for n in (1, 2))
+    assert two.pop("note") == one.pop("note")
+    assert two == pytest.approx(one, rel=1e-6)
+    assert one["stress"] > 0.1
 
 
 @pytest.mark.parametrize("law", ["linear", "neo_hookean"])

@@ -14,6 +14,9 @@ LAWS = {
     "neo": lambda plane: pd.NeoHookean(100.0, 0.3, plane),
     "hencky": lambda plane: pd.Hencky(100.0, 0.3, plane),
     "metal": lambda plane: pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0, plane=plane),
+    "viscous": lambda plane: pd.J2(
+        E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0, plane=plane, rate=pd.rate.Perzyna(1.0, rate_0=0.5, drag=0.3)
+    ),
 }
 
 
@@ -21,7 +24,7 @@ def case(coupling="monolithic", law="neo", plane="strain", duration=1.0, rule="b
     """Return a body that is pulled while it gets hot, swells and gets softer."""
     dx = 1.0 / n
     depends = {"factor": lambda T: 1.0 / (1.0 + 0.3 * T)}
-    if law == "metal":
+    if law in ("metal", "viscous"):
         base = LAWS[law](plane)
         depends = {"law": lambda T: dataclasses.replace(base, yield_stress=0.5 / (1.0 + 0.2 * T))}
     hot = {"conductivity": (1.0, 2.0, 1.5), "orientation": 0.3, "capacity": 2.0, **depends}

@@ -15,7 +15,16 @@ from pdpetsc.output.curves import curve_figure, history_figure
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import draw_field, draw_film
 from pdpetsc.output.reading import read_history, read_summary
-from pdpetsc.output.scene import about, broken_pairs, faces_between, frame_of, lattice_steps, limits_of, scene_of
+from pdpetsc.output.scene import (
+    LONGEST_FACE,
+    about,
+    broken_pairs,
+    faces_between,
+    frame_of,
+    lattice_steps,
+    limits_of,
+    scene_of,
+)
 
 GRADIENT = np.array([[0.1, -0.02], [0.03, 0.05]])
 
@@ -324,3 +333,54 @@ def test_bonds_across_a_period_are_no_cracks_inside(tmp_path):
     # A table of something else, or none, tells of no crack.
     (tmp_path / "broken_bonds.csv").write_text("step,i,j\n1,0,1\n")
     assert len(broken_pairs(tmp_path, 1, x)) == len(broken_pairs(tmp_path / "none", 1, x)) == 0
+
+
+def graded(dim, finest=0.25):
+    """Return places and volumes of a square or cube with fine particles in a corner and coarse ones elsewhere."""
+    rng = np.random.default_rng(3)
+    places, volumes = [], []
+    for low, high, h in ((0.0, 2.0, finest), (2.0, 4.0, 0.5), (4.0, 8.0, 1.0)):
+        axes = [np.arange(0.5 * h, high, h)] * dim
+        x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+        x = x[(x > low).any(axis=1)]
+        places.append(x + h * rng.uniform(-0.1, 0.1, x.shape))
+        volumes.append(np.full(len(x), h**dim))
+    return np.concatenate(places), np.concatenate(volumes)
+
+
+@pytest.mark.parametrize(("dim", "unit"), [(2, 1.0), (2, 1e-6), (3, 1.0)])
+def test_particles_of_very_different_volume_are_drawn_as_large_as_they_are(dim, unit, tmp_path):
+    """With a thickness and in another unit too: coarse particles are four times as wide as fine ones."""
+    x, volume = graded(dim)
+    depth = 3.0 * unit if dim == 2 else 1.0
+    case = pd.Case(
+        particles=pd.Arrays(unit * x, depth * volume * unit**dim, thickness=depth),
+        horizon=2.5 * unit,
+        material=pd.LinearElastic(1.0),
+        conditions=[pd.Displacement(pd.region.All(), **dict.fromkeys("xyz"[:dim], 0.0))],
+        fields=[pd.displacement],
+    )
+    pd.run(case, tmp_path)
+    scene = scene_of(tmp_path, "displacement", "x", 1.0, "graded")
+    # Next to a coarse particle a fine one may be no larger than what is beside it.
+    assert np.median(np.abs(scene.size / unit / volume ** (1.0 / dim) - 1.0)) < 1e-9
+    assert (scene.size**dim).sum() == pytest.approx(volume.sum() * unit**dim, rel=0.1)
+    draw_field(tmp_path, tmp_path / "p.png", "displacement", "x", 1.0, "graded")
+    if dim == 2:
+        shown = np.asarray(Image.open(tmp_path / "p.png").convert("RGB")).astype(int)
+        drawn = (shown.max(axis=2) - shown.min(axis=2)) > 40
+        # The columns of the body, left of the scale of colours, are covered; discs leave gaps of a tenth.
+        body = drawn[:, : int(0.8 * drawn.shape[1])]
+        rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
+        inside = body[rows[0] : rows[-1], columns[0] : columns[-1]]
+        assert inside.mean() > 0.85
+
+
+def test_a_crack_among_coarse_particles_of_a_graded_cloud_is_drawn():
+    """Its faces are longer than any among the fine ones, which are most."""
+    x, volume = graded(2, finest=0.125)
+    assert LONGEST_FACE * np.median(volume) ** 0.5 < 0.5
+    line = [[[4.0, 6.0], [8.1, 6.0]]]
+    found = faces_between(x, np.zeros_like(x), np.empty((0, 2), dtype=np.int64), line)
+    length = np.linalg.norm(found[:, 1] - found[:, 0], axis=1).sum() / 2.0
+    assert length == pytest.approx(4.0, rel=0.3)

@@ -20,10 +20,11 @@ from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
 from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import scene_of
+from pdpetsc.post.inside import inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.comparison import Comparison, Outcome, columns_of
 from pdpetsc.running.result import Result
-from tests.commands import ROOT, TIMEOUT, results, run
+from tests.commands import ROOT, TIMEOUT, called, results, run
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,7 @@ def test_sampling_in_other_units_and_shaken_clouds_is_exact_for_linear_fields(di
     x[:, :dim] = (grid + rng.uniform(-0.2, 0.2, grid.shape)) * 1e-9
     slope = rng.normal(size=dim)
     at = rng.uniform(1.0, 5.0, (20, dim)) * 1e-9
-    found = sampled(x, x[:, :dim] @ slope, at)
+    found = sampled(x, x[:, :dim] @ slope, at, inside_of(x[:, :dim], np.full(len(x), 1e-9**dim), 1.0))
     assert np.allclose(found, at @ slope, rtol=1e-9, atol=1e-9 * np.abs(at @ slope).max())
 
 
@@ -87,13 +88,16 @@ def test_particles_in_rows_and_layers_far_apart_are_sampled_between_them(spacing
     axes = [h * np.arange(n) for n, h in zip(counts, spacing, strict=True)]
     x = np.zeros((np.prod(counts), 3))
     x[:, :dim] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+    body = inside_of(x[:, :dim], np.full(len(x), np.prod(spacing)), 1.0)
     at = np.random.default_rng(2).uniform(0.0, 1.0, (300, dim)) * [axis[-1] for axis in axes]
     slope = np.array([1.0, -2.0, 3.0])[:dim]
-    assert np.allclose(sampled(x, x[:, :dim] @ slope, at), at @ slope, rtol=0.0, atol=1e-9 * np.max(spacing))
+    assert np.allclose(sampled(x, x[:, :dim] @ slope, at, body), at @ slope, rtol=0.0, atol=1e-9 * np.max(spacing))
     low = np.array(at)
     short = int(np.argmin(spacing))
-    low[:, short] = -max(spacing) - spacing[short]
-    assert np.isnan(sampled(x, x[:, 0], low)).all()
+    low[:, short] = -0.51 * spacing[short]
+    assert np.isnan(sampled(x, x[:, 0], low, body)).all()
+    low[:, short] = -0.49 * spacing[short]
+    assert np.allclose(sampled(x, x[:, 0], low, body), low[:, 0], rtol=0.0, atol=1e-9 * np.max(spacing))
 
 
 def test_a_change_of_size_of_the_cells_is_no_hole():
@@ -103,26 +107,30 @@ def test_a_change_of_size_of_the_cells_is_no_hole():
     coarse = coarse[np.hypot(*(coarse - 0.5).T) > 0.31]
     x = np.zeros((len(fine) + len(coarse), 3))
     x[:, :2] = np.concatenate([fine, coarse])
+    body = inside_of(x[:, :2], np.repeat([1e-4, 1e-2], [len(fine), len(coarse)]), 1.0)
     at = np.array([[0.005, 0.5], [0.015, 0.43], [0.02, 0.5], [0.03, 0.27], [0.04, 0.9]])
-    assert np.allclose(sampled(x, x[:, 0], at), at[:, 0])
-    assert np.isnan(sampled(x, x[:, 0], [(0.5, 0.5), (-0.3, 0.5), (-0.22, 0.5), (1.3, 0.5)])).all()
+    assert np.allclose(sampled(x, x[:, 0], at, body), at[:, 0])
+    outside = [(0.5, 0.5), (-0.3, 0.5), (-0.207, 0.5), (1.02, 0.5)]
+    assert np.isnan(sampled(x, x[:, 0], outside, body)).all()
 
 
 def test_places_of_a_line_are_points():
     x = np.zeros((6, 3))
     x[:, 0] = np.arange(6.0)
+    body = inside_of(x[:, :1], np.full(6, 2.0), 2.0)
     for places in ([0.5, 1.5, 4.2], [0.5], 0.5, [0.5, 4.0]):
-        assert np.allclose(sampled(x, 2.0 * x[:, 0], places), 2.0 * np.atleast_1d(places))
-    assert np.allclose(sampled(x, 2.0 * x[:, 0], [[1.5, 0.0, 0.0]]), 3.0)
-    assert np.isnan(sampled(x, 2.0 * x[:, 0], [[1.5, 0.0, 1.1]])).all()
+        assert np.allclose(sampled(x, 2.0 * x[:, 0], places, body), 2.0 * np.atleast_1d(places))
+    assert np.allclose(sampled(x, 2.0 * x[:, 0], [[1.5, 0.0, 0.0]], body), 3.0)
+    assert np.isnan(sampled(x, 2.0 * x[:, 0], [[1.5, 0.0, 1.1], [5.51, 0.0, 0.0], [-0.51, 0.0, 0.0]], body)).all()
 
 
 def test_one_particle_has_a_value_where_it_is():
     x, values = np.array([[1.0, 2.0, 0.0]]), np.array([[7.0, 8.0]])
+    body = inside_of(x[:, :2], np.ones(1), 1.0)
     for points in ([(1.0, 2.0)], [(1.0, 2.0, 0.0)], (1.0, 2.0)):
-        assert np.array_equal(sampled(x, values, points), values)
+        assert np.array_equal(sampled(x, values, points, body), values)
     with pytest.raises(pd.CaseError, match="one particle"):
-        sampled(x, values, [(1.0, 2.0), (1.5, 2.0)])
+        sampled(x, values, [(1.0, 2.0), (1.5, 2.0)], body)
 
 
 def test_odd_points_are_answered_or_refused(result):
@@ -141,7 +149,8 @@ def test_shaken_clouds_have_values_everywhere_inside(dim):
     grid = np.stack(np.meshgrid(*[np.arange(9.0)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
     x = np.zeros((len(grid), 3))
     x[:, :dim] = grid + rng.uniform(-0.2, 0.2, grid.shape)
-    found = sampled(x, x[:, 0], rng.uniform(1.0, 7.0, (3000, dim)))
+    body = inside_of(x[:, :dim], np.ones(len(x)), 1.0)
+    found = sampled(x, x[:, 0], rng.uniform(1.0, 7.0, (3000, dim)), body)
     assert np.isfinite(found).all()
 
 
@@ -231,11 +240,11 @@ def test_the_doctor_tells_what_is_broken_on_another_rank(tmp_path):
 
 
 def test_words_that_are_nearly_right_are_named(tmp_path):
-    assert "did you mean the command doctor?" in run("docter").stderr
+    assert "did you mean the command doctor?" in called("docter").stderr
     new(tmp_path / "bar.py")
-    finished = run(tmp_path / "bar.py", "strian=0.1")
+    finished = called(tmp_path / "bar.py", "strian=0.1", "-o", tmp_path / "out")
     assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
-    said = run(tmp_path / "bar.py", "-h").stdout
+    said = called(tmp_path / "bar.py", "-h").stdout
     assert "A bar that is pulled" in said and "strain=0.01  float" in said
 
 
@@ -326,7 +335,7 @@ def test_what_a_killed_run_left_opens_and_a_restart_makes_it_whole(tmp_path):
     for t in reader.time_values:
         reader.set_active_time_value(t)
         assert np.isfinite(reader.read()["stress_xx"]).all()
-    assert run(tmp_path / "case.py", "--restart", out, "--restart-anyway", output=out, ranks=2).returncode == 0
+    assert called(tmp_path / "case.py", "--restart", out, "--restart-anyway", "-o", out, ranks=2).returncode == 0
     assert (out / "fields.xdmf").read_text() == (whole / "fields.xdmf").read_text()
     reader = pyvista.get_reader(out / "fields.xdmf")
     assert list(reader.time_values) == [0.0, 0.25, 0.5, 0.75, 1.0]

@@ -104,7 +104,8 @@ class BondEnergy(Criterion):
     compression : bool
         Whether bonds that shorten fail as well.
     share : float, optional
-        What a crack takes of Gc with the forces of the case [-], as in ``FractureEnergy``.
+        What a crack takes of Gc with the forces of the case [-], as in ``FractureEnergy``; none was measured for this
+        criterion, so that it is 1 where it is not given.
 
     References
     ----------

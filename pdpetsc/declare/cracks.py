@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -173,6 +174,22 @@ class PolygonCrack(Crack):
         basis = np.array([one, np.cross(normal / size, one)])
         flat_corners, flat_where = (corners - corners[0]) @ basis.T, (where - corners[0]) @ basis.T
         return np.asarray(crossing & _inside(flat_corners, flat_where))
+
+
+SHIPPED: dict[str, type[Crack]] = {kind.__name__: kind for kind in (Segment, Polyline, PlaneCrack, Disc, PolygonCrack)}
+
+
+def recorded(crack: Crack) -> dict[str, Any]:
+    """Return a crack as a record from which ``crack_of`` makes it again; only its class where that is a user's."""
+    name = type(crack).__name__
+    return {"kind": name, **(asdict(crack) if SHIPPED.get(name) is type(crack) else {})}  # type: ignore[call-overload]
+
+
+def crack_of(record: Mapping[str, Any]) -> Crack | None:
+    """Return the crack of a record, None where it is of a user's class."""
+    given = {name: value for name, value in record.items() if name != "kind"}
+    kind = SHIPPED.get(str(record.get("kind")))
+    return kind(**given) if kind is not None and given else None
 
 
 def _crossing(

@@ -53,6 +53,16 @@ class Particles(Declared, ABC):
         """
         return False
 
+    @property
+    def fills_boxes(self) -> bool:
+        """Return whether particles are known to be in the middles of equal boxes: their places tell their surface."""
+        return False
+
+    @property
+    def on_surface(self) -> bool:
+        """Return whether particles are known to lie on the surface itself, as nodes do."""
+        return False
+
     def surface(self, part: int, parts: int, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that nothing lies behind, particles counted from its first one.
 
@@ -73,6 +83,13 @@ class Particles(Declared, ABC):
             f"surface need; take a Lattice or a Mesh, give Arrays(..., facets=pd.Facets(...)), or take pd.Standard() "
             f"weights and tractions with a normal and an area."
         )
+
+    def triangles(self, part: int, parts: int) -> Float | None:
+        """Return the surface of a solid body as triangles (n, 3, 3) [length], outward by the right hand.
+
+        Of all parts together they are closed. None where the outlines of its facets are not known.
+        """
+        return None
 
     @abstractmethod
     def chunk(self, part: int, parts: int) -> Chunk:
@@ -177,6 +194,11 @@ class Lattice(Particles):
     def dim(self) -> int:
         """Return the number of coordinates."""
         return len(np.atleast_1d(np.asarray(self.low, float)))
+
+    @property
+    def fills_boxes(self) -> bool:
+        """Return that they are."""
+        return True
 
     def estimate(self) -> int:
         """Return the number of cells, cut out or not."""
@@ -289,6 +311,11 @@ class LatticeNodes(Particles):
         super().__post_init__()
         self._cells  # noqa: B018 - refuses what is no lattice
 
+    @property
+    def on_surface(self) -> bool:
+        """Return True."""
+        return True
+
     def estimate(self) -> int:
         """Return the number of corners, of cells that are cut out or not."""
         return math.prod(self._counts)
@@ -332,6 +359,18 @@ class LatticeNodes(Particles):
         looks = np.array(tags, dtype="U2")
         named = {f"{sign}{axis}": looks == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
         return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), named)
+
+    def triangles(self, part: int, parts: int) -> Float | None:
+        """Return the halves of the free faces of the cells."""
+        if self._cells.dim < 3:
+            return None
+        middle, area, _, _ = self._cells.surface(part, parts).arrays
+        along = np.argmax(np.abs(area), axis=1)
+        normal = np.sign(area[np.arange(len(area)), along])[:, None]
+        one, other = (0.5 * self.spacing * np.eye(3)[(along + n) % 3] for n in (1, 2))
+        other = other * normal
+        a, b, c, d = middle - one - other, middle + one - other, middle + one + other, middle - one + other
+        return np.asarray(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
 
     @property
     def _cells(self) -> Lattice:
@@ -450,7 +489,7 @@ class Arrays(Particles):
             The positions or the volumes are not those of equal cells.
         """
         x = np.asarray(self.x, dtype=float)
-        cell, sizes = _cells(x, np.broadcast_to(np.asarray(self.volume, dtype=float), len(x)), self.thickness)
+        cell, sizes = lattice_cells(x, np.broadcast_to(np.asarray(self.volume, dtype=float), len(x)), self.thickness)
         # One number for each cell, with room for a neighbour on every side.
         width = cell.max(axis=0) + 3
         weights = np.concatenate([[1], np.cumprod(width[:-1])])
@@ -549,7 +588,7 @@ def _cell_sides(sizes: Float, thickness: float) -> Float:
     return np.asarray(whole / sizes)
 
 
-def _cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np.int64], Float]:
+def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np.int64], Float]:
     """Return the cell of each particle (n, dim) and the sizes of the equal cells (dim,) [length] of a lattice.
 
     Raises

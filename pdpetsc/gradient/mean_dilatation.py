@@ -41,7 +41,9 @@ class MeanDilatation(Scheme):
     inside it hold together, as on both sides of a crack. Around the tip of a crack, which bonds of the box still go
     around, both sides share their dilatation.
 
-    A control is scaled with the bulk modulus unless it is told not to: take ``ByShear``.
+    A control is scaled with the bulk modulus unless it is told not to: take ``ByShear``. Walls hold the pressure where
+    they hold particles on the surface itself, with conforming weights, or layers two horizons deep; else the stress is
+    far too low, and the run says so.
 
     Parameters
     ----------

@@ -98,6 +98,22 @@ class Energy:
         """Return whether it is written with principal stretches."""
         return bool(self.expression.free_symbols & {SYMBOLS[name] for name in STRETCHES})
 
+    @cached_property
+    def bounds(self) -> list[Any]:
+        """Return what must keep the sign that it has at F = I: arguments of logarithms, and what is divided by.
+
+        Beyond such a bound the derivatives may well be finite again, but they are those of another body: the energy is
+        no number there, or was infinite on the way.
+        """
+        logarithms = {one.args[0] for one in self.expression.atoms(sympy.log)}
+        divisors = {
+            power.base for power in self.expression.atoms(sympy.Pow)
+            if power.exp.is_negative or (not power.exp.is_number and power.exp.could_extract_minus_sign())
+        }  # fmt: skip
+        varying = set(SYMBOLS.values())
+        found = [one for one in logarithms | divisors if one.free_symbols & varying and not one.is_positive]
+        return sorted(found, key=str)
+
     @property
     def n_fibres(self) -> int:
         """Return how many fibre directions it reads."""
@@ -163,7 +179,10 @@ def _checked(energy: Energy, reader: _Reader) -> Energy:
         expression = expression.xreplace(in_stretches)
         if not _symmetric(expression, energy.constants):
             raise reader.refused("changes when l1, l2 and l3 are exchanged, so it is not that of an isotropic material")
-    return Energy(energy.text, energy.names, expression - expression.xreplace(UNDEFORMED))
+    at_rest = expression.xreplace(UNDEFORMED)
+    if at_rest.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo, sympy.I):
+        raise reader.refused("is no finite number at F = I")
+    return Energy(energy.text, energy.names, expression - at_rest)
 
 
 UNDEFORMED = {symbol: sympy.Integer(3 if name in ("I1", "I2") else 1) for name, symbol in SYMBOLS.items()}

@@ -22,7 +22,7 @@ from sympy.printing.numpy import NumPyPrinter
 
 from pdpetsc.kernels.compile import note
 from pdpetsc.material.base import HistoryKernels, Kind
-from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, Energy
+from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, UNDEFORMED, Energy
 
 # A solid; a plane body without strain or without stress across it; a bar with free sides.
 DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
@@ -42,10 +42,13 @@ class Loops(NamedTuple):
     ``kernels`` as those of every material, with the fibre directions of a point in the place of a history.
     ``across(F, select, constants, directions, result)`` writes the product of the hidden stretches, NaN where they are
     not found, or in plane strain the stress ``P_zz``; nothing for a solid.
+    ``inside`` writes, in the same way, how far the nearest of the bounds of the energy is as a share of its distance at
+    F = I, not positive beyond it; None for an energy without bounds.
     """
 
     kernels: HistoryKernels
     across: Any
+    inside: Any
 
 
 @lru_cache
@@ -62,7 +65,7 @@ def loops_of(energy: Energy, kind: Kind) -> Loops:
     text = (_stretch_text if energy.of_stretches else _invariant_text)(energy, kind)
     module = _module(text)
     kernels = HistoryKernels(module.stress, module.tangent, module.energy, _nothing)
-    return Loops(kernels, module.across)
+    return Loops(kernels, module.across, module.inside if energy.bounds else None)
 
 
 def _nothing(F: Any, select: Any, constants: Any, history: Any) -> None:
@@ -474,6 +477,10 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
     at_point(False, False)
     text.values({"result[row]": {"solid": sympy.Integer(1), "strain": scalars.r, "stress": _b, "bar": _b**2}[kind]})
     text.end()
+    if energy.bounds:
+        text.start("inside", "result", ["G", "C"], vectors)
+        at_point(False, False)
+        _nearest_bound(text, {})
     return text.whole()
 
 
@@ -553,7 +560,23 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
     at_point()
     text.values({"result[row]": {"solid": sympy.Integer(1), "strain": r, "stress": _b, "bar": _b**2}[kind]})
     text.end()
+    if energy.bounds:
+        text.start("inside", "result", ["C", "N", "n"], ["stretch"])
+        at_point()
+        _nearest_bound(text, hidden)
     return text.whole()
+
+
+def _nearest_bound(text: _Text, hidden: dict[Any, Any]) -> None:
+    """Write what ``inside`` writes at a point, and end it."""
+    shares = [one.subs(hidden) / one.xreplace(UNDEFORMED) for one in text.energy.bounds]
+    text.values({f"share{number}": share for number, share in enumerate(shares)})
+    text.add("result[row] = share0")
+    for number in range(1, len(shares)):
+        # A share that is no number is none either way.
+        text.add(f"if not share{number} > result[row]:", f"result[row] = share{number}")
+        text.back()
+    text.end()
 
 
 def _module(text: str) -> ModuleType:

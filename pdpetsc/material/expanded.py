@@ -299,10 +299,14 @@ class ExpandedAtPoints(MaterialAtPoints):
                     f"The law of a Thermal material is of another kind at temperature {level:g} than its material: "
                     f"what it remembers, its symmetry and whether it depends on time must be the same everywhere."
                 )
-        return [
+        made = [
             Law(rows, law, law.history_kernels(inside), law.constants(inside))
             for rows, law in zip(parts, laws, strict=True)
         ]
+        for one in made:
+            if one.material.timed:
+                one.constants[-1] = self._constants[-1]
+        return made
 
     def _by_law(self) -> Iterator[tuple[Law, Float]]:
         """Yield each law with the history of its points."""

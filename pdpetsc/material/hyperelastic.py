@@ -138,7 +138,12 @@ class EnergyMaterial(Material):
         return result
 
     def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
-        """Return whether the hidden stretch is found at all points ``select``."""
+        """Return whether the hidden stretch is found at all points ``select``, within the bounds of the energy."""
+        inside = self._loops(F.shape[-1]).inside
+        if inside is not None:
+            shares = np.empty(len(select))
+            inside(np.ascontiguousarray(F), select, self.constants(F.shape[-1]), history, shares)
+            return bool(np.all(shares > 0.0))
         if self.kind(F.shape[-1]) in ("solid", "strain"):
             return True
         return bool(np.isfinite(self._across(F, select, history)).all())
@@ -193,6 +198,8 @@ class EnergyMaterial(Material):
         size = float(np.abs(moduli).max())
         if not (np.isfinite(size) and np.isfinite(stress).all()):
             raise CaseError(f"The energy of {name} has no finite stress and tangent at F = I.")
+        if not _starts_with_a_value(self._energy, self._values()):
+            raise CaseError(f"The energy of {name} is no finite number at F = I.")
         worst = stress.flat[int(np.abs(stress).argmax())]
         if abs(worst) > NEARLY_ZERO * size or size == 0.0:
             raise CaseError(
@@ -218,6 +225,18 @@ def _unit(direction: Direction, name: str) -> Float:
     if values is None or not abs(length - 1.0) <= NEARLY_ONE:
         raise CaseError(f"{name} takes a unit vector or a function as fibre direction, not {shown(direction)}.")
     return np.asarray(values / length)
+
+
+@lru_cache
+def _starts_with_a_value(energy: Energy, constants: tuple[float, ...]) -> bool:
+    """Return whether the energy, which is 0 at F = I, takes no logarithm of a negative number there."""
+    import sympy
+
+    from pdpetsc.material.energy import UNDEFORMED
+
+    numbers = dict(zip(energy.constants, map(sympy.Float, constants), strict=True))
+    arguments = (one.args[0] for one in energy.expression.atoms(sympy.log))
+    return all(bool(one.xreplace(UNDEFORMED).xreplace(numbers) > 0) for one in arguments)
 
 
 @lru_cache
@@ -313,7 +332,8 @@ class Hyperelastic(EnergyMaterial):
     - or principal stretches ``l1, l2, l3``, ``l1bar, ...``, ``J``, in which it must be symmetric.
 
     Stress and tangent are derived from it exactly and compiled once; the machine code is kept on disk. The value at
-    F = I is taken off.
+    F = I is taken off. Strains beyond a bound, where the argument of a logarithm or a divisor changes its sign,
+    have no stress: a step that leads there is cut back.
 
     Parameters
     ----------

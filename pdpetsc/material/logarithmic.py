@@ -15,8 +15,9 @@ from pdpetsc.material.stepped import SteppedMaterial, blocks
 
 # Numbers of a history between G and the state of the law: hidden elastic strain, hidden whole strain, step time.
 KEPT = 3
-# Strains that differ by less are taken as equal where the difference quotient of their stresses is asked.
-EQUAL = 1e-5
+# Strains nearer to each other than this share of the spread of all three, or of the largest, count as equal where the
+# difference quotient of their stresses is asked: the stress of a body that yields early turns within tiny strains.
+EQUAL, ROUND_OFF = 1e-5, 1e-9
 
 
 class Response(NamedTuple):
@@ -189,10 +190,11 @@ def _condensed(moduli: Float, kind: Kind) -> Float:
 def _shear(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:
     """Return ``(tau_a - tau_b) / (eps_a - eps_b)`` (n, dim, dim) [stress], its limit where strains are equal."""
     shear = np.zeros((len(strain), dim, dim))
+    nearly = np.maximum(EQUAL * np.ptp(strain, axis=1), ROUND_OFF * np.abs(strain).max(axis=1))
     for a in range(dim):
         for b in range(a + 1, dim):
             apart = strain[:, a] - strain[:, b]
-            equal = np.abs(apart) < EQUAL
+            equal = np.abs(apart) <= nearly
             limit = 0.5 * (moduli[:, a, a] + moduli[:, b, b] - moduli[:, a, b] - moduli[:, b, a])
             quotient = (tau[:, a] - tau[:, b]) / np.where(equal, 1.0, apart)
             shear[:, a, b] = shear[:, b, a] = np.where(equal, limit, quotient)

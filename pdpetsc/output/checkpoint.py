@@ -34,7 +34,9 @@ from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.term import KeptArray
 
-FORMAT = 8
+FORMAT = 9
+# Those of format 8 do not know what a run has come across so far.
+READABLE = (8, FORMAT)
 # What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
 # checksum is wrong, because it does not survive every damage.
 HEAD = 512
@@ -48,7 +50,7 @@ ATTRIBUTES = {
     "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
     "resume": "text", "identity": "numbers", "virtual": "numbers",
     "tangent_virtual": "numbers", "damage": "text", "frozen": "whole",
-    "declared": "text", "row": "text", "checksum": "text",
+    "declared": "text", "row": "text", "so_far": "text", "checksum": "text",
 }  # fmt: skip
 
 
@@ -64,11 +66,15 @@ class Record:
         Fingerprints of the parts of the case.
     row : mapping of str to float
         The last row of ``history.csv``.
+    so_far : mapping of str to float
+        What the run has counted and come across from its first step on, for what it says at its end; empty where the
+        checkpoint does not tell.
     """
 
     run: str = ""
     declared: Mapping[str, str] = field(default_factory=dict)
     row: Mapping[str, float] = field(default_factory=dict)
+    so_far: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -196,6 +202,7 @@ def _write_attributes(
     file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
     file.attrs.update(damage=_law(solution.problem), frozen=int(frozen), row=json.dumps(dict(record.row)))
     file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
+    file.attrs["so_far"] = json.dumps({name: float(value) for name, value in record.so_far.items()})
 
 
 def _dataset(file: h5py.File, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
@@ -218,7 +225,10 @@ def find_checkpoint(path: str | Path) -> Path:
         if found.is_dir():
             found = found / "checkpoint.h5"
             if not found.exists():
-                raise CaseError(f"Cannot read the checkpoint {found}: the folder {path} holds none.")
+                raise CaseError(
+                    f"Cannot read the checkpoint {found}: the folder {path} holds none; a run that has ended before "
+                    f"its first step, or that wrote none, begins anew without a restart."
+                )
         if not stat.S_ISREG(found.stat().st_mode):
             raise CaseError(f"Cannot read the checkpoint {found}: it is not a file.")
     except (OSError, ValueError) as error:
@@ -268,7 +278,7 @@ def read_checkpoint(
     with agreed(comm):
         try:
             with open_hdf5(path) as file:
-                if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
+                if "format" not in file.attrs or not any(np.array_equal(file.attrs["format"], n) for n in READABLE):
                     raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
                 values = _attributes(file)
                 _refuse_other_body(path, values, identity, anyway)
@@ -306,7 +316,7 @@ def read_checkpoint(
     if not problem.admissible(problem.state(u, float(values["t"]))):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
     start = Solution(problem, u, float(values["t"]), int(values["step"]), float(values["work"]), values["resume"], at)
-    return Origin(start, path, Record(values["run"], values["declared"], values["row"]))
+    return Origin(start, path, Record(values["run"], values["declared"], values["row"], values["so_far"]))
 
 
 def _with_virtual(cloud: Cloud, u: Float, virtual: Float) -> Float:
@@ -321,10 +331,13 @@ def _must(condition: bool, what: str) -> None:
 def _attributes(file: h5py.File) -> dict[str, Any]:
     """Return the attributes of a checkpoint; raises where one is missing, too many, of a wrong kind, or changed."""
     names = set(file.attrs)
+    if np.array_equal(file.attrs["format"], 8):
+        _must("so_far" not in names, "so_far is too many")
+        names.add("so_far")
     _must(names == set(ATTRIBUTES), f"attributes {sorted(names ^ set(ATTRIBUTES))} are missing or too many")
     values: dict[str, Any] = {}
     for name, kind in ATTRIBUTES.items():
-        value = file.attrs[name]
+        value = file.attrs.get(name, "{}")
         if kind == "text":
             _must(isinstance(value, str), f"{name} is no text")
             values[name] = value
@@ -335,11 +348,12 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
         _must(bool(np.isfinite(array).all()), f"{name} is not finite")
         values[name] = array
     _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
-    for name in ("declared", "row", "resume"):
+    for name in ("declared", "row", "resume", "so_far"):
         values[name] = json.loads(values[name])
         _must(isinstance(values[name], dict), f"{name} is no table")
-    numbers = values["resume"].values()
-    _must(all(type(number) is float and math.isfinite(number) for number in numbers), "what it resumes is no number")
+    for name, what in (("resume", "what it resumes"), ("so_far", "what it has come across")):
+        numbers = values[name].values()
+        _must(all(type(number) is float and math.isfinite(number) for number in numbers), f"{what} is no number")
     python = values["declared"].pop("python", None)
     values["python"] = python if isinstance(python, str) else ""
     return values

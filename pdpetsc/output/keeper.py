@@ -52,6 +52,8 @@ class Keeper:
         What the files of this run say they belong to.
     took_over : bool
         Whether an earlier history was found, where there is a restart.
+    so_far : dict of str to float
+        What the run has counted and come across, for the checkpoints.
 
     Raises
     ------
@@ -80,6 +82,7 @@ class Keeper:
         self._saved = start.step
         self._declared = dict(declared or {})
         self._row: dict[str, float] = {}
+        self.so_far: dict[str, float] = {}
         self.history: dict[str, list[float]] = {name: [] for name in ("step", "t", *quantities)}
         header = None if damage is None else broken_header(damage.bonds)
         rows, broken = (None, []) if origin is None else _beside(comm, origin, list(self.history), header)
@@ -142,7 +145,7 @@ class Keeper:
         if self._broken is not None:
             self._broken.flush()
         if self._every > 0 and self._saved != self._last.step:
-            record = Record(self.run, self._declared, self._row)
+            record = Record(self.run, self._declared, self._row, self.so_far)
             write_checkpoint(self._last, self._order, self._checkpoint, record)
             self._saved = self._last.step
 

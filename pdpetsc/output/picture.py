@@ -276,8 +276,8 @@ def _outlines(scene: Scene) -> Float:
         # A hundredth larger, so that no seams show between cells.
         square = 0.505 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
         return np.asarray(np.broadcast_to(square * scene.steps, (len(scene.y), 4, 2)))
-    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-    # A little more than what touches the nearest neighbour, as the others are farther.
+    angle = np.linspace(0.0, 2.0 * np.pi, 24 if len(scene.y) < 20_000 else 12, endpoint=False)
+    # A little more than the volume of the particle, so that fewer gaps show.
     return np.asarray(0.575 * scene.size[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
@@ -313,10 +313,8 @@ def _space(figure: Any, axes: Any, scene: Scene, low: Float, high: Float) -> Non
     y = scene.y[shown]
     extent = np.maximum(high - low, 1e-3 * float((high - low).max()))
     # Points per length, of a figure that is about half filled.
-    area = (0.5 * 72.0 * 9.0 / float(extent.max()) * float(np.median(scene.size))) ** 2
-    drawn = axes.scatter(
-        *y.T, c=scene.values[shown], s=float(np.clip(area, 0.3, 400.0)), cmap="viridis", linewidths=0, alpha=1.0
-    )
+    area = (0.5 * 72.0 * 9.0 / float(extent.max()) * scene.size[shown]) ** 2
+    drawn = axes.scatter(*y.T, c=scene.values[shown], s=np.maximum(area, 0.3), cmap="viridis", linewidths=0, alpha=1.0)
     drawn.set_clim(*scene.limits)
     axes.set_box_aspect(extent, zoom=1.2)
     axes.set(**{f"{letter}label": scene.labels.axis(letter) for letter in "xyz"})

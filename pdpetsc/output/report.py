@@ -172,8 +172,13 @@ def _notes(summary: Mapping[str, Any]) -> str:
             f"{summary['held_at_cut_families']} particles are held at a face that cuts their families: stresses within "
             f"two horizons of it are those of no continuum."
         )
+    energy = summary.get("fracture_energy") or {}
+    if energy and not energy.get("known"):
+        notes.append(str(energy.get("note")))
     for name, found in (summary.get("doubts") or {}).items():
         notes.append(f"{name} of the history at step time {found['t']:.6g} {found['why']}.")
+    if (summary.get("unbalanced") or {}).get("note"):
+        notes.append(str(summary["unbalanced"]["note"]))
     if summary.get("unused_options"):
         notes.append(f"Nothing used the options {', '.join(map(str, summary['unused_options']))}.")
     pieces = summary.get("pieces") or {}
@@ -257,6 +262,9 @@ def _convergence(summary: Mapping[str, Any]) -> str:
     linear = sum(int(step.get("linear_iterations") or 0) for step in steps)
     words = f"{len(steps)} steps, {total} iterations, {linear} linear iterations; residuals over forces and reactions."
     figure = _figure(_png(newton_figure(summary)), "Residual by iteration") if len(steps) <= 2 * ROWS else ""
+    first = steps[0].get("step")
+    if summary.get("restart") and first != 1:
+        words += f" The run before the restart has left no record of the steps before step {first}."
     return f"<p>{words}</p>" + figure + _table(heads, rows) + left
 
 

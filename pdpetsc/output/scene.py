@@ -47,7 +47,7 @@ class Scene:
     steps : (dim,) float64 or None
         Sides of the cells of a lattice [length]; None for other clouds.
     size : (n,) float64
-        Mean distance of each particle from those next to it, at most twice the usual one [length].
+        How large each particle is drawn: the side of a square or cube of its volume [length].
     F : (n, dim, dim) float64
         How the drawn body is deformed about each particle [-].
     inside : (n,) bool
@@ -120,8 +120,14 @@ def scene_of(
     axes = np.flatnonzero(np.ptp(x, axis=0) > 0.0) if len(x) > 1 else np.array([0])
     F, inside = about(x[:, axes], scale * u[:, axes], broken, lines)
     cracks = faces_between(x[:, :2], scale * u[:, :2], broken, lines) if dim == 2 else np.empty((0, 2, 2))
+    # A body of one layer has more dimensions than its picture.
+    of_body = int(summary.get("dimension") or dim)
+    depth = float(summary.get("thickness") or 1.0) if of_body < 3 else 1.0
+    side = (stored.of_particles("volume", stride) / depth) ** (1.0 / of_body)
+    # Where only some particles are drawn, each stands for several.
+    side *= stride ** (1.0 / dim)
     return Scene(
-        x, x + scale * u, values, dim, lattice_steps(x[:, axes]), spacings(x), F, inside,
+        x, x + scale * u, values, dim, lattice_steps(x[:, axes]), sizes(x[:, axes], side), F, inside,
         float(horizon) if isinstance(horizon, int | float) else None,
         cracks, label, words, labels, limits or limits_of(values),
     )  # fmt: skip
@@ -199,16 +205,26 @@ def component_of(values: Float, name: str) -> Float:
 
 
 def spacings(x: Float) -> Float:
-    """Return the mean distance of each particle from those next to it, at most twice the usual one (n,) [length]."""
+    """Return the mean distance of each particle from those next to it (n,) [length]."""
     if len(x) < 2:
         return np.ones(len(x))
     beside = 2 * max(1, int((np.ptp(x, axis=0) > 0.0).sum()))
     distance = cKDTree(x).query(x, k=min(1 + beside, len(x)))[0][:, 1:]
     # At a corner of a lattice some of them are farther.
     near = np.where(distance < 1.3 * distance[:, :1], distance, np.nan)
-    mean = np.nanmean(near, axis=1)
-    usual = float(np.median(mean))
-    return np.asarray(np.clip(mean, 0.7 * usual, 2.0 * usual))
+    return np.asarray(np.nanmean(near, axis=1))
+
+
+def sizes(x: Float, side: Float) -> Float:
+    """Return how large particles at places (n, dim) are drawn (n,) [length]: the sides of cubes of their volumes.
+
+    These are kept between a half and one and a half times the mean distance from what is next to a particle, so that
+    volumes that are no share of the body, as with another thickness than the case says, are drawn all the same.
+    """
+    if len(x) < 2:
+        return np.ones(len(x))
+    apart = cKDTree(x).query(x, k=min(1 + 2 * x.shape[1], len(x)))[0][:, 1:].mean(axis=1)
+    return np.asarray(np.clip(side, 0.5 * apart, 1.5 * apart))
 
 
 def lattice_steps(x: Float) -> Float | None:
@@ -326,18 +342,19 @@ def faces_between(x: Float, u: Float, broken: NDArray[np.int64], lines: list[lis
     broken = broken[(broken < len(x)).all(axis=1)]
     if len(x) < 4 or not (len(broken) or lines):
         return none
-    spacing = float(np.median(spacings(x)))
+    spacing = spacings(x)
     near = np.unique(broken)
     if lines:
         low, high = (bound(np.array([p for line in lines for p in line]), axis=0) for bound in (np.min, np.max))
-        box = ((x > low - 4.0 * spacing) & (x < high + 4.0 * spacing)).all(axis=1)
-        near = np.union1d(near, np.flatnonzero(box))
+        beside = 4.0 * spacing[:, None]
+        near = np.union1d(near, np.flatnonzero(((x > low - beside) & (x < high + beside)).all(axis=1)))
     if not len(near):
         return none
-    tree = cKDTree(x[near])
-    zone = np.flatnonzero(tree.query(x, distance_upper_bound=4.0 * spacing)[0] < math.inf)
+    # Where the size of particles changes the larger ones reach farther.
+    widest = float(spacing[near].max())
+    zone = np.flatnonzero(cKDTree(x[near]).query(x, distance_upper_bound=4.0 * widest)[0] < math.inf)
     try:
-        diagram = Voronoi((x[zone] - x[zone].mean(axis=0)) / spacing)
+        diagram = Voronoi((x[zone] - x[zone].mean(axis=0)) / widest)
     except (QhullError, ValueError):
         return none
     pairs = np.sort(zone[diagram.ridge_points], axis=1)
@@ -347,13 +364,14 @@ def faces_between(x: Float, u: Float, broken: NDArray[np.int64], lines: list[lis
         gone |= Polyline(line).cuts(x[pairs[:, 0]], x[pairs[:, 1]])
     gone &= (ends >= 0).any(axis=1)
     pairs, ends = pairs[gone], ends[gone]
-    corners = diagram.vertices[ends] * spacing + x[zone].mean(axis=0)
+    corners = diagram.vertices[ends] * widest + x[zone].mean(axis=0)
     # Between cells at the surface a face has one end; it is taken to be as long on the other side of its middle.
     middle = x[pairs].mean(axis=1)
     for side in (0, 1):
         open_ended = ends[:, side] < 0
         corners[open_ended, side] = (2.0 * middle - corners[:, 1 - side])[open_ended]
-    long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > LONGEST_FACE * spacing
-    far = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) > LONGEST_FACE * spacing
+    longest = LONGEST_FACE * spacing[pairs].max(axis=1)
+    long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > longest
+    far = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) > longest
     pairs, corners = pairs[~(long | far)], corners[~(long | far)]
     return np.concatenate([corners + u[pairs[:, side]][:, None] for side in (0, 1)])

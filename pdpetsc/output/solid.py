@@ -16,7 +16,7 @@ import numpy as np
 _CORNERS = np.array(
     [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
 )
-# More spheres than this are drawn as splats of the same size.
+# More spheres than this are drawn as splats.
 SPHERES = 30_000
 
 
@@ -57,7 +57,8 @@ def main(source: str, target: str) -> None:
             plotter.add_mesh(body.glyph(scale="size", orient=False, geom=ball), smooth_shading=True, **look)
         else:
             actor = plotter.add_mesh(body, style="points_gaussian", render_points_as_spheres=True, **look)
-            actor.mapper.scale_factor = 0.5 * float(np.median(size))
+            actor.mapper.SetScaleArray("size")
+            actor.mapper.scale_factor = 0.5
     box = scene["box"]
     # Round numbers at the ends of the axes.
     tick = 10.0 ** np.floor(np.log10(float((box[1] - box[0]).max()))) / 5.0

@@ -7,23 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pdpetsc.arrays import Float, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
+from pdpetsc.post.inside import Held, Inside
 
 # Nearest particles that a value is fitted to, by the dimension of the body.
 FITTED = {1: 4, 2: 10, 3: 24}
 # Singular values below this share of the largest belong to directions in which the particles do not differ.
 FLAT = 1e-8
-# Particles fix a slope in as many directions as singular values of their fit are above this share of the largest; they
-# lie in as many as moments of the directions to them are above the second.
-THIN, SPREAD = 1e-3, 0.1
+# Particles fix a slope in as many directions as singular values of their fit are above this share of the largest.
+THIN = 1e-3
 # At most so many nearest particles are looked at for one point, and so many for all points at once.
 MOST, AT_ONCE = 4096, 1_000_000
-# One beyond a point that is far from its nearest particle is looked for among so many times those of a fit, where
-# the cosine to the direction from that one is above the second.
-AROUND, OPPOSITE = 8, 0.0
-# Over the distance of a particle from its nearest neighbour, how far values of the field reach from it.
-FARTHEST = 1.5
 
 
 def line(start: Sequence[float], end: Sequence[float], n: int = 101) -> Float:
@@ -83,29 +78,31 @@ def grid(low: Sequence[float], high: Sequence[float], n: Sequence[int]) -> Float
     return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(a)))
 
 
-def sampled(x: Float, values: Float, points: Float) -> Float:
+def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | None = None) -> Float:
     """Return a field at points, by a linear fit to the nearest particles, of which nearer ones count for more.
 
-    A linear field is met exactly. Particles on both sides of a crack count alike.
+    A linear field is met exactly. Only particles count that hold together with the one that the point belongs to: not
+    those beyond a crack. Where they are too few for a slope, the point has the value of its particle.
 
     Parameters
     ----------
     x : (n, 3) float64
-        Positions of the particles [length].
+        Positions of the particles in the undeformed body [length].
     values : (n, ...) float64
         The field there.
     points : (m, d) float64
-        Where it is asked for [length], with as many coordinates as the body has directions, or three; (m,) is a list of
-        places along a line body. May be empty.
+        Where it is asked for in the undeformed body [length], with as many coordinates as the body has directions, or
+        three; (m,) is a list of places along a line body. May be empty.
+    body : Inside
+        What tells where the body is, in its own dimension.
+    held : Held, optional
+        Which particles hold together; all where absent.
 
     Returns
     -------
     (m, ...) float64
-        nan at points that are farther from their nearest particle than 1.5 times the distance of that one from its own
-        nearest neighbour, so far holes between the particles of a shaken cloud may reach, unless another one lies as
-        near beyond them: nearer than 1.5 times the distance in which one of both has neighbours in all directions, as
-        in lattices of long cells and where the size of cells changes. Points of three coordinates
-        that lie off a line or plane body by more than that distance have nan too.
+        nan outside of the body. Points of three coordinates that lie off a line or plane body by more than the size of
+        its particles have nan too.
 
     Raises
     ------
@@ -120,84 +117,73 @@ def sampled(x: Float, values: Float, points: Float) -> Float:
     if given.ndim < 2:
         # One number after another are places along a line; else they are the coordinates of one point.
         given = given.reshape((-1, 1) if len(axes) == 1 else (1, -1))
+    columns = np.arange(len(body.sides))
     # What number of directions one particle has is not known from where it is.
-    allowed = (3, len(axes)) if len(x) > 1 else (1, 2, 3)
+    allowed = (3, len(columns), len(axes)) if len(x) > 1 else (1, 2, 3)
     if given.ndim != 2 or given.shape[1] not in allowed:
         shape = "x".join(str(n) for n in given.shape)
         raise CaseError(
-            f"Points of a body of {len(axes)} dimensions have {len(axes)} or 3 coordinates each, not {shape}."
+            f"Points of a body of {len(columns)} dimensions have {len(columns)} or 3 coordinates each, not {shape}."
         )
     bad = np.flatnonzero(~np.isfinite(given).all(axis=1))
     if len(bad):
         raise CaseError(f"{len(bad)} points are not finite, the first is {given[bad[0]]}; take them out.")
     if len(x) == 1:
         return _of_one(x, values, given)
-    at = given if given.shape[1] == len(axes) else given[:, axes]
-    inside, dim = x[:, axes], len(axes)
-    tree = cKDTree(inside)
+    if given.shape[1] == 3:
+        at = given[:, columns]
+    elif given.shape[1] == len(columns):
+        at = given
+    else:
+        # Along the axes in which the particles of a single row or layer differ.
+        at = np.repeat(x[:1, columns], len(given), axis=0)
+        at[:, np.searchsorted(columns, axes)] = given
+    homes = body.homes(at)
+    if held is not None:
+        homes = held.on_side(at, homes, body.sides)
+    if given.shape[1] == 3:
+        across = np.setdiff1d(np.arange(3), columns)
+        off = np.linalg.norm(given[:, across] - x[0, across], axis=1) > body.size(homes) * (1.0 + FLAT)
+        homes = np.where(off, -1, homes)
     found = np.full((len(at), *np.shape(values)[1:]), np.nan)
-    nearest, first = tree.query(at, k=1)
-    spacing = tree.query(inside[first], k=2)[0][:, 1]
-    outside = nearest > FARTHEST * spacing
-    rank = np.linalg.matrix_rank(inside - inside.mean(axis=0), tol=FLAT * float(np.ptp(inside, axis=0).max()))
-    todo, most = np.arange(len(at)), min(FITTED[dim], len(x))
+    within = np.flatnonzero(homes >= 0)
+    # Particles of cells with unequal sides are as far apart in all directions where these are the unit.
+    spread = np.isin(columns, axes)
+    sides = body.sides[spread]
+    found[within] = _fitted(
+        x[:, axes] / sides, np.asarray(values, dtype=float), at[within][:, spread] / sides, homes[within], held
+    )
+    return found
+
+
+def _fitted(x: Float, values: Float, at: Float, homes: GlobalIndex, held: Held | None) -> Float:
+    """Return the linear fits (m, ...) at places (m, d) that belong to particles (m,)."""
+    found = np.array(values[homes])
+    tree = cKDTree(x)
+    rank = np.linalg.matrix_rank(x - x.mean(axis=0), tol=FLAT * float(np.ptp(x, axis=0).max()))
+    todo, most = np.arange(len(at)), min(FITTED[x.shape[1]], len(x))
     while len(todo):
-        kept = list[Float]()
+        kept = list[GlobalIndex]()
         for part in np.array_split(todo, 1 + len(todo) * most // AT_ONCE):
             distance, near = (one.reshape(len(part), -1) for one in tree.query(at[part], k=most))
-            fit, spans = _fits(inside[near] - at[part, None], distance, 1 + int(rank))
-            away, there = (at[part] - inside[first[part]])[:, None], inside[near] - at[part, None]
-            beyond = (there * away).sum(axis=2) > OPPOSITE * distance * nearest[part, None]
-            beyond &= distance > FLAT * distance[:, -1:]
-            # Far from the nearest particle a place is still inside where one lies as near on its other side.
-            opposite = np.where(beyond, distance, np.inf).min(axis=1)
-            between = np.isfinite(opposite) | ~outside[part] | (most >= AROUND * FITTED[dim])
-            done = (spans & between) | (most == len(x)) | (2 * most > MOST)
-            here = part[done]
-            fit[~spans] = np.nan
-            found[here] = np.einsum("me,me...->m...", fit[done], values[near[done]])
-            far = outside[here]
-            if far.any():
-                across = near[done, np.where(beyond, distance, np.inf).argmin(axis=1)[done]][far]
-                reach = np.maximum(_width(tree, first[here[far]], int(rank)), _width(tree, across, int(rank)))
-                wide = np.maximum(nearest[here[far]], opposite[done][far])
-                outside[here[far]] = wide > FARTHEST * reach
-            kept.append(part[~done])
-        todo, most = np.concatenate(kept).astype(np.int64), min(2 * most, len(x))
-    if given.shape[1] == 3 and dim < 3:
-        across = np.setdiff1d(np.arange(3), axes)
-        outside |= np.linalg.norm(given[:, across] - x[0, across], axis=1) > spacing * (1.0 + FLAT)
-    found[outside] = np.nan
-    return np.asarray(found)
+            counts = np.ones(near.shape, dtype=bool) if held is None else held.together(homes[part], near)
+            fit, spans = _fits(x[near] - at[part, None], distance, counts, 1 + int(rank))
+            found[part[spans]] = np.einsum("me,me...->m...", fit[spans], values[near[spans]])
+            kept.append(part[~spans])
+        if most == len(x) or 2 * most > MOST:
+            break
+        todo, most = np.concatenate(kept), min(2 * most, len(x))
+    return found
 
 
-def _fits(xi: Float, distance: Float, rank: int) -> tuple[Float, Mask]:
+def _fits(xi: Float, distance: Float, counts: Mask, rank: int) -> tuple[Float, Mask]:
     """Return the weights (m, k) of a linear fit at the origin of places (m, k, dim), and whether they fix it (m,)."""
-    scale = np.maximum(distance[:, -1], np.finfo(float).tiny)[:, None]
-    weight = np.exp(-((2.0 * distance / scale) ** 2))
+    farthest = np.where(counts, distance, 0.0).max(axis=1)
+    scale = np.maximum(farthest, np.finfo(float).tiny)[:, None]
+    weight = np.where(counts, np.exp(-((2.0 * np.minimum(distance / scale, 1.0)) ** 2)), 0.0)
     basis = weight[..., None] * np.concatenate([np.ones((*xi.shape[:2], 1)), xi / scale[..., None]], axis=2)
     size = np.linalg.svd(basis, compute_uv=False)
     return np.linalg.pinv(basis, rcond=FLAT)[:, 0] * weight, (size > THIN * size[:, :1]).sum(axis=1) >= rank
-
-
-def _width(tree: cKDTree, of: LocalIndex, rank: int) -> Float:
-    """Return how far the nearest neighbours of particles (m,) are that lie in all directions from it (m,) [length]."""
-    found, todo, most = np.zeros(len(of)), np.arange(len(of)), min(4, tree.n)
-    while len(todo):
-        kept = list[LocalIndex]()
-        for part in np.array_split(todo, 1 + len(todo) * most // AT_ONCE):
-            distance, near = tree.query(tree.data[of[part]], k=most)
-            xi = tree.data[near[:, 1:]] - tree.data[of[part], None]
-            along = xi / np.maximum(distance[:, 1:, None], np.finfo(float).tiny)
-            spread = np.linalg.eigvalsh(np.cumsum(along[..., :, None] * along[..., None, :], axis=1))[..., -rank]
-            wide = spread > SPREAD
-            done = wide[:, -1] | (most == tree.n) | (2 * most > MOST)
-            found[part[done]] = np.where(wide[:, -1], distance[np.arange(len(part)), 1 + wide.argmax(axis=1)], 0.0)[
-                done
-            ]
-            kept.append(part[~done])
-        todo, most = np.concatenate(kept), min(2 * most, tree.n)
-    return found
 
 
 def _of_one(x: Float, values: Float, given: Float) -> Float:

@@ -15,8 +15,9 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.thermal import Thermal
 
-# Step of differences by temperature, as a share of the largest distance from that without stress.
-DIFFERENCE = 1e-5
+# Step of differences by temperature, as a share of the largest distance from that without stress, which counts as at
+# least so much of the temperature itself: at that without stress the distance may be round-off.
+DIFFERENCE, LEAST_DISTANCE = 1e-5, 1e-3
 
 
 class TemperatureField(ABC):
@@ -185,6 +186,7 @@ class StressFree:
         reference = [np.full(len(own), thermal.reference) for own, thermal in self._thermals]
         away = [temperature[own] - zero for (own, _), zero in zip(self._thermals, reference, strict=True)]
         most = max((float(np.abs(one).max(initial=0.0)) for one in away), default=0.0)
+        most = max(most, LEAST_DISTANCE * float(np.abs(temperature).max(initial=0.0)))
         step = DIFFERENCE * (largest(self._cloud.comm, most) or 1.0)
         strain, factor = np.zeros((self._cloud.n_owned, 3, 3)), np.zeros(self._cloud.n_owned)
         with agreed(self._cloud.comm):

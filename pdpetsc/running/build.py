@@ -47,6 +47,7 @@ from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
+from pdpetsc.running.crack_shares import with_crack_share
 from pdpetsc.solvers.staggered import HeatMarch, HeatTogether
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
@@ -150,7 +151,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
             if case.needs_surface:  # not by default only
                 raise
             weights = Unsuited(str(error))
-    chosen = replace(case, weights=weights)
+    chosen = replace(with_crack_share(case), weights=weights)
     body = Body(cloud, families, surface, case.particles.thickness)
     return _problem(chosen, body, materials, material_of, factor, options)
 

@@ -8,6 +8,7 @@ import importlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
+from pdpetsc.declare.cracks import crack_of
 from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import PRINCIPAL, Labels
 from pdpetsc.output.picture import draw_field, kept_picture
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.output.scene import broken_pairs
+from pdpetsc.output.surface import read_surface
+from pdpetsc.post.inside import Held, Inside, inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked
@@ -125,11 +130,15 @@ class Result(Mapping[str, float]):
     def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
         """Return a field at points, by linear fits to the nearest particles (not collective).
 
+        Particles beyond a crack do not count: neither where the case has a crack from the start nor where the bonds
+        to them are broken at the step. Where too few are left for a slope, a point has the value of its particle.
+
         Parameters
         ----------
         points : (m, d) array
-            Where [length]; d is the dimension of the body, or 3: ``np.linspace(start, end, 50)`` is a line;
-            places along a line body may be (m,).
+            Where in the undeformed body [length], whatever has moved; d is the dimension of the body, or 3:
+            ``np.linspace(start, end, 50)`` is a line; places along a line body may be (m,). A point on a crack
+            belongs to one of its sides.
         name : str
             The field, as for ``field``.
         step : int, optional
@@ -138,22 +147,54 @@ class Result(Mapping[str, float]):
         Returns
         -------
         (m, ...) float64
-            nan outside of the body: farther from the nearest particle than 1.5 times the distance of that one from its
-            own nearest neighbour.
+            nan outside of the undeformed body. It is where the cells of its particles are, if these are equal boxes,
+            also of unequal sides; else behind its surface, where the particles know it; else, of particles of which
+            only the volumes are known, where discs of these volumes are and what lies between two near ones.
 
         Raises
         ------
         CaseError
             The run wrote no such field or step, or the points have another dimension or are not finite, or the body
             is one particle that is elsewhere; or the field is one of forces on particles, which are as large as the
-            particles and have no values between them.
+            particles and have no values between them; or a crack is of a class of the case.
         """
         if Labels.of(self.summary).fields.get(name) == "force":
             raise CaseError(
                 f"The field {name} of {self.folder} is a force on each particle, which depends on its volume and has "
                 f"no values between particles; add those of field({name!r}) up over the particles of a region."
             )
-        return sampled(self.x, np.asarray(self.field(name, step), dtype=float), points)
+        values = np.asarray(self.field(name, step), dtype=float)
+        x, inside = self._body
+        return sampled(x, values, points, inside, self._held(x[:, : len(inside.sides)], step))
+
+    @cached_property
+    def _body(self) -> tuple[Float, Inside]:
+        """Return where the particles are (n, 3), and what tells which places are inside of the body."""
+        stored, x = self.fields, self.x
+        dim = int(self.summary.get("dimension") or max(1, int((np.ptp(x, axis=0) > 0.0).sum())))
+        depth = float(self.summary.get("thickness") or 1.0) if dim < 3 else 1.0
+        surface = read_surface(self.folder, stored.run)
+        return x, inside_of(x[:, :dim], np.asarray(stored.of_particles("volume")), depth, surface)
+
+    def _held(self, x: Float, step: int | None) -> Held:
+        """Return which of the particles (n, dim) hold together at a step."""
+        records = self.summary.get("cuts")
+        if records is None:
+            # Of earlier versions only the lines of a plane body are known.
+            lines = self.summary.get("cracks") or []
+            records = [{"kind": "Polyline", "points": line} for line in lines if len(line) > 1]
+        cracks = [(record, crack_of(record)) for record in records]
+        unknown = [str(record.get("kind")) for record, crack in cracks if crack is None]
+        if unknown:
+            raise CaseError(
+                f"{self.folder} has a crack of the class {unknown[0]} of the case, which its folder does not know, so "
+                f"that a value between particles may be one across the crack; take field(name) of particles."
+            )
+        stored = self.fields
+        broken = broken_pairs(self.folder, stored.steps[-1] if step is None else step, x)
+        horizon = self.summary.get("horizon")
+        known = [crack for _, crack in cracks if crack is not None]
+        return Held(x, known, broken, float(horizon) if horizon else np.inf)
 
     def frame(self) -> Any:
         """Return the history as a pandas data frame, a row a step.

@@ -5,24 +5,24 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import platform
 import resource
 import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 from pdpetsc.case import Case
+from pdpetsc.declare.cracks import recorded as recorded_crack
 from pdpetsc.discrete.communicator import Comm, agreed, alone, communicator, is_root, total
 from pdpetsc.discrete.failure import all_failed, give_up, messages_apart
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
 from pdpetsc.gradient.weights import NEED_NOT_CONVERGE
 from pdpetsc.kernels.compile import cache_trouble
+from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts
@@ -31,6 +31,7 @@ from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.output.records import plain, write_summary
+from pdpetsc.output.surface import write_surface
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
@@ -39,10 +40,14 @@ from pdpetsc.post.solution import Field, Solution, displacement
 from pdpetsc.problem.apart import pieces_left
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
+from pdpetsc.running.confined import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
+from pdpetsc.running.confined import words as confined_words
+from pdpetsc.running.crack_shares import CrackShare, crack_share
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
 from pdpetsc.running.signals import Signals, watched
+from pdpetsc.running.so_far import SoFar, steps_before
 from pdpetsc.solvers.protocol import Converged, Solver, Start, StepResult
 
 
@@ -158,9 +163,13 @@ class _Run:
         self.comm = comm
         self.phases = Phases()
         self.steps: list[dict[str, Any]] = []
+        # What a restart goes on from: the steps of the run before it, and what came up in them.
+        self.earlier: list[Any] = []
+        self.so_far = SoFar()
         self.history: dict[str, list[float]] = {}
         self.failed: list[StepResult] = []
         self.unit = "Newton"
+        self._share: CrackShare | None = None
         self.prepared: Prepared | None = None
         self.solver: Solver | None = None
         self.keeper: Keeper | None = None
@@ -325,6 +334,11 @@ class _Run:
             start = origin.start
             with prepared.options.active():
                 solver.resume(_start(start))
+            self.so_far = SoFar.of(origin)
+            self.earlier = self.comm.bcast(steps_before(origin) if is_root(self.comm) else None)
+            self.summary["restart"] = {"step": start.step, "t": start.t}
+            if problem.matter.n_detached:
+                self.summary["detached_particles"] = problem.matter.n_detached
         step = start.step
         self.phases.now = "output"
         self._try_records(start)
@@ -342,8 +356,15 @@ class _Run:
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
             keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.keeper, self.history = keeper, keeper.history
+            keeper.so_far = self.so_far.numbers
+            self.summary["run"] = keeper.run
+            if self._fields():
+                write_surface(self.comm, self.folder, keeper.run, case.particles)
             if not keeper.took_over:
-                self.report.say(f"no history of this case beside the checkpoint: it starts at step {step}")
+                self.report.warn(
+                    f"No history of this case is beside the checkpoint: it starts at step {step}, and results that "
+                    f"are made of it, as its largest force, know of nothing before."
+                )
 
         def on_failure(at: float, dt: float, result: StepResult) -> None:
             self.failed.append(result)
@@ -360,6 +381,8 @@ class _Run:
             self.report.step(converged.t, solver.line(step, converged))
             self._say_detached(problem)
             self.steps.append(_step_summary(step, converged, solver.unit))
+            self.so_far.add(converged)
+            keeper.so_far = self.so_far.numbers
             self.failed.clear()
             with self.phases.timed("output"):
                 state = Solution(problem, converged.u, converged.t, step, resume=converged.resume)
@@ -369,6 +392,7 @@ class _Run:
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
+        confined = self._confined(prepared, solver, keeper.last)
         self.phases.now = "results"
         self.signals.patient = False
         with agreed(self.comm):
@@ -390,15 +414,19 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
-        for name, found in self.summary["doubts"].items():
-            times = f"step time {found['t']:.6g}" + (f", the first of {found['steps']}," if found["steps"] > 1 else "")
-            self.report.warn(f"{name} of the history at {times} {found['why']}.")
-        unstable = sum(bool(found["negative_pivots"]) for found in self.steps)
+        if self._share is not None and self._share.grave:
+            self.report.warn(f"What the cracks of this run took is not known. {self._share.said}")
+        for name, doubt in self.summary["doubts"].items():
+            times = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")
+            self.report.warn(f"{name} of the history at {times} {doubt['why']}.")
+        if confined is not None and confined.wrong:
+            self.report.warn(confined_words(confined))
+        found = self.so_far
         # Where the load is sought, equilibria past its limit are meant to be found.
-        if unstable and not case.solver.finds_load:
+        if found.unstable and not case.solver.finds_load:
             self.report.warn(
-                f"{unstable} of {len(self.steps)} equilibria are unstable, the first at step time "
-                f"{next(found['t'] for found in self.steps if found['negative_pivots']):.6g}; perturb the body, or let "
+                f"{found.unstable} of {found.steps} equilibria are unstable, the first at step time "
+                f"{found.first_unstable:.6g}; perturb the body, or let "
                 f'Steps(unstable="shorten") end the run before.'
             )
         self._show(results)
@@ -467,14 +495,28 @@ class _Run:
             return
         pieces, lone = pieces_left(problem)
         self.summary["pieces"] = {"pieces": pieces, "lone_particles": lone}
-        forces = [step["reference"] for step in self.steps]
-        left = forces[-1] / max(forces) if forces and max(forces) > 0.0 else float("nan")
+        found = self.so_far
+        left = found.last_force / found.largest_force if found.largest_force > 0.0 else float("nan")
         self.summary["pieces"]["forces_left"] = left
         whole = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
         beside = f", beside {lone} lone particles" if lone else ""
         carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
-        carried += " since its restart" if carried and self.restart is not None else ""
+        # A checkpoint of an earlier version does not tell what the forces before it were.
+        carried += " since its restart" if carried and not found.whole else ""
         self.report.say(f"{whole}{beside}{carried}")
+
+    def _confined(self, prepared: Prepared, solver: Solver, last: Solution) -> Unbalanced | None:
+        """Find what unbalanced forces make of the last state of a nearly incompressible body (collective)."""
+        problem = prepared.problem
+        with agreed(self.comm):
+            asked = nearly_incompressible(self.case, problem.dim)
+        if not asked or not self.steps:
+            return None
+        with prepared.options.active():
+            found = unbalanced(problem, solver, unbalanced_areas(self.case, problem), last.unknowns, last.t)
+        note = confined_words(found) if found.wrong else ""
+        self.summary["unbalanced"] = dataclasses.asdict(found) | {"note": note}
+        return found
 
     def _write_summary(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
         """Write the summary of a run that has ended, and return it as the file has it (collective)."""
@@ -487,7 +529,7 @@ class _Run:
         return self.summary | {
             "status": status,
             "results": dict(results),
-            "steps": self.steps,
+            "steps": [*self.earlier, *self.steps],
             "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
             "timings": self.phases.timings,
             "peak_memory_bytes": memory,
@@ -529,12 +571,10 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:
             self.report.say(f"scheme: {matter.note}")
-        if self.case.damage is not None and self.case.damage.assumes_share and not self.case.of_bonds:
-            self.report.warn(
-                "The fracture energy is that of a body of bonds with the same modulus, and a crack through deformation "
-                "gradients takes another one, a third of it or more; give the share that it takes, "
-                "FractureEnergy(Gc, share=...), from the table in the page on fracture."
-            )
+        share = self._share = crack_share(self.case)
+        if share is not None:
+            self.summary["fracture_energy"] = share.record
+            (self.report.warn if share.grave else self.report.say)(share.said)
 
     def _report_loads(self, problem: Problem) -> None:
         resultants = [found for term in problem.terms for found in term.resultants]
@@ -550,6 +590,9 @@ class _Run:
         for name, axes, count in held:
             self.report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
         cut = problem.supports.held_at_cut_families()
+        if cut and problem.body.surface is not None and not self.case.of_bonds:
+            # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
+            cut *= int(any(self.comm.allgather(bool(unbalanced_areas(self.case, problem).any()))))
         self.summary["held_at_cut_families"] = cut
         if cut:
             self.report.say(
@@ -567,6 +610,8 @@ def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
             "fields": {field.__name__: dimension_of(field) for field in fields},
         },
         "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
+        "cuts": [recorded_crack(crack) for crack in case.cracks],
+        "thickness": case.particles.thickness,
     }
 
 
@@ -618,10 +663,7 @@ def _attempt(result: StepResult, unit: str) -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version(), "petsc": petsc_version()}
-    for package in ("pdpetsc", "numpy", "scipy", "numba"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    packages = ("pdpetsc", *OF_NUMBERS)
+    # Those that are missing are named too: pdpetsc is, where it runs from a checkout.
+    found = {"python": "", "petsc": petsc_version(), **dict.fromkeys(packages, "not installed")}
+    return found | versions(packages)

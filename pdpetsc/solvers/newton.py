@@ -32,6 +32,8 @@ from pdpetsc.solvers.protocol import Setting, Start, StepResult
 # do not.
 SECANTS = "cp"
 ONE_STEP = Steps()
+# Tolerance of the response to forces that are no load.
+RESPONSE = 1e-4
 
 
 class StaticSolver(LoadStepSolver):
@@ -156,6 +158,20 @@ class StaticSolver(LoadStepSolver):
             sought.tangent.forget()
         self.resumed = None
         return sought.at_prescribed(found), result
+
+    def response(self, u: Float, t: float, force: Float) -> Float | None:
+        """Return what the tangent at an equilibrium answers forces with; None where the linear solve fails."""
+        if self._all_prescribed:
+            return np.zeros_like(u)
+        sought, ksp = self._equilibrium, self.snes.getKSP()
+        sought.impose(t)
+        ksp.setTolerances(rtol=RESPONSE)
+        try:
+            sought.tangent.update(self.problem.state(u, t))
+            found, _ = self._linear_step(u, self.problem.state(u, t), np.where(sought.free, force, 0.0))
+        except PETSc.Error:  # the run has ended, and stands without it
+            return None
+        return None if ksp.getConvergedReason() < 0 else found
 
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from where the step before leads to; return the linear iterations, None where that fails."""

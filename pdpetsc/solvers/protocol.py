@@ -193,6 +193,14 @@ class Solver(ABC):
         """Return the displacements whose tangent begins the next step (n_rows, dim) [length]; None: the last."""
         return None
 
+    def response(self, u: Float, t: float, force: Float) -> Float | None:
+        """Return what the tangent at an equilibrium answers forces with (n_rows, dim) [length] (collective).
+
+        None where this solver has no tangent at hand. ``force`` (n_rows, dim) [force] is zero where unknowns are
+        prescribed. Nothing is solved after it.
+        """
+        return None
+
     def resume(self, start: Start) -> None:
         """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective).
 

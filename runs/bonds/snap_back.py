@@ -39,7 +39,7 @@ def case(n=24, horizon=2.015, pull=1.0, calibration="family"):
         particles=pd.Lattice((0.0, 0.0), (LENGTH, WIDTH), dx, cut=hole),
         horizon=delta,
         material=pd.BondBased(E=E, plane="stress", calibration=calibration),
-        damage=pd.Brittle(pd.FractureEnergy(GC), protected=ends),
+        damage=pd.Brittle(pd.FractureEnergy(GC, share=1.0), protected=ends),
         conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=pull, y=0.0)],
         solver=pd.EventDriven(),
         history={

@@ -143,7 +143,8 @@ def broken(n, horizon, a, pull, calibration, law, solver):
     griffith = np.sqrt(E * GC / (np.pi * a / np.cos(np.pi * a / WIDTH)))
     crack = pd.Segment((0.5 * WIDTH - a, 0.5 * LENGTH), (0.5 * WIDTH + a, 0.5 * LENGTH))
 
-    energy = pd.FractureEnergy(GC)
+    # Of one plane of bonds, so that the load over that of Griffith tells what a crack takes.
+    energy = pd.FractureEnergy(GC, share=1.0)
     laws = {"brittle": pd.Brittle(energy, protected=ends), "linear": pd.LinearSoftening(energy, 3.0, protected=ends)}
 
     def results(h):

@@ -150,7 +150,7 @@ def broken(n, horizon, a, solver, scheme, weights, G):
         horizon=horizon * dx,
         **model,
         cracks=[pd.Segment((-1.0, 0.5 * LENGTH), (a, 0.5 * LENGTH))],
-        damage=pd.Brittle(pd.FractureEnergy(GC), protected=ends),
+        damage=pd.Brittle(pd.FractureEnergy(GC, share=1.0), protected=ends),
         conditions=[
             pd.Displacement(far, x=0.0, y=0.0),
             pd.Displacement(corner, y=0.0),

@@ -1,0 +1,439 @@
+"""Which places are inside of a body, and which particle they belong to, as its own cells or its surface tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.declare.cracks import Crack
+from pdpetsc.declare.particles import lattice_cells
+from pdpetsc.errors import CaseError
+
+# A place this near to a face of a cell, as a share of its side, or to a facet, as a share of its extent, is on it.
+ON_FACE = 1e-9
+# Facets are the surface of a body where they are closed up to the first share of their area, and hold the volume of
+# the particles up to the second.
+CLOSED, HELD = 1e-6, 1e-3
+# Radius of a ball of volume 1, by dimension.
+BALL = {1: 0.5, 2: np.pi**-0.5, 3: (0.75 / np.pi) ** (1.0 / 3.0)}
+# Two particles hold what lies between them where neither is farther from it than so many of its sizes.
+BETWEEN = {1: 1.0, 2: 1.25, 3: 1.5}
+# Particles that are looked at for one beyond a place.
+AROUND = {1: 6, 2: 24, 3: 48}
+# A particle is no larger than so many mean distances from its neighbours, whatever its volume.
+LARGEST = 1.5
+# Facets that are looked at for the nearest one, of each size.
+FACETS = 16
+# A disc in the place of a facet is this share of its radius too near or too far at most, where facets are no slivers.
+UNKNOWN = 0.6
+
+
+class Inside(Protocol):
+    """What tells which places are inside of a body."""
+
+    @property
+    def sides(self) -> Float:
+        """Return lengths along the axes (dim,) over which particles are about as far apart in all directions."""
+
+    def homes(self, points: Float) -> GlobalIndex:
+        """Return the particle that places (m, dim) belong to (m,), -1 outside of the body."""
+
+    def size(self, particles: GlobalIndex) -> Float:
+        """Return how large particles (m,) are [length]."""
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Equal box cells with a particle in the middle of each: the body is where cells are.
+
+    Attributes
+    ----------
+    x : (n, dim) float64
+        Positions [length].
+    sides : (dim,) float64
+        Sides of a cell [length].
+    """
+
+    x: Float
+    sides: Float
+
+    def homes(self, points: Float) -> GlobalIndex:
+        """Return the particle in whose cell places are; on a face of the body the one inside, on others the upper."""
+        place = (points - self.x.min(axis=0)) / self.sides + 0.5
+        found = np.full(len(points), -1, dtype=np.int64)
+        for corner in range(2 ** len(self.sides)):
+            signs = np.array([1.0 if corner >> axis & 1 == 0 else -1.0 for axis in range(len(self.sides))])
+            missing = found < 0
+            found[missing] = self._at(np.floor(place[missing] + ON_FACE * signs).astype(np.int64))
+        return found
+
+    def size(self, particles: GlobalIndex) -> Float:
+        """Return the longest side of the cells."""
+        return np.full(len(particles), float(self.sides.max()))
+
+    @cached_property
+    def _numbered(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex, GlobalIndex]:
+        """Return cells along each axis, what multiplies their numbers, and the sorted numbers with their order."""
+        cell = np.round((self.x - self.x.min(axis=0)) / self.sides).astype(np.int64)
+        width = cell.max(axis=0) + 1
+        weights = np.concatenate([[1], np.cumprod(width[:-1])])
+        number = cell @ weights
+        order = np.argsort(number)
+        return width, weights, number[order], order
+
+    def _at(self, cell: GlobalIndex) -> GlobalIndex:
+        width, weights, numbers, order = self._numbered
+        sought = cell @ weights
+        at = np.minimum(np.searchsorted(numbers, sought), len(numbers) - 1)
+        there = ((cell >= 0) & (cell < width)).all(axis=1) & (numbers[at] == sought)
+        return np.where(there, order[at], -1)
+
+
+class _Nearest:
+    """Finds what is nearest, measured in its own size: of each factor of two in size a tree."""
+
+    def __init__(self, x: Float, size: Float) -> None:
+        self._x, self._size = x, size
+        group = np.floor(np.log2(size / size.min())).astype(np.int64)
+        self._members = [np.flatnonzero(group == number) for number in np.unique(group)]
+        self._trees = [cKDTree(x[members]) for members in self._members]
+
+    def query(self, points: Float, k: int) -> tuple[Float, GlobalIndex]:
+        """Return distances over sizes, and which (m, k) at most, the nearest first."""
+        near = self.of_each_size(points, k)
+        distance = np.linalg.norm(self._x[near] - points[:, None], axis=2) / self._size[near]
+        order = np.argsort(distance, axis=1, kind="stable")[:, :k]
+        return np.take_along_axis(distance, order, axis=1), np.take_along_axis(near, order, axis=1)
+
+    def of_each_size(self, points: Float, k: int) -> GlobalIndex:
+        """Return the ``k`` nearest ones of each factor of two in size (m, ...)."""
+        found = []
+        for tree, members in zip(self._trees, self._members, strict=True):
+            most = min(k, len(members))
+            found.append(members[tree.query(points, k=most)[1].reshape(-1, most)])
+        return np.concatenate(found, axis=1)
+
+
+@dataclass(frozen=True)
+class Discs:
+    """Particles of which nothing is known but where they are and how large.
+
+    The body is where their discs, or balls, of their own volumes are, and what lies between two particles: in the
+    ball whose diameter goes from the one to the other.
+
+    Attributes
+    ----------
+    x : (n, dim) float64
+        Positions [length].
+    h : (n,) float64
+        Size: the side of a cube of the volume [length].
+    """
+
+    x: Float
+    h: Float
+
+    @classmethod
+    def of(cls, x: Float, volume: Float) -> Discs:
+        """Return the discs of particles with volumes (n,) [length^dim]."""
+        dim, h = x.shape[1], volume ** (1.0 / x.shape[1])
+        if len(x) == 1:
+            return cls(x, h)
+        apart = cKDTree(x).query(x, k=min(1 + 2 * dim, len(x)))[0][:, 1:]
+        return cls(x, np.minimum(h, LARGEST * apart.mean(axis=1)))
+
+    @property
+    def sides(self) -> Float:
+        """Return the same in all directions."""
+        return np.ones(self.x.shape[1])
+
+    def size(self, particles: GlobalIndex) -> Float:
+        """Return the sides of cubes of their volumes."""
+        return self.h[particles]
+
+    def homes(self, points: Float) -> GlobalIndex:
+        """Return the nearest particle, each distance measured in the size of the particle."""
+        dim = self.x.shape[1]
+        distance, near = self._nearest.query(points, AROUND[dim])
+        home = near[:, 0]
+        there, back = self.x[near] - points[:, None], self.x[home] - points
+        # Rounding does not decide on the ball itself, where the middles of faces of cells lie.
+        round_off = ON_FACE * self.h[home][:, None] ** 2
+        beyond = ((there * back[:, None]).sum(axis=2) <= round_off) & (distance <= BETWEEN[dim])
+        held = (distance[:, 0] <= BALL[dim] * (1.0 + ON_FACE)) | (
+            beyond[:, 1:].any(axis=1) & (distance[:, 0] <= BETWEEN[dim])
+        )
+        return np.where(held, home, -1)
+
+    def nearest(self, points: Float) -> GlobalIndex:
+        """Return the nearest particle (m,), inside or not."""
+        return self._nearest.query(points, 1)[1][:, 0]
+
+    @cached_property
+    def _nearest(self) -> _Nearest:
+        return _Nearest(self.x, self.h)
+
+
+@dataclass(frozen=True)
+class Facets:
+    """The surface of a body.
+
+    Attributes
+    ----------
+    x, area : (m, dim) float64
+        Centroids [length] and outward vector areas [area].
+    triangles : (k, 3, 3) float64
+        The whole surface of a solid body as triangles, outward by the right hand [length]; none where not known.
+    """
+
+    x: Float
+    area: Float
+    triangles: Float = field(default_factory=lambda: np.empty((0, 3, 3)))
+
+
+class Surface(Protocol):
+    """A closed surface."""
+
+    def holds(self, points: Float) -> Mask:
+        """Return which places (m, dim) are known to be inside (m,)."""
+
+
+@dataclass(frozen=True)
+class Enclosed:
+    """A body whose surface is known: a place is inside where that holds it."""
+
+    discs: Discs
+    surface: Surface
+
+    @property
+    def sides(self) -> Float:
+        """Return the same in all directions."""
+        return self.discs.sides
+
+    def size(self, particles: GlobalIndex) -> Float:
+        """Return the sides of cubes of their volumes."""
+        return self.discs.size(particles)
+
+    def homes(self, points: Float) -> GlobalIndex:
+        """Return the nearest particle, each distance measured in the size of the particle."""
+        near = self.discs.nearest(points)
+        held = np.zeros(len(points), dtype=bool)
+        for part in np.array_split(np.arange(len(points)), 1 + len(points) // 20_000):
+            held[part] = self.surface.holds(points[part])
+        return np.where(held, near, -1)
+
+
+@dataclass(frozen=True)
+class Flat:
+    """Facets of which area and middle are known: ends of a line, lines in the plane, in space discs of their area.
+
+    A place is inside where it is behind the nearest of them. The outlines of facets in space are not known; where
+    facets that might be the nearest do not agree, as outside of edges and next to hollow ones, it is not inside.
+
+    Attributes
+    ----------
+    x, normals : (m, dim) float64
+        Middles [length] and outward unit normals.
+    reach : (m,) float64
+        Half the length of lines, the radius of discs; 0 for the ends of a line body [length].
+    """
+
+    x: Float
+    normals: Float
+    reach: Float
+
+    def holds(self, points: Float) -> Mask:
+        """Return which places are behind the nearest facet."""
+        near = self._nearest.of_each_size(points, FACETS)
+        away = points[:, None] - self.x[near]
+        height = (away * self.normals[near]).sum(axis=2)
+        across = np.linalg.norm(away - height[..., None] * self.normals[near], axis=2)
+        distance = np.hypot(height, np.maximum(across - self.reach[near], 0.0))
+        extent = np.maximum(self.reach[near], ON_FACE * np.linalg.norm(away, axis=2))
+        first = distance.min(axis=1, keepdims=True)
+        if self.x.shape[1] == 3:
+            may_be = distance <= first + UNKNOWN * extent
+            return np.asarray((~may_be | (height <= ON_FACE * extent)).all(axis=1))
+        # Where two lines meet in a corner their normals count together.
+        beside = distance <= first + 1e3 * ON_FACE * extent
+        return np.asarray(np.where(beside, height, 0.0).sum(axis=1) <= ON_FACE * extent.max(axis=1))
+
+    @cached_property
+    def _nearest(self) -> _Nearest:
+        # Those of a line body have no extent.
+        return _Nearest(self.x, self.reach if self.reach.min() > 0.0 else np.ones(len(self.x)))
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A surface of triangles (k, 3, 3) [length]: a place is inside where it is behind the nearest of them.
+
+    Where the nearest point is on an edge or corner whose triangles do not agree, their solid angles tell.
+    """
+
+    corners: Float
+
+    def holds(self, points: Float) -> Mask:
+        """Return which places are inside."""
+        near = self._nearest.of_each_size(points, FACETS)
+        corners, (normal, size) = self.corners[near], (one[near] for one in self._normals)
+        foot = _foot(points[:, None], corners)
+        away = points[:, None] - foot
+        distance, height = np.linalg.norm(away, axis=2), ((points[:, None] - corners[:, :, 0]) * normal).sum(axis=2)
+        beside = distance <= distance.min(axis=1, keepdims=True) + 1e3 * ON_FACE * size
+        behind = height <= ON_FACE * size
+        found = np.asarray((~beside | behind).all(axis=1))
+        for k in np.flatnonzero(~found & (beside & behind).any(axis=1) & (distance.min(axis=1) > ON_FACE * size[:, 0])):
+            found[k] = _turns(self.corners - points[k]) > 0.5
+        return np.asarray(found | (distance.min(axis=1) <= ON_FACE * size[:, 0]))
+
+    @cached_property
+    def _normals(self) -> tuple[Float, Float]:
+        """Return unit normals and lengths of the longest sides."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        normal = np.cross(b - a, c - a)
+        size = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
+        return normal / np.linalg.norm(normal, axis=1)[:, None], size
+
+    @cached_property
+    def _nearest(self) -> _Nearest:
+        return _Nearest(self.corners.mean(axis=1), self._normals[1])
+
+
+def _foot(p: Float, corners: Float) -> Float:
+    """Return the points of triangles (m, k, 3, 3) that are nearest to places (m, 1, 3), by the regions around them.
+
+    The nearest point of the plane where that is within the triangle, else the nearest one on a side.
+    """
+    a, b, c = np.moveaxis(corners, 2, 0)
+    ab, ac, ap = b - a, c - a, p - a
+    d00, d01, d11 = (ab * ab).sum(axis=2), (ab * ac).sum(axis=2), (ac * ac).sum(axis=2)
+    d20, d21 = (ap * ab).sum(axis=2), (ap * ac).sum(axis=2)
+    whole = d00 * d11 - d01 * d01
+    v, w = (d11 * d20 - d01 * d21) / whole, (d00 * d21 - d01 * d20) / whole
+    within = (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0)
+    best = a + v[..., None] * ab + w[..., None] * ac
+    least = np.where(within, -1.0, np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        side = end - start
+        share = np.clip(((p - start) * side).sum(axis=2) / (side * side).sum(axis=2), 0.0, 1.0)
+        there = start + share[..., None] * side
+        apart = ((p - there) ** 2).sum(axis=2)
+        closer = apart < least
+        best[closer], least = there[closer], np.minimum(least, apart)
+    return np.asarray(best)
+
+
+def _turns(corners: Float) -> float:
+    """Return how often triangles (k, 3, 3) go around the origin: their solid angles over that of a sphere.
+
+    By the formula of Van Oosterom and Strackee.
+    """
+    a, b, c = np.moveaxis(corners, 1, 0)
+    la, lb, lc = (np.linalg.norm(one, axis=1) for one in (a, b, c))
+    over = (a * np.cross(b, c)).sum(axis=1)
+    under = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+    return float(2.0 * np.arctan2(over, under).sum() / (4.0 * np.pi))
+
+
+def inside_of(x: Float, volume: Float, thickness: float, facets: Facets | None = None) -> Inside:
+    """Return what tells which places are inside of a body: its cells, else its facets, else discs of its particles.
+
+    Parameters
+    ----------
+    x : (n, dim) float64
+        Positions of the particles [length].
+    volume : (n,) float64
+        Their volumes [length^dim times thickness].
+    thickness : float
+        Of a plane body [length], cross-section of a line body [length^2], 1 of a solid one.
+    facets : Facets, optional
+        The surface.
+    """
+    dim = x.shape[1]
+    try:
+        cell, sides = lattice_cells(x, volume, thickness)
+    except CaseError:
+        pass
+    else:
+        wide = cell.max(axis=0)
+        return Boxes(x, np.where(wide > 0, np.ptp(x, axis=0) / np.maximum(wide, 1), sides))
+    discs = Discs.of(x, volume / thickness)
+    if facets is None or not len(facets.x):
+        return discs
+    places, area = facets.x, facets.area
+    size = np.linalg.norm(area, axis=1)
+    places, area, size = places[size > 0.0], area[size > 0.0], size[size > 0.0]
+    middle = x.mean(axis=0)
+    open_by = np.linalg.norm(area.sum(axis=0)) / size.sum()
+    held = float(((places - middle) * area).sum()) / dim
+    if open_by > CLOSED or abs(held - volume.sum()) > HELD * volume.sum():
+        # A part of a surface tells nothing of what lies beyond the rest.
+        return discs
+    if len(facets.triangles):
+        return Enclosed(discs, Triangles(facets.triangles))
+    reach = {1: 0.0 * size, 2: 0.5 * size / thickness, 3: np.sqrt(size / np.pi)}[dim]
+    return Enclosed(discs, Flat(places, area / size[:, None], reach))
+
+
+@dataclass(frozen=True)
+class Held:
+    """Which particles hold together: those whose bond is neither broken nor cut by a crack.
+
+    Attributes
+    ----------
+    x : (n, dim) float64
+        Positions [length].
+    cracks : sequence of Crack
+        That cut from the start.
+    broken : (k, 2) int64
+        Pairs of particles whose bond is broken.
+    horizon : float
+        Particles farther apart have no bond, so that nobody knows whether something lies between them [length].
+    """
+
+    x: Float
+    cracks: Sequence[Crack] = ()
+    broken: GlobalIndex = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    horizon: float = np.inf
+
+    def together(self, home: GlobalIndex, near: GlobalIndex) -> Mask:
+        """Return which particles near a home (m, k) hold together with it (m,)."""
+        a, b = np.repeat(self.x[home], near.shape[1], axis=0), self.x[near.ravel()]
+        held = ~self.cut(a, b).reshape(near.shape)
+        if len(self.broken):
+            own = home[:, None]
+            held &= ~np.isin(np.minimum(own, near) * len(self.x) + np.maximum(own, near), self._codes)
+            held &= np.linalg.norm(b - a, axis=1).reshape(near.shape) <= self.horizon * (1.0 + 1e-9)
+        return np.asarray(held | (near == home[:, None]))
+
+    def cut(self, a: Float, b: Float) -> Mask:
+        """Return which lines from ``a`` to ``b`` (n, dim) a crack crosses that was there from the start."""
+        found = np.zeros(len(a), dtype=bool)
+        for crack in self.cracks:
+            found |= crack.cuts(a, b)
+        return found
+
+    def on_side(self, points: Float, homes: GlobalIndex, sides: Float) -> GlobalIndex:
+        """Return homes (m,) on the side of cracks on which places (m, dim) are; those on a crack keep theirs."""
+        if not self.cracks:
+            return homes
+        wrong = np.flatnonzero(homes >= 0)
+        wrong = wrong[self.cut(points[wrong], self.x[homes[wrong]])]
+        if not len(wrong):
+            return homes
+        most = min(2 * 3 ** self.x.shape[1], len(self.x))
+        near = cKDTree(self.x / sides).query(points[wrong] / sides, k=most)[1].reshape(len(wrong), most)
+        free = ~self.cut(np.repeat(points[wrong], most, axis=0), self.x[near.ravel()]).reshape(near.shape)
+        chosen = np.array(homes)
+        chosen[wrong] = np.where(free.any(axis=1), near[np.arange(len(wrong)), free.argmax(axis=1)], homes[wrong])
+        return chosen
+
+    @cached_property
+    def _codes(self) -> GlobalIndex:
+        return np.asarray(np.sort(self.broken, axis=1) @ np.array([len(self.x), 1]))

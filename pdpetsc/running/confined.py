@@ -1,0 +1,178 @@
+"""How far supports that a uniform stress pushes apart are behind the stress of a nearly incompressible body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.case import Case, ungraded
+from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.surface import Surface, surface_of
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import Material
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.protocol import Solver
+
+# A material whose kappa is more times 2 mu is nearly incompressible: nu above 0.44.
+STIFF = 4.0
+# An area is none below this share of the cell of its particle seen from its horizon; weights conform up to 1e-10.
+NONE = 1e-6
+# A displacement that a stress is differenced with, in spacings.
+STEP = 1e-5
+# Above this share of the stress, or of the displacement, numbers are said to be wrong.
+WRONG = 0.05
+# So they are where a solver cannot tell that share and more particles are pushed than this share of those that are
+# held: beside the ends of a clamped edge some always are.
+MANY = 0.2
+
+
+@dataclass(frozen=True)
+class Unbalanced:
+    """What the forces that a uniform stress leaves on free particles make of an equilibrium.
+
+    Attributes
+    ----------
+    particles, held : int
+        How many free particles a uniform stress pushes, and how many particles supports hold.
+    stress, displacement : float or None
+        What the solution would change by without these forces, to first order, over the stress and over the
+        displacement there, root mean squares over the volume [-]; None where the solver cannot tell.
+    """
+
+    particles: int
+    held: int
+    stress: float | None
+    displacement: float | None
+
+    @property
+    def wrong(self) -> bool:
+        """Return whether nobody should take the numbers."""
+        if self.stress is None or self.displacement is None:
+            return self.particles > MANY * self.held
+        return not max(self.stress, self.displacement) <= WRONG
+
+
+def nearly_incompressible(case: Case, dim: int) -> bool:
+    """Return whether a case has a material that keeps its volume, or patches that are meant for one (not collective).
+
+    Those whose bonds fail, with a temperature besides, and of bonds are not looked at.
+    """
+    if case.of_bonds or case.damage is not None or case.heat is not None or dim == 1:
+        return False
+    if case.gradients.patches is not None:
+        return True
+    materials = [cast(Material, ungraded(material)) for _, material in case.materials]
+    return any(one.bulk_like_modulus(dim) > STIFF * twice_shear(one.moduli(dim)) for one in materials)
+
+
+def unbalanced_areas(case: Case, problem: Problem) -> Float:
+    """Return the forces of a uniform unit pressure on free unknowns of the own particles (n_owned, dim) [area].
+
+    ``d_k = sum_p W_p g_pk - sum_f N_f(x_k) a_f`` over the facets whose particle is not held across them: the surface
+    there is loaded, and the rest is held by supports. Where it is zero a uniform stress is in equilibrium. Where the
+    facets are not known only particles are counted that have a held one in their family.
+
+    Parameters
+    ----------
+    case : Case
+        Whose particles may know their surface.
+    problem : Problem
+        The problem of that case.
+
+    Notes
+    -----
+    Collective.
+    """
+    body = problem.body
+    cloud, dim = body.cloud, body.dim
+    n, fixed = cloud.n_owned, problem.supports.fixed[: cloud.n_owned]
+    areas = problem.matter.uniform_stress_force(np.tile(np.eye(dim), (n, 1, 1)))[:n].copy()
+    surface = _surface(case, problem)
+    if surface is None:
+        held = np.zeros((cloud.n_local, dim))
+        held[:n] = fixed
+        cloud.halo.forward(held)
+        for axis in range(dim):
+            areas[~body.families.with_any(held[:, axis] > 0.0), axis] = 0.0
+    else:
+        loaded = np.zeros((cloud.n_local, dim))
+        surface.spread(surface.area * ~fixed[surface.owner], loaded)
+        areas -= body.gather(loaded)[:n]
+    areas[fixed | (np.abs(areas) <= NONE * (cloud.volume[:n] / cloud.reach[:n])[:, None])] = 0.0
+    return areas
+
+
+def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: float) -> Unbalanced:
+    """Return what the forces ``P d`` of ``unbalanced_areas`` make of an equilibrium ``u`` at step time ``t``.
+
+    The tangent answers them with the displacements by which the solution would change without them. Where a body can
+    only be compressed that is exact: the share of the stress that is lost.
+
+    Notes
+    -----
+    Collective.
+    """
+    body, comm = problem.body, problem.body.cloud.comm
+    n = body.cloud.n_owned
+    pushed, held = (int(total(comm, np.count_nonzero(one[:n].any(axis=1)))) for one in (areas, problem.supports.fixed))
+    if pushed == 0:
+        return Unbalanced(0, held, 0.0, 0.0)
+    state = problem.state(u, t)
+    P = problem.matter.first_piola_stress(state).copy()
+    force = np.zeros_like(u)
+    force[:n] = np.einsum("kij,kj->ki", P, areas)
+    # The tangent of what has just flowed is elastic.
+    found = None if problem.matter.has_history else solver.response(u, t, force)
+    if found is None:
+        return Unbalanced(pushed, held, None, None)
+    far = largest(comm, float(np.abs(found[:n]).max(initial=0.0)))
+    if far == 0.0:
+        return Unbalanced(pushed, held, 0.0, 0.0)
+    spacing = float(total(comm, body.cloud.volume[:n].sum()) / body.cloud.n_global) ** (1.0 / body.dim)
+    part = min(1.0, STEP * spacing / far)
+    moved = problem.state(u + part * found, t)
+    if not problem.admissible(moved):
+        return Unbalanced(pushed, held, None, None)
+    change = (problem.matter.first_piola_stress(moved) - P) / part
+    V = body.cloud.volume[:n]
+    volume, mean = total(comm, V.sum()), total(comm, V @ u[:n])
+    parts = [(V[:, None, None] * change**2).sum(), (V[:, None, None] * P**2).sum(), (V[:, None] * found[:n] ** 2).sum()]
+    sums = total(comm, np.array([*parts, (V[:, None] * (u[:n] - mean / volume) ** 2).sum()]))
+    stress, displacement = (
+        float(np.sqrt(a / b)) if b > 0.0 else float("inf") for a, b in ((sums[0], sums[1]), (sums[2], sums[3]))
+    )
+    return Unbalanced(pushed, held, stress, displacement)
+
+
+def words(found: Unbalanced) -> str:
+    """Return the sentence that a user must not miss."""
+    if found.stress is None or found.displacement is None:
+        much = "how far that moves them cannot be told here"
+    else:
+        much = (
+            f"without that push stresses would change by {100.0 * found.stress:.0f} % and displacements by "
+            f"{100.0 * found.displacement:.0f} %, to first order"
+        )
+    return (
+        f"Do not rely on these stresses: the material hardly changes its volume, and a uniform stress pushes "
+        f"{found.particles} free particles beside supports or at the surface; {much}. Hold particles that lie on the "
+        f"surface itself with conforming weights (LatticeNodes or MeshNodes, weights=Conforming()), or layers two "
+        f"horizons deep."
+    )
+
+
+def _surface(case: Case, problem: Problem) -> Surface | None:
+    """Return the surface of the body; None where its particles do not know it, or share families (collective)."""
+    body = problem.body
+    if body.surface is not None or body.families.repeats is not None or case.cracks:
+        return body.surface
+    try:
+        with agreed(body.cloud.comm):
+            facets = case.particles.surface(body.cloud.comm.rank, body.cloud.comm.size, case.cracks)
+        return surface_of(body.cloud, body.families, facets)
+    except CaseError:
+        return None

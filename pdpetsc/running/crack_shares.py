@@ -156,8 +156,8 @@ def crack_share(case: Case) -> CrackShare | None:
     if case.of_bonds:
         said = (
             f"fracture energy: it is that of two halves pulled apart, and what a running crack takes is not known "
-            f"here, because {why}; where it was measured that is 0.95 to 1.1 of it for bonds that soften, and 1.2 to "
-            f"1.5 for bonds that snap; measure it with runs/fracture/surfing.py and give FractureEnergy(Gc, share=...)"
+            f"here, because {why}; where it was measured that is 1 to 1.1 of it for bonds that soften, and 1.2 to "
+            f"2 for bonds that snap; measure it with runs/fracture/surfing.py and give FractureEnergy(Gc, share=...)"
         )
         return CrackShare(None, None, said, False)
     said = (

@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 
 import pdpetsc as pd
-from pdpetsc.command_line.cli import arguments_of, load_case
-from tests.ranks import asked
+from tests.ranks import asked, run_case
 
 ROOT = Path(__file__).parent.parent
-TIMEOUT = 120
+# Longer than anything takes on a busy machine [s].
+TIMEOUT = 300
 
 
 def command(case, *arguments, ranks=1, output=None):
@@ -38,30 +38,20 @@ def run(case, *arguments, ranks=1, output=None, **options):
 def results(case, *arguments, ranks=1, output):
     """Run a case file, which must succeed, and return its summary.
 
-    Without options but ``--restart`` it runs in this process, or on ranks that are there already, which saves the start
-    of Python.
+    It runs in this process, or on ranks that are there already, which saves the start of Python.
     """
-    words = [str(word) for word in arguments]
-    restart = words.pop(words.index("--restart") + 1) if "--restart" in words else None
-    words = [word for word in words if word != "--restart"]
-    if any(word.startswith("-") for word in words):
-        words += [] if restart is None else ["--restart", restart]
-        finished = run(case, *words, "--quiet", ranks=ranks, output=output)
-        assert finished.returncode == 0, finished.stderr
-    elif ranks == 1:
-        function = load_case(ROOT / case)
-        parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
-        pd.run(function(**parameters), output=output, parameters=parameters, restart=restart)
+    if ranks == 1:
+        run_case([str(ROOT / case), *map(str, arguments)], output)
     else:
-        run_on(ranks, case, words, output, restart)
+        printed(case, *arguments, ranks=ranks, output=output)
     return json.loads((output / "summary.json").read_text())
 
 
-def run_on(ranks, case, words, output, restart=None, timeout=TIMEOUT):
-    """Run a case, which must succeed, on ranks that stay for the next one."""
-    words = [str(word) for word in words]
-    request = {"case": str(ROOT / case), "words": words, "output": str(output), "restart": restart and str(restart)}
-    asked(ranks, {"what": "run", **request}, timeout)
+def printed(case, *arguments, ranks=1, output, timeout=TIMEOUT):
+    """Run a case file, which must succeed, on ranks that stay for the next one; return what it printed."""
+    words = [str(ROOT / case), *map(str, arguments)]
+    answers = asked(ranks, {"what": "run", "words": words, "output": str(output)}, timeout)
+    return "".join(answer["stdout"] for answer in answers)
 
 
 def called(*words, ranks=1, cwd=ROOT):
@@ -79,7 +69,13 @@ def called(*words, ranks=1, cwd=ROOT):
 def run_several(runs, ranks, timeout=TIMEOUT):
     """Run cases ``[(case, arguments, output)]``, which must all succeed, one after the other on the same ranks."""
     for case, words, output in runs:
-        run_on(ranks, case, words, output, timeout=timeout)
+        printed(case, *words, ranks=ranks, output=output, timeout=timeout)
+
+
+def script_on(ranks, text, *words, timeout=TIMEOUT):
+    """Execute the text of a script, which must succeed, on ranks that stay; return what it printed."""
+    request = {"what": "script", "text": text, "words": [str(word) for word in words]}
+    return "".join(answer["stdout"] for answer in asked(ranks, request, timeout))
 
 
 def python_on(ranks, *words, timeout=TIMEOUT):

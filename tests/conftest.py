@@ -4,8 +4,8 @@ import contextlib
 import os
 import signal
 
-# For this process before numpy is loaded, and for all that tests start: tests run side by side on every core, where more
-# threads, and ranks that wait for others at full speed, take the time of what has something to do.
+# For this process before numpy is loaded, and for all that tests start: tests run side by side on every core, where
+# more threads, and ranks that wait for others at full speed, take the time of what has something to do.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
 

@@ -1,12 +1,14 @@
 """Ranks that stay: runs on several ranks without starting Python and MPI anew for each.
 
-A test process starts ``mpirun`` once for each number of ranks that it needs. Every rank waits at a pipe of its own, which
-costs nothing (in MPI it would wait at full speed), does what it is asked together with the others and answers. The ranks
-end with the process that asks them, and are started anew where one of them failed.
+A test process starts ``mpirun`` once for each number of ranks that it needs. Every rank waits at a pipe of its own,
+which costs nothing (in MPI it would wait at full speed), does what it is asked together with the others and answers.
+The ranks end with the process that asks them, and are started anew where one of them failed.
 """
 
 import atexit
 import contextlib
+import ctypes
+import dataclasses
 import json
 import os
 import select
@@ -21,7 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 # How long a start may take, in which kernels may be compiled besides [s].
-START = 120.0
+START = 300.0
 # How many ranks are there from when they are first asked for; of other numbers only the last ones are.
 KEPT = (1, 2)
 
@@ -53,19 +55,21 @@ class Ranks:
         end = time.monotonic() + timeout + START
         for pipe in self.ask:
             os.write(pipe, json.dumps(request).encode() + b"\n")
-        return [self._answer(rank, end) for rank in range(self.size)]
-
-    def _answer(self, rank, end):
-        while b"\n" not in self.rest[rank]:
-            ready, _, _ = select.select([self.answers[rank]], [], [], 0.5)
-            if ready:
+        answers = [None] * self.size
+        while None in answers:
+            ready, _, _ = select.select(self.answers, [], [], 0.5)
+            for rank in (self.answers.index(pipe) for pipe in ready):
                 self.rest[rank] += os.read(self.answers[rank], 65536)
-            else:
+                if b"\n" in self.rest[rank]:
+                    line, self.rest[rank] = self.rest[rank].split(b"\n", 1)
+                    answers[rank] = json.loads(line)
+                    # The others may wait for this one in MPI.
+                    assert "failed" not in answers[rank], f"On rank {rank}: {answers[rank]['failed']}"
+            if not ready:
                 ended = self.process.poll() is not None
                 assert not ended, f"The ranks ended: {(self.folder / 'said').read_text()[-4000:]}"
-                assert time.monotonic() < end, f"Rank {rank} of {self.size} does not answer."
-        line, self.rest[rank] = self.rest[rank].split(b"\n", 1)
-        return json.loads(line)
+                assert time.monotonic() < end, f"Not all of {self.size} ranks answer."
+        return answers
 
     def end(self):
         """End the ranks, whatever they do."""
@@ -79,16 +83,14 @@ class Ranks:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def asked(size, request, timeout=120.0):
+def asked(size, request, timeout=300.0):
     """Ask ``size`` ranks; return their answers in the order of ranks."""
     if size not in _started:
         for other in [other for other in _started if other not in KEPT and size not in KEPT]:
             _started.pop(other).end()
         _started[size] = Ranks(size)
     try:
-        answers = _started[size].asked(request, timeout)
-        assert all("failed" not in answer for answer in answers), "\n".join(a.get("failed", "") for a in answers)
-        return answers
+        return _started[size].asked(request, timeout)
     except BaseException:
         ranks = _started.pop(size)
         with contextlib.suppress(ProcessLookupError):
@@ -106,42 +108,104 @@ def _end_all():
 # What the ranks do.
 
 
-def _run(case, words, output, restart):
+def run_case(words, output):
+    """Run a case in this process as the command line does, with options of PETSc for this run alone."""
     import pdpetsc as pd
-    from pdpetsc.command_line.cli import arguments_of, load_case
+    from pdpetsc.command_line.cli import arguments_of, load_case, split
+    from pdpetsc.declare.choice import choose
+    from pdpetsc.declare.solvers import SOLVERS
 
-    function = load_case(Path(case))
-    parameters = arguments_of(function, dict(word.split("=", 1) for word in words))
-    pd.run(function(**parameters), output=output, parameters=parameters, restart=restart)
-    return {}
+    asked = split(words)
+    function = load_case(asked.path)
+    parameters = arguments_of(function, asked.parameters)
+    case = function(**parameters)
+    if asked.solver is not None:
+        case = dataclasses.replace(case, solver=choose("--solver", asked.solver, SOLVERS))
+    options = {}
+    for word in asked.petsc:
+        if word.startswith("-") and not word[1:2].isdigit():
+            name = word[1:]
+            options[name] = None
+        else:
+            options[name] = word
+    pd.run(
+        case, output, options=options, parameters=parameters, restart=asked.restart,
+        restart_anyway=asked.restart_anyway, check=asked.check,
+    )  # fmt: skip
+
+
+def _run(words, output):
+    said = {}
+    with _caught(said), _without_what_it_imports(words[0]):
+        run_case(words, output)
+    return said
 
 
 def _command(words, folder):
     """Call the command line as a process of its own would; return its exit status and what it wrote."""
     from pdpetsc.command_line.cli import main
 
-    status, kept = None, [os.dup(1), os.dup(2)]
-    before = os.getcwd(), list(sys.path)
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+    before, said = os.getcwd(), {"status": None}
+    with _caught(said), _without_what_it_imports(Path(folder, words[0])):
         try:
             os.chdir(folder)
-            os.dup2(out.fileno(), 1)
-            os.dup2(err.fileno(), 2)
             main(words)
         except SystemExit as end:
-            status = end.code
+            said["status"] = end.code
         finally:
             signal.alarm(0)  # which main sets for the end of MPI
+            os.chdir(before)
+    return said
+
+
+def _script(text, words):
+    """Execute a script; what it raises, and an exit status other than 0, fails."""
+    before, said = sys.argv, {}
+    with _caught(said):
+        try:
+            sys.argv = ["script", *words]
+            exec(compile(text, "script", "exec"), {"__name__": "__main__"})
+        except SystemExit as end:
+            assert not end.code, f"exit status {end.code}"
+        finally:
+            sys.argv = before
+    return said
+
+
+@contextlib.contextmanager
+def _caught(said):
+    """Put what this process writes meanwhile, PETSc as well, into ``said``."""
+    kept = [os.dup(1), os.dup(2)]
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        os.dup2(out.fileno(), 1)
+        os.dup2(err.fileno(), 2)
+        try:
+            yield
+        finally:
             sys.stdout.flush()
             sys.stderr.flush()
+            ctypes.CDLL(None).fflush(None)
             for number, copy in enumerate(kept, 1):
                 os.dup2(copy, number)
                 os.close(copy)
-            os.chdir(before[0])
-            sys.path[:] = before[1]
-        out.seek(0)
-        err.seek(0)
-        return {"status": status, "stdout": out.read().decode(), "stderr": err.read().decode()}
+            for name, file in (("stdout", out), ("stderr", err)):
+                file.seek(0)
+                said[name] = file.read().decode()
+
+
+@contextlib.contextmanager
+def _without_what_it_imports(case):
+    """Forget the modules beside a case file: the next one may have others of the same names."""
+    path, modules = list(sys.path), set(sys.modules)
+    places = [ROOT / "runs", *([Path(case).parent.resolve()] if str(case).endswith(".py") else [])]
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        for name in set(sys.modules) - modules:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and any(Path(file).is_relative_to(place) for place in places):
+                del sys.modules[name]
 
 
 def _serve(folder):
@@ -153,7 +217,7 @@ def _serve(folder):
         for line in asked:
             request = json.loads(line)
             try:
-                answer = {"run": _run, "command": _command}[request.pop("what")](**request)
+                answer = {"run": _run, "command": _command, "script": _script}[request.pop("what")](**request)
             except Exception:
                 answer = {"failed": traceback.format_exc()}
             print(json.dumps(answer), file=answers, flush=True)

@@ -8,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.material.at_points import MaterialAtPoints
-from tests.commands import python_on
+from tests.commands import script_on
 from tests.scenes import rotation
 from tests.test_hyperelastic import BODIES, strip
 from tests.test_material import Law, derivative
@@ -111,8 +111,7 @@ def test_orientation_may_follow_a_function_of_place(tmp_path):
     assert force(lambda x: np.tile(turn, (len(x), 1, 1)), "c") == pytest.approx(constant, rel=1e-9)
     field = force(wavy, "d")
     assert field != pytest.approx(constant, rel=1e-2)
-    done = python_on(2, "-c", SEVERAL, str(tmp_path / "e"))
-    assert done.returncode == 0, done.stderr
+    script_on(2, SEVERAL, tmp_path / "e")
     found = json.loads((tmp_path / "e" / "summary.json").read_text())["results"]["force"]
     assert found == pytest.approx(field, rel=1e-9)
 

@@ -121,7 +121,7 @@ WRONG = {
 
 # What ends before anything parallel.
 AT_ONCE = ("unknown pdpetsc option", "syntax error", "no case function", "not a Case", "steps")
-# Of every kind one as a process of its own; and PETSc promises nothing for the process in which it has refused something.
+# Of every kind one as a process of its own; PETSc promises nothing for the process in which it has refused something.
 ALONE = ("unknown pdpetsc option", "PETSc option value", "error in the case", "coincident", "output folder")
 
 

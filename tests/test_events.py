@@ -11,7 +11,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.solvers.event_driven.direction import Changed, find_direction
 from tests import reference
-from tests.commands import ROOT, results, run
+from tests.commands import ROOT, called, results
 
 sys.path.append(str(ROOT / "runs/localisation"))
 import cell_2d
@@ -371,7 +371,7 @@ def test_too_many_events_end_with_what_is_computed(tmp_path):
 
 
 def test_the_command_line_names_it(tmp_path):
-    finished = run("runs/patch/cell.py", "--solver", "events", output=tmp_path)
+    finished = called("runs/patch/cell.py", "--solver", "events", "-o", tmp_path)
     assert finished.returncode == 2
     assert "piecewise linear" in finished.stderr
 

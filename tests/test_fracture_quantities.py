@@ -8,7 +8,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.post.fracture import plane_modulus, westergaard
-from tests.commands import ROOT, python_on, results
+from tests.commands import ROOT, results, script_on
 
 sys.path.append(str(ROOT / "runs" / "fracture"))
 import centre_crack
@@ -472,9 +472,7 @@ def test_any_number_of_ranks_gives_the_same():
     """Integrals, opening, length and lines of a crack, and the sentence of what is refused."""
     found = []
     for ranks in (1, 2):
-        done = python_on(ranks, "-c", ON_RANKS)
-        assert done.returncode == 0, done.stderr
-        found.append([float(word) for word in done.stdout.split("found", 1)[1].split()])
+        found.append([float(word) for word in script_on(ranks, ON_RANKS).split("found", 1)[1].split()])
     assert len(found[0]) == 8
     assert found[0] == pytest.approx(found[1], rel=1e-10)
 

@@ -20,8 +20,9 @@ import pdpetsc as pd
 from pdpetsc.command_line.cli import arguments_of, load_case
 from tests.commands import ROOT, command
 
-# Seconds for draws in this process and in processes, of the default suite.
-INSIDE, OUTSIDE = 10.0, 15.0
+# How many draws are run in this process and in processes: the same ones on any machine, whatever else it does.
+INSIDE, OUTSIDE = 40, 4
+MANY_INSIDE, MANY_OUTSIDE = 150, 40
 # One run of a few particles, on a busy machine [s].
 SOON = 45.0
 
@@ -177,21 +178,13 @@ def check_failure(folder, earlier):
         assert text == earlier or json.loads(text)["status"] not in ("converged", "running")
 
 
-def seeds(first, seconds):
-    """Yield seeds until the time is over."""
-    end, seed = time.monotonic() + seconds, first
-    while time.monotonic() < end:
-        yield seed
-        seed += 1
-
-
-def draws_inside(folder, first, seconds):
+def draws_inside(folder, seeds):
     """Run draws with ``pdpetsc.run``, which must return or raise what it says."""
     path = folder / "case.py"
     path.write_text(CASE)
     function = load_case(path)
     done = 0
-    for seed in seeds(first, seconds):
+    for seed in seeds:
         words = drawn(random.Random(seed))
         if "options" in words:
             continue  # PETSc promises nothing for the process in which it has refused something
@@ -218,12 +211,12 @@ def draws_inside(folder, first, seconds):
     return done
 
 
-def draws_outside(folder, first, seconds):
+def draws_outside(folder, seeds):
     """Run draws as a user does, some on two ranks, some signalled, some with files in the way."""
     path = folder / "case.py"
     path.write_text(CASE)
     done = 0
-    for seed in seeds(first, seconds):
+    for seed in seeds:
         rng = random.Random(seed)
         ranks = rng.choice((1, 1, 2))
         words = drawn(rng, ranks)
@@ -280,15 +273,15 @@ def in_the_way(rng, folder, output):
 
 
 def test_draws_in_this_process_end_as_they_say(tmp_path):
-    assert draws_inside(tmp_path, 0, INSIDE) > 5
+    assert draws_inside(tmp_path, range(INSIDE)) > INSIDE // 4
 
 
 def test_draws_on_the_command_line_end_as_they_say(tmp_path):
-    assert draws_outside(tmp_path, 0, OUTSIDE) > 0
+    assert draws_outside(tmp_path, range(OUTSIDE)) == OUTSIDE
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("first", [1000, 2000])
 def test_many_draws_end_as_they_say(first, tmp_path):
-    assert draws_inside(tmp_path, first, 20.0) > 5
-    assert draws_outside(tmp_path, first, 80.0) > 3
+    assert draws_inside(tmp_path, range(first, first + MANY_INSIDE)) > MANY_INSIDE // 4
+    assert draws_outside(tmp_path, range(first, first + MANY_OUTSIDE)) == MANY_OUTSIDE

@@ -22,7 +22,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.supports import Supports
 from pdpetsc.running.build import make_cloud
 from pdpetsc.terms.bond_forces import BondForces
-from tests.commands import ROOT, python_on, results
+from tests.commands import ROOT, python_on, results, script_on
 from tests.scenes import (  # fmt: skip
     ALL_CONTROLS,
     LAWS,
@@ -392,10 +392,7 @@ SLOW = ("relaxation", "events", "damage")
     ids=["2", "2, slow", "3"],
 )
 def test_any_number_of_ranks_gives_the_same(ranks, kinds, tmp_path):
-    script = tmp_path / "run.py"
-    script.write_text(RANKS.format(root=str(ROOT), path=str(tmp_path / "several"), kinds=kinds))
-    done = python_on(ranks, script)
-    assert done.returncode == 0, done.stderr[-3000:]
+    script_on(ranks, RANKS.format(root=str(ROOT), path=str(tmp_path / "several"), kinds=kinds))
     answers(tmp_path / "one", kinds)
 
     def read(name):
@@ -469,11 +466,8 @@ for far, mutual in (((1.1, 1.1, 2.1, 1.1), False), ((1.1, 2.1, 1.1, 1.1), False)
 """
 
 
-def test_a_bond_of_one_end_across_ranks_joins_pieces_and_asks_for_one_ghost(tmp_path):
-    script = tmp_path / "one_way.py"
-    script.write_text(ONE_WAY.format(root=str(ROOT)))
-    done = python_on(2, script)
-    assert done.returncode == 0, done.stderr[-3000:]
+def test_a_bond_of_one_end_across_ranks_joins_pieces_and_asks_for_one_ghost():
+    script_on(2, ONE_WAY.format(root=str(ROOT)))
 
 
 def test_a_graded_plate_with_a_hole_takes_few_particles(tmp_path):

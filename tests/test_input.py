@@ -16,7 +16,8 @@ from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.memory import predicted_bonds, refuse_beyond_memory
 from pdpetsc.running.build import make_cloud
-from tests.commands import run
+from tests.commands import called
+from tests.commands import results as results_of
 
 region = pd.region
 LATTICE = pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0)
@@ -273,7 +274,7 @@ def test_a_region_that_fails_on_one_rank_ends_all(tmp_path):
     scene = tmp_path / "scene.py"
     chosen = "R.Nearest((0.0, 0.0)) | R.Where(odd) & R.Nearest((9.0, 0.0))"
     scene.write_text(ON_ONE_RANK.format(fault="raise KeyError('a')", region=chosen))
-    finished = run(scene, ranks=2, output=tmp_path / "out")
+    finished = called(scene, "-o", tmp_path / "out", ranks=2)
     assert finished.returncode == 2, finished.stderr
     assert "odd failed at scene.py:7: KeyError: 'a'" in finished.stderr
     assert "Traceback" not in finished.stderr
@@ -291,7 +292,7 @@ def test_nearest_is_nearest_on_any_rank_count(tmp_path):
     chosen = "R.Nearest((0.6, 0.6)) | R.Nearest((7.4, 1.4)) & R.All()"
     text = ON_ONE_RANK.format(fault="pass", region=chosen)
     scene.write_text(text.replace("y=0.0)],", "y=0.0)], history={'u': pd.Largest(marked)},") + MARKED)
-    assert run(scene, ranks=2, output=tmp_path / "out").returncode == 0
+    results_of(scene, ranks=2, output=tmp_path / "out")
     assert (tmp_path / "out" / "history.csv").read_text().splitlines()[1].endswith(",2.0")
 
 

@@ -33,7 +33,7 @@ def without(folder, name, text):
 
 def command(environment, *words):
     words = [sys.executable, "-m", "pdpetsc", *map(str, words)]
-    return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_the_doctor_says_that_petsc_was_built_for_another_numpy(tmp_path):
@@ -129,7 +129,7 @@ def test_the_doctor_on_two_ranks_sends_messages_and_writes_a_file(tmp_path):
     words = [str(ROOT / ".ci" / "mpirun"), "2", sys.executable, "-c", ON_TWO]
     environment = {**ALONE, "PYTHONPATH": str(ROOT)}
     found = subprocess.run(
-        words, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+        words, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
     )
     assert "2 ranks that hear each other at" in found.stdout, found.stderr
     if "parallel" in found.stdout:
@@ -180,7 +180,7 @@ def test_the_wheel_in_an_environment_of_its_own_runs_the_case_of_the_readme_on_t
     """As a user has it: a virtual environment that sees the system's petsc4py, and pip."""
     wheel, inside = built(tmp_path), tmp_path / "env"
     base = getattr(sys, "_base_executable", sys.executable)
-    subprocess.run([base, "-m", "venv", "--system-site-packages", str(inside)], check=True, timeout=120)
+    subprocess.run([base, "-m", "venv", "--system-site-packages", str(inside)], check=True, timeout=300)
     clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
     clean |= {
         "OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",

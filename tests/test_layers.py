@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "pdpetsc"
 # From bottom to top; a module may import from its own layer and from lower ones.
 LAYERS = [
-    {"errors", "arrays", "declared", "loading"},
+    {"errors", "arrays", "declared", "loading", "machine"},
     {"kernels"},
     {"declare"},
     {"decks"},

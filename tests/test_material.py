@@ -1,5 +1,7 @@
 """Every material: stress is the energy's derivative, tangent the stress's, both objective, at states with history."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -192,3 +194,26 @@ def test_stress_in_and_across_the_plane_is_that_of_the_solid(name, rng):
         assert np.allclose(plane.plastic_strain(), solid.plastic_strain(), atol=1e-12)
         F = F @ (np.eye(2) + 0.05 * rng.standard_normal(F.shape))
     assert np.array_equal(plane.history, Law(MATERIALS[name], 2).history) != plane.material.has_history
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+def test_a_body_without_a_thickness_has_no_stress(dim):
+    """Saint Venant and Kirchhoff's lateral strain falls to that of a thickness of zero at a finite stretch."""
+    law = pd.SaintVenantKirchhoff(10.0, 0.3, "stress")
+    # Uniaxial: 1 - 2 nu E_11 = 0.
+    limit = math.sqrt(1.0 + 1.0 / 0.3)
+    free = np.empty((1, 0))
+    for share in (0.99, 1.01):
+        along = 0.5 * ((share * limit) ** 2 - 1.0)
+        lateral = math.sqrt(max(1.0 - 2.0 * 0.3 * along, 0.01))
+        F = np.diag([share * limit, lateral])[None, :dim, :dim]
+        assert law.defined(F, np.zeros(1, dtype=np.int64), free) == (share < 1.0)
+        assert np.isfinite(law.hidden_stretch(F, free)[0]) == (share < 1.0)
+
+
+def test_a_lateral_stretch_that_is_nowhere_is_no_number():
+    """With a negative Poisson's ratio: ``mu (b^2 - 1) + lambda ln J`` is positive for all b where F is small."""
+    law = Law(pd.NeoHookean(10.0, -0.5, "stress"), 2, 1)
+    assert np.isfinite(law.stress(0.8 * np.eye(2)[None])).all()
+    assert np.isnan(law.stress(0.3 * np.eye(2)[None])).all()
+    assert np.isnan(law.hidden_stretch(0.3 * np.eye(2)[None])).all()

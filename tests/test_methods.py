@@ -9,7 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
-from tests.commands import ROOT, field, jacobian_ratios, results, run, run_several
+from tests.commands import ROOT, called, field, jacobian_ratios, results, run_several
 
 BAR = "runs/singular_bar/bar.py"
 PULLED = "runs/singular_bar/pulled.py"
@@ -60,7 +60,7 @@ def test_constants_of_the_papers_act_in_the_soft_half_and_fail_in_the_stiff_one(
 
 
 def test_the_bar_takes_one_control(tmp_path):
-    finished = run(BAR, "control=silling", "spring=2", output=tmp_path)
+    finished = called(BAR, "control=silling", "spring=2", "-o", tmp_path)
     assert finished.returncode == 2
     assert "one of control, spring, average and penalty" in finished.stderr
 
@@ -97,7 +97,7 @@ def test_the_spectrum_of_the_plain_scheme_falls_to_zero_and_others_do_not(tmp_pa
 
 
 def test_names_of_methods_are_those_the_command_line_takes(tmp_path):
-    finished = run(BAR, "scheme=nothing", output=tmp_path)
+    finished = called(BAR, "scheme=nothing", "-o", tmp_path)
     assert finished.returncode == 2
     assert all(name in finished.stderr for name in pd.SCHEMES)
 

@@ -562,3 +562,42 @@ def test_one_time_goes_by_in_a_case(tmp_path):
     with pytest.raises(pd.CaseError, match=r"the duration 1.0 of its material, not 8.0 at temperature 7"):
         other.material_at(7.0, other.material)
     assert other.material_at(0.0, other.material).duration == 1.0
+
+
+def runaway(material, pull, n=10):
+    """Return a strip that is pulled at its end."""
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=n - 1.0)
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (float(n), 3.0), 1.0),
+        horizon=1.515,
+        material=material,
+        scheme=pd.Correspondence(),
+        control=pd.Silling(0.5),
+        conditions=[
+            pd.Displacement(left, x=0.0),
+            pd.Displacement(pd.region.Box((0.0, 0.0), (1.0, 1.0)), y=0.0),
+            pd.Traction(right, x=pull, normal=(1.0, 0.0)),
+        ],
+        steps=pd.Steps(5),
+        history={"u": pd.Mean(pd.displacement, "x", right), "alpha": pd.Largest(pd.plastic_strain)},
+    )
+
+
+def test_a_body_that_runs_away_is_in_no_equilibrium(tmp_path):
+    """Beyond its limit load: as its displacement grows so does what round-off leaves of forces, up to these."""
+    perfect = pd.KinematicJ2(100.0, 0.3, plane="stress", yield_stress=1.0)
+    try:
+        found = pd.run(runaway(perfect, 1.2), tmp_path).history
+    except pd.SolveError:
+        return
+    assert np.abs(found["u"]).max() < 100.0
+    assert found["alpha"].max() < 10.0
+
+
+def test_a_linear_body_may_be_displaced_without_end(tmp_path):
+    """The law has no scale: with a load of any size the answer is that of a small one."""
+    found = [
+        pd.run(runaway(pd.LinearElastic(100.0, 0.3, "stress"), pull), tmp_path / f"{pull:g}").history["u"][-1] / pull
+        for pull in (1.0, 1e12)
+    ]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

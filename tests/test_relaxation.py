@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import field, results, run
+from tests.commands import called, field, results
 
 BLOCK = "runs/patch/block.py"
 
@@ -57,6 +57,6 @@ def test_wrong_options_are_refused(wrong):
 
 
 def test_an_unknown_solver_is_refused(tmp_path):
-    finished = run(BLOCK, "--solver", "magic", output=tmp_path)
+    finished = called(BLOCK, "--solver", "magic", "-o", tmp_path)
     assert finished.returncode == 2
     assert "--solver is one of newton, relaxation, events, path, not 'magic'" in finished.stderr

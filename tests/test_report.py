@@ -14,7 +14,7 @@ from PIL import Image
 
 import pdpetsc as pd
 from pdpetsc.output.report import write_report
-from tests.commands import python_on, run
+from tests.commands import called, python_on, run
 
 CASE = '''
 """A bar <pulled> & held."""
@@ -114,7 +114,7 @@ def test_a_browser_shows_the_report_without_a_network(reported, tmp_path):
         "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={tmp_path / 'user'}", "--window-size=1100,1600",
         f"--screenshot={picture}", (reported / "report.html").as_uri(),
     ]  # fmt: skip
-    done = subprocess.run(words, capture_output=True, text=True, timeout=90, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert picture.exists(), done.stderr[-500:]
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     assert pixels.shape == (1600, 1100, 3)
@@ -129,7 +129,7 @@ def test_a_run_that_fails_or_is_off_has_a_report_too(reported, tmp_path):
     assert finished.returncode == 1
     _, text = read(tmp_path / "failed")
     assert "This run did not reach its end: " in text and "too many Newton iterations" in text
-    finished = run(case, "fails=yes", "--check", "--report", output=tmp_path / "off")
+    finished = called(case, "fails=yes", "--check", "--report", "-o", tmp_path / "off")
     assert finished.returncode == 1
     _, text = read(tmp_path / "off")
     assert "FAILED" in text and 'class="status"' in (tmp_path / "off" / "report.html").read_text()
@@ -167,8 +167,8 @@ def test_report_draws_what_it_is_asked_to(reported, tmp_path):
     with pytest.raises(pd.CaseError, match="damaged or not of a run"):
         write_report(tmp_path / "out")
     for wrong in ("colour=red", "component=x", "scale=nan"):
-        assert run("report", tmp_path / "out", wrong).returncode == 2
-    assert run("plot", tmp_path / "out", "step=1.7").returncode == 2
+        assert called("report", tmp_path / "out", wrong).returncode == 2
+    assert called("plot", tmp_path / "out", "step=1.7").returncode == 2
 
 
 def test_pictures_and_report_of_before_a_restart_are_put_away(reported, tmp_path):
@@ -176,7 +176,7 @@ def test_pictures_and_report_of_before_a_restart_are_put_away(reported, tmp_path
     shutil.copytree(reported, folder)
     (folder / "newton.png").write_bytes(b"mine")
     case = reported.parent / "bar.py"
-    assert run(case, "--restart", folder, output=folder).returncode == 0
+    assert called(case, "--restart", folder, "-o", folder).returncode == 0
     assert not (folder / "report.html").exists() and (folder / "earlier" / "report.html").exists()
     assert (folder / "newton.png").read_bytes() == b"mine"
 

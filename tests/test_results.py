@@ -24,7 +24,7 @@ from pdpetsc.post.inside import inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.comparison import Comparison, Outcome, columns_of
 from pdpetsc.running.result import Result
-from tests.commands import ROOT, TIMEOUT, results, run
+from tests.commands import ROOT, TIMEOUT, called, results, run
 
 
 @pytest.fixture(scope="module")
@@ -240,11 +240,11 @@ def test_the_doctor_tells_what_is_broken_on_another_rank(tmp_path):
 
 
 def test_words_that_are_nearly_right_are_named(tmp_path):
-    assert "did you mean the command doctor?" in run("docter").stderr
+    assert "did you mean the command doctor?" in called("docter").stderr
     new(tmp_path / "bar.py")
-    finished = run(tmp_path / "bar.py", "strian=0.1")
+    finished = called(tmp_path / "bar.py", "strian=0.1", "-o", tmp_path / "out")
     assert finished.returncode == 2 and "did you mean strain?" in finished.stderr
-    said = run(tmp_path / "bar.py", "-h").stdout
+    said = called(tmp_path / "bar.py", "-h").stdout
     assert "A bar that is pulled" in said and "strain=0.01  float" in said
 
 
@@ -335,7 +335,7 @@ def test_what_a_killed_run_left_opens_and_a_restart_makes_it_whole(tmp_path):
     for t in reader.time_values:
         reader.set_active_time_value(t)
         assert np.isfinite(reader.read()["stress_xx"]).all()
-    assert run(tmp_path / "case.py", "--restart", out, "--restart-anyway", output=out, ranks=2).returncode == 0
+    assert called(tmp_path / "case.py", "--restart", out, "--restart-anyway", "-o", out, ranks=2).returncode == 0
     assert (out / "fields.xdmf").read_text() == (whole / "fields.xdmf").read_text()
     reader = pyvista.get_reader(out / "fields.xdmf")
     assert list(reader.time_values) == [0.0, 0.25, 0.5, 0.75, 1.0]

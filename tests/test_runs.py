@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import time
 import xml.etree.ElementTree as ET
 
 import h5py
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, command, field, results, run
+from tests.commands import ROOT, command, field, results, run, wait_until
 
 CLAMPED = ROOT / "runs/beams/clamped.py"
 
@@ -254,12 +253,9 @@ def signalled(folder, number, ranks):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     history = folder / "history.csv"
-    for _ in range(1200):
-        if history.exists() and len(history.read_text().splitlines()) > 4:
-            break
-        time.sleep(0.05)
+    wait_until(lambda: history.exists() and len(history.read_text().splitlines()) > 4, "The third step")
     process.send_signal(number)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 
 
@@ -347,7 +343,7 @@ matrix.destroy()
 """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     words = [command("x")[0], "-c", script]
-    out = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=120).stdout
+    out = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=300).stdout
     predicted, measured = map(int, out.split())
     assert predicted > 100 * 2**20
     assert measured == pytest.approx(predicted, rel=0.2)

@@ -9,7 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare import region
-from tests.commands import run
+from tests.commands import results
 
 LENGTH, E = 10.0, 1000.0
 # Euler's force of a column that is clamped at one end, of unit depth and thickness.
@@ -82,8 +82,7 @@ def test_an_iterative_solver_does_not_tell(tmp_path):
 def test_ranks_count_the_same_pivots(tmp_path):
     case = tmp_path / "column.py"
     case.write_text("from tests.test_stability import column\n\n\ndef case():\n    return column(steps=6)\n")
-    finished = run(case, "--quiet", ranks=2, output=tmp_path / "two")
-    assert finished.returncode == 0, finished.stderr
+    results(case, ranks=2, output=tmp_path / "two")
     pd.run(column(steps=6), output=tmp_path / "one")
     one, two = ([step["negative_pivots"] for step in steps_of(tmp_path / name)] for name in ("one", "two"))
     assert one == two

@@ -25,7 +25,7 @@ from pdpetsc.studies.refinement import converging
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
 from pdpetsc.studies.used import Files
-from tests.commands import ROOT
+from tests.commands import ROOT, wait_until
 from tests.test_tools import ENVIRONMENT, tool
 
 # Parameter sets.
@@ -647,7 +647,8 @@ def case(n=4):
     def results(h):
         here = Path(__file__)
         here.with_name(f"started_{n}").write_text(str(os.getpid()))
-        while n == 8 and not here.with_name("go").exists():
+        end = time.monotonic() + 100.0
+        while n == 8 and not here.with_name("go").exists() and time.monotonic() < end:
             time.sleep(0.05)
         return {"n": float(n)}
     return pd.Case(
@@ -665,10 +666,8 @@ def test_a_study_that_is_killed_goes_on_and_two_are_not_in_one_folder(tmp_path):
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     first = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, start_new_session=True, **pipes)
     try:
-        for _ in range(1200):
-            if (tmp_path / "started_8").exists():
-                break
-            time.sleep(0.05)
+        started = tmp_path / "started_8"
+        wait_until(lambda: started.exists() and started.read_text(), "The second run")
         second = tool(*words[3:])
         assert second.returncode == 2 and f"Process {first.pid}" in second.stderr
     finally:
@@ -791,7 +790,8 @@ def pull(x, t):
 
 def value(h):
     import late
-    while (HERE / "wait").exists():
+    end = time.monotonic() + 100.0
+    while (HERE / "wait").exists() and time.monotonic() < end:
         time.sleep(0.02)
     return {"value": late.FACTOR * h["u"][-1]}
 
@@ -844,10 +844,7 @@ def test_what_is_changed_while_a_study_runs_gives_no_row(name, tmp_path):
     class Edit(Progress):
         def started(self, question):
             log = out / f"n={question.parameters['n']}" / "history.csv"
-            for _ in range(1000):
-                if log.exists() and log.read_text().count("\n") > 1:
-                    break
-                time.sleep(0.02)
+            wait_until(lambda: log.exists() and log.read_text().count("\n") > 1, "The last step")
             if (tmp_path / "wait").exists():
                 with (tmp_path / name).open("a") as file:
                     file.write("# a remark\n")

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from pdpetsc.command_line.start import processes_started, start_petsc
 from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
+from pdpetsc.machine import stamp_of
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -350,7 +351,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         if arguments.solver is not None:
             case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
-    before = _stamp(output)
+    before = stamp_of(output / "summary.json")
     try:
         run(
             case,
@@ -367,22 +368,13 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         # not where other ranks may still be at work: they end with the error of this one.
         if arguments.report and (comm.size == 1 or getattr(error, "agreed", 0) == comm.size):
             with agreed(comm):
-                _report_on(output, is_root(comm) and _stamp(output) != before, arguments.quiet)
+                _report_on(output, is_root(comm) and stamp_of(output / "summary.json") != before, arguments.quiet)
         raise
     if arguments.report:
         # All wait for the page: the end of MPI takes no longer than the first rank that comes to it allows.
         with agreed(comm):
             _report_on(output, is_root(comm), arguments.quiet)
     return 0
-
-
-def _stamp(folder: Path) -> tuple[int, int]:
-    """Return what tells a summary from one that was there before."""
-    try:
-        found = (folder / "summary.json").stat()
-    except OSError:
-        return 0, 0
-    return found.st_ino, found.st_mtime_ns
 
 
 def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:

@@ -9,11 +9,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import importlib.metadata
 import json
 import math
 import os
-import platform
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from pdpetsc.command_line.cli import arguments_of, load_case, make_case
 from pdpetsc.command_line.start import start_petsc
 from pdpetsc.errors import CaseError, PdpetscError, described
+from pdpetsc.machine import versions
 
 if TYPE_CHECKING:
     from pdpetsc.studies.used import Watch
@@ -43,7 +42,8 @@ def main(path: Path) -> None:
         before = _Before(watch, watch.contents(), _texts(path))
         defaults = arguments_of(function, {})
         kinds = {name: type(value).__name__ for name, value in defaults.items()}
-        first: dict[str, Any] = {"kinds": kinds, "petsc": petsc_version(), "versions": _versions()}
+        # The version of pdpetsc, and what its sources are, the study knows itself.
+        first: dict[str, Any] = {"kinds": kinds, "petsc": petsc_version(), "versions": versions()}
     except BaseException as error:
         _say(answers, {"refused": str(described(error))})
         return
@@ -79,14 +79,6 @@ class _Before:
     watch: Watch
     files: Mapping[str, str]
     texts: Mapping[str, str]
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in ("numpy", "scipy", "numba"):
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found
 
 
 def _in_a_fork(path: Path, function: Callable[..., Any], values: Mapping[str, Any], before: _Before) -> dict[str, Any]:

@@ -34,8 +34,9 @@ from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.formats import FORMATS, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
-from pdpetsc.declare.text_file import refuse_thickness, version_of, without_constant
+from pdpetsc.declare.text_file import refuse_thickness, without_constant
 from pdpetsc.errors import CaseError
+from pdpetsc.machine import stamp_of
 
 # A cell whose volume is below this share of that of the box around it has none.
 NO_VOLUME = 1e-10
@@ -104,7 +105,7 @@ class Mesh(Particles):
 
     def faces(self, part: int, parts: int, normal: Float) -> Float:
         """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
-        count, found = _whole_surface(self, version_of(Path(self.path)))
+        count, found = _whole_surface(self, stamp_of(self.path))
         _, area, particle, _ = found.arrays
         rows = slice(part * count // parts, (part + 1) * count // parts)
         along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
@@ -116,7 +117,7 @@ class Mesh(Particles):
         Their tags are groups of boundary lines and faces, side sets, and node sets: the facets with all corners in
         these. They have the names of the sets of particles; where cells have the name too it stands for the facets.
         """
-        count, found = self._facets(cracks) if cracks else _whole_surface(self, version_of(Path(self.path)))
+        count, found = self._facets(cracks) if cracks else _whole_surface(self, stamp_of(self.path))
         return found.of_particles(part * count // parts, (part + 1) * count // parts)
 
     def triangles(self, part: int, parts: int) -> Float | None:
@@ -260,7 +261,7 @@ def _of_spheres(mesh: MeshData) -> bool:
 
 
 @lru_cache(maxsize=4)
-def _whole_surface(mesh: Mesh, version: tuple[int, int]) -> tuple[int, Facets]:
+def _whole_surface(mesh: Mesh, version: tuple[int, ...] | None) -> tuple[int, Facets]:
     """Return the number of particles, and the facets of all of them without cracks.
 
     The result is cached, since every traction asks for it, as long as the file has the same ``version``.

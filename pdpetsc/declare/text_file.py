@@ -21,6 +21,7 @@ from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
 from pdpetsc.errors import CaseError
+from pdpetsc.machine import stamp_of
 
 # What the columns of a text cloud are called; PeriLab says block_id.
 _COLUMNS = {"x": "x", "y": "y", "z": "z", "block": "block", "block_id": "block", "volume": "volume"}
@@ -200,7 +201,7 @@ class Column:
         CaseError
             There is no particle at one of them.
         """
-        tree, values, extent = _placed(self, version_of(Path(self.path)))
+        tree, values, extent = _placed(self, stamp_of(self.path))
         distance, which = tree.query(x)
         off = np.flatnonzero(distance > _THERE * extent)
         if len(off):
@@ -211,19 +212,10 @@ class Column:
 
 
 @lru_cache(maxsize=8)
-def _placed(column: Column, version: tuple[int, int]) -> tuple[Any, Float, float]:
+def _placed(column: Column, version: tuple[int, ...] | None) -> tuple[Any, Float, float]:
     """Return a search tree of the particles, a column and the extent of the cloud, as long as the file is the same."""
     x = np.asarray(column._cloud._arrays().x, dtype=float)
     return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
-
-
-def version_of(path: Path) -> tuple[int, int]:
-    """Return what tells a file from the same one after it has changed, zeros where it cannot be read."""
-    try:
-        found = path.stat()
-    except OSError:
-        return 0, 0
-    return found.st_mtime_ns, found.st_size
 
 
 def refuse_thickness(what: str, thickness: float) -> None:

@@ -11,8 +11,8 @@ from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
-# Largest number of Newton iterations for the lateral stretch.
-NEWTON_STEPS = 60
+# Largest number of Newton iterations for the lateral stretch, and the last change of its logarithm that they end with.
+NEWTON_STEPS, NEARLY = 60, 1e-9
 
 
 @dataclass(frozen=True)
@@ -68,18 +68,19 @@ class NeoHookean(ElasticMaterial):
 def lateral_stretch(lam, mu, hidden, log_det):  # type: ignore[no-untyped-def]
     """Solve ``mu (b^2 - 1) + lambda (log_det + hidden ln b) = 0`` for ``b`` by Newton's method in ``ln b``.
 
-    The function of ``ln b`` is increasing and convex, so Newton converges from any start.
+    The function of ``ln b`` is increasing and convex where lambda is not negative, so Newton converges from any start.
+    NaN where it does not: with a negative Poisson's ratio a body that is pressed enough has no such stretch.
     """
     if hidden == 0:
         return 1.0
-    s = 0.0
+    s, change = 0.0, np.inf
     for _ in range(NEWTON_STEPS):
         square = np.exp(2.0 * s)
         change = (mu * (square - 1.0) + lam * (log_det + hidden * s)) / (2.0 * mu * square + lam * hidden)
         s -= change
         if abs(change) < 1e-15:
             break
-    return np.exp(s)
+    return np.exp(s) if abs(change) < NEARLY else np.nan
 
 
 @compiled

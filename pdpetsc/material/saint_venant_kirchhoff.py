@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.kernels.compile import compiled
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 
@@ -45,12 +45,26 @@ class SaintVenantKirchhoff(ElasticMaterial):
         return np.asarray(0.5 * (np.einsum("pij,pij->p", F, F) - F.shape[-1]))
 
     def thickness_stretch(self, F: Float) -> Float:
-        """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, twice for a bar."""
-        dim = F.shape[-1]
-        trace = 0.5 * (np.einsum("pij,pij->p", F, F) - dim)
-        total = -self.lateral_strain_ratio(dim) * trace
-        stretch: Float = 1.0 + total if dim == 1 else np.sqrt(1.0 + 2.0 * total)
+        """Return the hidden stretch ``sqrt(1 + 2 E_lateral)``, twice for a bar; NaN where there is none."""
+        square = self._hidden_square(F)
+        with np.errstate(invalid="ignore"):
+            stretch: Float = np.where(square > 0.0, square, np.nan) if F.shape[-1] == 1 else np.sqrt(square)
         return stretch
+
+    def defined(self, F: Float, select: GlobalIndex, history: Float) -> bool:
+        """Return whether there is a hidden stretch without stress at the points ``select``.
+
+        The lateral strain falls with the square of the stretch, to that of a thickness of zero at a finite one.
+        """
+        if self.kind(F.shape[-1]) in ("solid", "strain"):
+            return True
+        return bool(np.all(self._hidden_square(F[select]) > 0.0))
+
+    def _hidden_square(self, F: Float) -> Float:
+        """Return ``1 + 2 E_lateral`` (n,) [-], the square of a hidden stretch."""
+        dim = F.shape[-1]
+        total = -self.lateral_strain_ratio(dim) * self.volumetric_strain(F)
+        return np.asarray(1.0 + total * (1.0 if dim == 1 else 2.0))
 
 
 @compiled

@@ -225,7 +225,10 @@ def find_checkpoint(path: str | Path) -> Path:
         if found.is_dir():
             found = found / "checkpoint.h5"
             if not found.exists():
-                raise CaseError(f"Cannot read the checkpoint {found}: the folder {path} holds none.")
+                raise CaseError(
+                    f"Cannot read the checkpoint {found}: the folder {path} holds none; a run that has ended before "
+                    f"its first step, or that wrote none, begins anew without a restart."
+                )
         if not stat.S_ISREG(found.stat().st_mode):
             raise CaseError(f"Cannot read the checkpoint {found}: it is not a file.")
     except (OSError, ValueError) as error:

@@ -152,8 +152,9 @@ def reserve(path: Path, size: int) -> None:
     free = shutil.disk_usage(path.parent).free
     if size + RESERVE > free:
         raise OutputError(
-            f"The disk of {path.parent} has {free / 2**20:.1f} MiB left and {name} needs {size / 2**20:.1f} MiB "
-            f"more; results are complete up to the step before."
+            f"The disk of {path.parent} has {free / 2**20:.1f} MiB left, of which {RESERVE / 2**20:g} stays free for "
+            f"the end of a run, and {name} needs {size / 2**20:.1f} MiB more; results are complete up to the step "
+            f"before."
         )
     with path.open("r+b") as file:
         before = os.fstat(file.fileno()).st_size

@@ -45,9 +45,8 @@ from pdpetsc.terms.material_points import MaterialPoints
 
 # Largest share by which the stresses of a body may differ from those of linear fracture mechanics [-].
 SMALL = 0.02
-# Numbers by the inner and the outer part of a domain differ by less than this share of them, or are in doubt; but
-# numbers below the second share of what they are sums of are nothing.
-PATHS, NO_NUMBER = 0.05, 0.005
+# Numbers by the inner and the outer part of a domain differ by less than this share of them, or are in doubt.
+PATHS = 0.05
 # A crack is moved by this share of the width of the domain, to both sides.
 MOVED = 1e-4
 
@@ -92,6 +91,8 @@ class AtTip(Quantity):
     # refused.
     knows_softer_moduli: ClassVar[bool] = True
     advice: ClassVar[str] = ", or give the derivative of the energy density as explicit"
+    # Below this share of what it is a sum of, a number counts as that.
+    nothing: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -142,7 +143,7 @@ class AtTip(Quantity):
             return ""
         number = self.number(solution, self._domain(solution))
         near, far = (self.number(solution, self._domain(solution, tilt)).value for tilt in (1.0, -1.0))
-        least = max(PATHS * abs(number.value), NO_NUMBER * number.size)
+        least = PATHS * max(abs(number.value), self.nothing * number.size)
         if abs(near - far) > least:
             return (
                 f"is {near:.4g} by what lies near its inner radius of {self.inner:g} and {far:.4g} by what lies near "
@@ -385,13 +386,16 @@ class EnergyReleaseRate(_Release):
 class StressIntensity(AtTip):
     """Stress intensity factor K_I or K_II of a crack tip by the interaction integral [stress length^1/2].
 
-    ``K = E'/2 int (P_im v_i,1 + s_im H_i1 - s_ik (H - eps)_ik delta_1m) q,m dA - E'/2 int q t . v,1 dS + E'/2 int q s :
-    eps,1 dA`` with displacement v and stress s of the field of Westergaard with K = 1 of that mode, strain without
-    stress eps (with that across the plane times Poisson's ratio in plane strain), body forces and tractions on the
-    faces as for ``JIntegral``, ``E' = E`` in plane stress and ``E / (1 - nu^2)`` in plane strain, as the material says.
-    It is of linear fracture mechanics: refused where the material is not isotropic or graded, and where the stresses
-    between the radii differ by more than 0.02 of them from those of small linear strain: by flow, large strain or
-    turning. Of a nonlinear body of bonds the displacement gradient is at most 0.02.
+    ``K = E'/2 int (P_im v_i,1 + s_im H_i1 - s_ik (H - eps)_ik delta_1m) q,m dA - E'/2 int q t . v,1 dS + E'/2 int q (s
+    : eps,1 + P : (S - S(x)) s,1) dA`` with displacement v and stress s of the field of Westergaard with K = 1 of that
+    mode and the moduli at the tip, strain without stress eps (with that across the plane times Poisson's ratio in plane
+    strain), body forces and tractions on the faces as for ``JIntegral``, ``E' = E`` in plane stress and ``E / (1 -
+    nu^2)`` in plane strain, as the material says, at the tip. The last part is of moduli graded by place, with the
+    compliance S at the tip and S(x): s is in equilibrium, the strain that moduli make of it is no gradient of v, and no
+    derivative of moduli is needed. It is of linear fracture mechanics: refused where the material is not isotropic, or
+    follows a temperature from place to place, and where the stresses between the radii differ by more than 0.02 of them
+    from those of small linear strain: by flow, large strain or turning. Of a nonlinear body of bonds the displacement
+    gradient is at most 0.02.
 
     Parameters
     ----------
@@ -407,7 +411,7 @@ class StressIntensity(AtTip):
 
     References
     ----------
-    Westergaard1939, Yau1980, Wilson1979.
+    Westergaard1939, Yau1980, Wilson1979, Kim2005.
 
     Examples
     --------
@@ -420,6 +424,8 @@ class StressIntensity(AtTip):
     mode: Literal["I", "II"] = "I"
 
     knows_softer_moduli: ClassVar[bool] = False
+    # One mode is known as well as the other one beside it.
+    nothing: ClassVar[float] = 0.5
     advice: ClassVar[str] = ""
 
     def number(self, solution: Solution, domain: Domain) -> Number:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import platform
 import resource
 import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -24,6 +22,7 @@ from pdpetsc.discrete.failure import all_failed, give_up, messages_apart
 from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, of_petsc, users_line
 from pdpetsc.gradient.weights import NEED_NOT_CONVERGE
 from pdpetsc.kernels.compile import cache_trouble
+from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts
@@ -664,10 +663,7 @@ def _attempt(result: StepResult, unit: str) -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version(), "petsc": petsc_version()}
-    for package in ("pdpetsc", "numpy", "scipy", "numba"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    packages = ("pdpetsc", *OF_NUMBERS)
+    # Those that are missing are named too: pdpetsc is, where it runs from a checkout.
+    found = {"python": "", "petsc": petsc_version(), **dict.fromkeys(packages, "not installed")}
+    return found | versions(packages)

@@ -20,6 +20,9 @@ from pdpetsc.solvers.protocol import StepResult
 
 # The residual cannot fall below about this multiple of the round-off of K u.
 FLOOR = 20.0
+# Beyond so many spacings of displacement a residual at that floor counts only where it is below so small a share of the
+# forces: a body that runs away has round-off as large as these, and is in no equilibrium.
+AWAY, SHARE = 1e6, 1e-6
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
 # Largest number of further solves, each with the springs of loose pieces moved along, until they have no force.
@@ -172,17 +175,21 @@ class Equilibrium:
         """Return below which norm a residual counts as zero, and the norm of its round-off [force]."""
         values = self.at_prescribed(x)
         diagonal = self.tangent.diagonal.reshape(values.shape)
+        at_rest = np.where(self.free, diagonal * self.spacing, 0.0)
         round_off = np.where(self.free, diagonal * (np.abs(values) + self.spacing), 0.0)
         unstrained = self.problem.force_without_strain(self.t)
         held = 0.0 if unstrained is None else float((unstrained**2).sum())
         squares = total(
             self.problem.body.cloud.comm,
-            [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum(), held],
+            [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum(), held, (at_rest**2).sum()],
         )
         # The undeformed body may be one in which a law has no stress.
         held = float(squares[3]) if np.isfinite(squares[3]) else 0.0
         self.reference = float(np.sqrt(max(squares[0], squares[1], held)))
-        return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
+        floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
+        if squares[2] > AWAY**2 * squares[4]:
+            floor = min(floor, SHARE * self.reference)
+        return rtol * self.reference, floor
 
     def interrupted(self) -> int:
         """Return PETSc's reason to end for a solve that a signal stops (not collective)."""

@@ -7,7 +7,6 @@ import hashlib
 import importlib.util
 import json
 import os
-import stat
 import sys
 import time
 import uuid
@@ -15,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pdpetsc import machine
 from pdpetsc.output.fingerprint import of_library
 
 # The word on the command line of a run that lets it leave what it has read; only studies give it.
@@ -29,16 +29,14 @@ _FRESH = 2.0
 _SYSTEM = ("/proc/", "/sys/", "/dev/", "/run/")
 _CACHES = (".nbi", ".nbc")
 
+# As JSON gives it back, which has no tuples.
 Stamp = list[int]
 
 
 def stamp_of(path: str) -> Stamp | None:
-    """Return what tells a file from one that was there before; nothing where there is none."""
-    try:
-        found = os.stat(path)
-    except (OSError, ValueError):
-        return []
-    return [found.st_mtime_ns, found.st_size, found.st_ino] if stat.S_ISREG(found.st_mode) else None
+    """Return what tells a file from one that was there before; nothing where there is none, None for no file."""
+    found = machine.stamp_of(path)
+    return None if found is None else list(found)
 
 
 class Watch:

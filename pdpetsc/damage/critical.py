@@ -179,7 +179,8 @@ class FractureEnergy(CriticalStretch):
         What a crack that runs takes of that energy with the forces of the case [-], so that bonds are given
         ``Gc / share``. Where it is not given a case takes the one that was measured for its model, law and horizon; the
         log says which, and how well it is known. Without a measurement it is 1, and a run with deformation gradients
-        warns that its cracks take another energy. ``share=1.0`` is the energy of one plane of bonds.
+        warns that its cracks take another energy. ``share=1.0`` is the energy of one plane of bonds,
+        for bodies that come apart all at once.
 
     Examples
     --------

@@ -41,6 +41,7 @@ _ANY = ConstantCritical(1.0)
 LAWS: dict[str, BondDamage] = {
     "brittle": Brittle(_ANY),
     "linear": LinearSoftening(_ANY, 3.0),
+    "short": LinearSoftening(_ANY, 2.0),
     "exponential": ExponentialSoftening(_ANY),
     "bilinear": BilinearSoftening(_ANY),
     "smooth": SmoothDegradation(_ANY),
@@ -86,6 +87,7 @@ _BONDS, _SOLID = (1.0 / 3.0, 1.0 / 3.0), (0.1, 0.4)
 _QUARTER, _THREE_TENTHS, _THIRD = (0.24, 0.26), (0.29, 0.31), (0.32, 0.34)
 MEASURED: tuple[MeasuredShare, ...] = (
     MeasuredShare("bonds", "linear", 3.015, _BONDS, 1.0, 0.03),
+    MeasuredShare("bonds", "short", 3.015, _BONDS, 1.05, 0.04),
     MeasuredShare("bonds", "exponential", 3.015, _BONDS, 1.0, 0.03),
     MeasuredShare("bonds", "bilinear", 3.015, _BONDS, 1.0, 0.03),
     MeasuredShare("bonds", "brittle", 3.015, _BONDS, 1.43, 0.07),
@@ -154,8 +156,8 @@ def crack_share(case: Case) -> CrackShare | None:
     if case.of_bonds:
         said = (
             f"fracture energy: it is that of two halves pulled apart, and what a running crack takes is not known "
-            f"here, because {why}; where it was measured that is 0.95 to 1.1 of it for bonds that soften, and 1.2 to "
-            f"1.5 for bonds that snap; measure it with runs/fracture/surfing.py and give FractureEnergy(Gc, share=...)"
+            f"here, because {why}; where it was measured that is 1 to 1.1 of it for bonds that soften, and 1.2 to "
+            f"2 for bonds that snap; measure it with runs/fracture/surfing.py and give FractureEnergy(Gc, share=...)"
         )
         return CrackShare(None, None, said, False)
     said = (

@@ -91,6 +91,7 @@ def case(
     laws = {
         "brittle": pd.Brittle(energy, protected=protected),
         "linear": pd.LinearSoftening(energy, final, protected=protected),
+        "short": pd.LinearSoftening(energy, 2.0, protected=protected),
         "exponential": pd.ExponentialSoftening(energy, protected=protected),
         "bilinear": pd.BilinearSoftening(energy, protected=protected),
         "smooth": pd.SmoothDegradation(energy, protected=protected),

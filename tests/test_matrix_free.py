@@ -89,7 +89,7 @@ CASES = {
 }
 
 
-LONG = ("damage",)
+LONG = ("damage", "plasticity")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in LONG else ()) for n in CASES])

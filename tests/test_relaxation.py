@@ -11,7 +11,9 @@ from tests.commands import called, field, results
 BLOCK = "runs/patch/block.py"
 
 
-@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons", "stress_points"])
+@pytest.mark.parametrize(
+    "scheme", ["correspondence", "sub_horizons", pytest.param("stress_points", marks=pytest.mark.long)]
+)
 def test_relaxation_finds_the_equilibrium_of_newton(scheme, tmp_path):
     arguments = ("n=6", f"scheme={scheme}")
     newton = results(BLOCK, *arguments, output=tmp_path / "newton")

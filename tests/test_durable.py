@@ -25,6 +25,7 @@ from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, fingerprint
 from pdpetsc.output.index import Index, Step, part_of, storable
 from pdpetsc.output.records import whole_rows, write_summary
+from pdpetsc.output.report import write_report
 from pdpetsc.running.build import make_cloud, make_problem
 from tests.commands import ROOT, Stop, command, field, run
 
@@ -900,13 +901,26 @@ def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
     assert other["restart"]["step"] == 6
     known = one["steps"][6:] if killed else one["steps"]
     assert [dict(step, norms=0) for step in other["steps"]] == [dict(step, norms=0) for step in known]
+    page = write_report(out).read_text()
+    assert "since the restart at step 6." in page
+    assert ("no record of the steps before step 7" in page) == killed and ("<p>8 steps," in page) != killed
 
 
 def test_a_checkpoint_without_its_history_warns_that_results_know_nothing_before(caplog, tmp_path):
+    """What was broken is listed all the same: values between particles are on one side of the crack."""
+    torn = {"pull": 0.9, "steps": 4}
+    pd.run(strip(**torn), output=tmp_path / "whole")
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.5), output=tmp_path / "part")
+        pd.run(stopped(0.6, **torn), output=tmp_path / "part")
     (tmp_path / "alone").mkdir()
     shutil.copy(tmp_path / "part" / "checkpoint.h5", tmp_path / "alone")
-    pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "alone")
+    pd.run(strip(**torn), output=tmp_path / "rest", restart=tmp_path / "alone")
     warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert any("know of nothing before" in line for line in warned)
+    header = ["step", "t", "i", "j", "length", "x", "y"]
+    listed = [whole_rows(tmp_path / name / "broken_bonds.csv", header) for name in ("whole", "rest")]
+    assert len(listed[0]) > 10 and min(row[0] for row in listed[1]) == 3
+    assert sorted(row[2:] for row in listed[1]) == sorted(row[2:] for row in listed[0])
+    at = pd.grid((0.2, 0.2), (9.8, 3.8), (40, 8))
+    values = [pd.open(tmp_path / name).sample(at) for name in ("whole", "rest")]
+    assert np.allclose(*values, rtol=0.0, atol=1e-12)

@@ -10,7 +10,7 @@ from tests.commands import ROOT, called, jacobian_ratios, printed, results
 @pytest.mark.parametrize("loading", ["displacement", "consistent"])
 @pytest.mark.parametrize("horizon", [1.015, 2.015, 3.015])
 def test_hydrostatic_extension_is_exact(scheme, loading, horizon, tmp_path):
-    arguments = (f"scheme={scheme}", f"loading={loading}", f"horizon={horizon}", "G=0.5", "n=11", "steps=2")
+    arguments = (f"scheme={scheme}", f"loading={loading}", f"horizon={horizon}", "G=0.5", "n=15", "steps=2")
     found = results("runs/patch/hydrostatic.py", *arguments, output=tmp_path)["results"]
     assert found["max_F_error"] < 1e-10
     assert found["max_P_error"] < 1e-10

@@ -344,7 +344,27 @@ def test_a_held_strip_opens_at_its_cold_edge(ranks, tmp_path):
     found = results("runs/fracture/thermal_crack.py", "n=20", output=tmp_path, ranks=ranks)["results"]
     for name in ("K1_over", "J_over", "J_far_over"):
         assert found[name] == pytest.approx(stored["K1_over"], rel=0.03)
-    assert found["J_over"] == pytest.approx(0.49079323, rel=1e-6)  # the same on both rank counts
+    assert found["J_over"] == pytest.approx(0.48573933, rel=1e-6)  # the same on both rank counts
+
+
+def test_j_of_a_held_strip_is_what_its_own_energy_falls_by(tmp_path):
+    """Energies of the same particles with cracks of two lengths, a spacing shorter and longer: no integral at all."""
+    whole, dx = thermal_crack.case(n=16), 0.5 / 16
+    J, shorter, longer = (
+        pd.run(
+            dataclasses.replace(
+                whole,
+                cracks=[pd.Segment((-1.0, 0.0), (0.5 + to, 0.0))],
+                history={"found": pd.StrainEnergy() if to else whole.history["J"]},
+                results=None,
+                picture=None,
+            ),
+            tmp_path,
+        ).history["found"][-1]
+        for to in (0.0, -dx, dx)
+    )
+    # Two halves behind the mirror plane.
+    assert pytest.approx((shorter - longer) / dx, rel=0.02) == J
 
 
 @pytest.mark.long

@@ -53,6 +53,11 @@ class BrokenBonds:
             found = [_row([step, t, r[0], r[1], *r[3:]]) for r in np.concatenate(parts)[first].tolist()]
         self._table.append(found)
 
+    def list_again(self, step: int, t: float) -> None:
+        """Append all bonds that are broken already, as of a step: where nothing is known of when they broke."""
+        self._listed[:] = False
+        self.write(step, t)
+
     def flush(self) -> None:
         """Wait until all rows are on the disk."""
         self._table.flush()

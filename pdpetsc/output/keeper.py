@@ -98,6 +98,9 @@ class Keeper:
         if own:
             set_pictures_aside(comm, folder)
         self._broken = None if damage is None else BrokenBonds(comm, folder, damage.bonds, broken)
+        if self._broken is not None and origin is not None and not broken:
+            # Pictures and values between particles know of cracks from this table alone.
+            self._broken.list_again(start.step, start.t)
         first = start.step if own else 0
         self._fields = FieldWriter(cloud, order, folder, fields, self.run, first) if fields else None
         # The work of the next step needs these forces, and by then bonds may have failed.

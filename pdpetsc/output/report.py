@@ -164,7 +164,8 @@ def _notes(summary: Mapping[str, Any]) -> str:
         notes.append(f"This run did not reach its end: {status}")
     unstable = [step for step in summary.get("steps") or [] if step.get("negative_pivots")]
     if unstable:
-        notes.append(f"{len(unstable)} equilibria are unstable, the first at step {unstable[0].get('step')}.")
+        many = f"{len(unstable)} equilibria are" if len(unstable) > 1 else "One equilibrium is"
+        notes.append(f"{many} unstable, the first at step {unstable[0].get('step')}.")
     if summary.get("detached_particles"):
         notes.append(f"{summary['detached_particles']} particles have too few bonds left for a gradient.")
     if summary.get("held_at_cut_families"):
@@ -276,6 +277,8 @@ def _timing(summary: Mapping[str, Any]) -> str:
         for name, seconds in sorted(timings.items(), key=lambda item: -item[1])
     ]
     parts = [_table(["phase", "seconds", ""], [*rows, ["all", f"{total:.3f}", ""]])] if rows else []
+    if rows and isinstance(summary.get("restart"), dict):
+        parts.append(f"<p>Seconds are those since the restart at step {_number(summary['restart'].get('step'))}.</p>")
     memory = summary.get("peak_memory_bytes") or []
     if memory:
         largest, whole = max(memory) / 2**20, sum(memory) / 2**20

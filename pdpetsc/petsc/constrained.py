@@ -6,8 +6,9 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.petsc.matrix_free import Preconditioning
+from pdpetsc.petsc.schur import DIRECT, SchurComplement
 from pdpetsc.petsc.two_level import TwoLevel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem, Tangent
@@ -19,13 +20,16 @@ from pdpetsc.problem.term import Constraints
 CLOSER, LEAST, MOST = 1e-2, 1e-13, 1000
 # The Schur complement of the soft tangent, over the inverse of what that resists a condition with.
 SPREAD = 1.0
+# Where no condition has more stiffness than this share of what resists it softly the diagonal is as good.
+LOW = 1.0
 
 
 class Constrained(Preconditioning):
     """``K = K_0 + B^T D B`` with a stiff D by the system ``[K_0 B^T; B -D^-1]``, whose condition does not know D.
 
-    MINRES solves it, preconditioned by the two levels of the soft ``K_0`` and by the diagonal of the Schur complement
-    ``D^-1 + B K_0^-1 B^T``, of which the second part is about the inverse of what ``K_0`` resists a condition with.
+    MINRES solves it, preconditioned by the two levels of the soft ``K_0`` and by the Schur complement ``D^-1 + B K_0^-1
+    B^T``: a ``SchurComplement``, or where conditions are hardly stiff, too many to be factored, or it fails, its
+    diagonal, of which the second part is about the inverse of what ``K_0`` resists a condition with.
 
     Parameters
     ----------
@@ -59,7 +63,7 @@ class Constrained(Preconditioning):
         assert constraints is not None
         if self._system is None:
             self._system = _System(self._problem.body, self._fixed, self._scale)
-        self._system.take(tangent.softened(), constraints)
+        self._system.take(tangent.softened(), constraints, self.diagonal)
         return tangent
 
     def renewed(self) -> Preconditioning:
@@ -91,6 +95,9 @@ class Constrained(Preconditioning):
         self._ksp.setTolerances(rtol=max(LEAST, CLOSER * self._outer.getTolerances()[0] / self._system.stiffest))
         self._ksp.solve(right, found)
         self.iterations += self._ksp.getIterationNumber()
+        if self._ksp.getConvergedReason() < 0 and self._system.forget_schur():
+            self._ksp.solve(right, found)
+            self.iterations += self._ksp.getIterationNumber()
         y.setArray(found.array_r[:n])
 
     @property
@@ -118,7 +125,7 @@ class _Solve:
 
 
 class _Diagonal:
-    """The two levels, and the diagonal of the Schur complement."""
+    """The two levels, and the Schur complement."""
 
     def __init__(self, system: _System) -> None:
         self._system = system
@@ -145,9 +152,10 @@ class _System:
     def __init__(self, body: Body, fixed: Mask, scale: float) -> None:
         self._body, self._free, self._scale = body, ~fixed, scale
         self._masked = np.zeros(fixed.shape)
+        self._schur: SchurComplement | None = None
 
-    def take(self, soft: Tangent, constraints: Constraints) -> None:
-        """Be the system of a tangent."""
+    def take(self, soft: Tangent, constraints: Constraints, diagonal: Float) -> None:
+        """Be the system of a tangent whose soft part has a diagonal (n_rows * dim,) [force / length] (collective)."""
         self._soft, self._of = soft, constraints
         sizes = np.diff(constraints.ptr)
         self._condition_of = np.repeat(np.arange(len(sizes)), sizes)
@@ -155,7 +163,20 @@ class _System:
             self._compliance = self._scale / np.maximum(constraints.stiffness, 1e-12 * constraints.soft)
         stiffest = float(np.max(constraints.stiffness / constraints.soft, initial=1.0))
         self.stiffest = largest(self._body.cloud.comm, stiffest)
-        self._schur = self._compliance + SPREAD * self._scale / constraints.soft
+        self._soften = SPREAD * self._scale / constraints.soft
+        body, n = self._body, self._body.cloud.n_owned
+        self.forget_schur()
+        if self.stiffest > LOW and total(body.cloud.comm, len(sizes)) <= DIRECT[body.dim]:
+            of_soft = diagonal.reshape(self._free.shape)[:n] / self._scale
+            data = self._compliance, self._soften, of_soft, self._free[:n]
+            self._schur = SchurComplement(body, constraints, *data)
+
+    def forget_schur(self) -> bool:
+        """Take the diagonal of the Schur complement from now on; return whether it was another before."""
+        other, self._schur = self._schur, None
+        if other is not None:
+            other.destroy()
+        return other is not None
 
     def solver(self, levels: TwoLevel, comm: PETSc.Comm, n: int) -> PETSc.KSP:
         """Return MINRES with the two levels (collective)."""
@@ -204,7 +225,8 @@ class _System:
         self._inner.solve(self._x, self._y)
         whole = y.array_w
         whole[:n] = self._y.array_r
-        whole[n:] = x.array_r[n:] / self._schur
+        right = x.array_r[n:]
+        whole[n:] = right / (self._compliance + self._soften) if self._schur is None else self._schur.solve(right)
 
     def soft_times(self, x: Float) -> Float:
         """Return the soft tangent over the scale times unknowns (n_rows * dim,)."""
@@ -214,6 +236,7 @@ class _System:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
+        self.forget_schur()
         for one in (self._inner, self._soft_mat, self.mat, self.right, self.found, self._x, self._y):
             one.destroy()
 

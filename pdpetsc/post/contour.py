@@ -14,7 +14,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.material.base import IsotropicMaterial
 from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.post.bonds_left import pairs_of
-from pdpetsc.post.inhomogeneity import heated, materials_of, of_place, plane_tensors, slope_of_grading
+from pdpetsc.post.inhomogeneity import materials_of, of_place, plane_tensors, singular, slope_of_grading
 from pdpetsc.post.solution import Solution
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.material_points import MaterialPoints
@@ -235,16 +235,17 @@ class Domain:
     def integral(self, solution: Solution, slopes: Sequence[Float]) -> Integral:
         """Return ``int q rho dA`` of the first columns of densities (n_owned, 2), which grow as 1 / r at most.
 
-        One is given for each frame, by its axes: along the crack and across it.
-
-        Within some horizons of the tip the fields of a nonlocal body are not those of a continuum, and what lies there
-        of such densities is a share h / R of the whole. It follows from those further out: ``2 pi r`` times the mean
-        round a circle is fitted by ``a + b r + c r^2``, the leading powers of products of two fields with square roots,
-        of one symmetry. Collective.
+        One is given for each frame, by its axes: along the crack and across it. It is the sum over the particles, which
+        is what the energy of this body changes by as the crack grows, as long as the slopes that the densities have are
+        resolved. Those of a temperature next to a tip that heat flows round are not; what lies within some horizons of
+        it, a share h / R of the whole, follows there from the densities further out: ``2 pi r`` times the mean round a
+        circle is fitted by ``a + b r + c r^2``, the leading powers of products of two fields with square roots, of one
+        symmetry. Collective.
         """
         reach = solution.cloud.reach[: len(solution.x)][self.near(solution.x)]
         start = min(CORE * solution.largest(float(reach.max(initial=0.0))), CORE_MOST * self.outer)
-        further = FURTHER_BY_HEAT if heated(solution, self.near(solution.x)) else FURTHER
+        follows = singular(solution, [frame.tip for frame in self.frames], start)
+        further = FURTHER_BY_HEAT if follows else FURTHER
         sums, normal, right = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
         for frame, slope in zip(self.frames, slopes, strict=True):
             at, rho = frame.at(solution.x), slope[:, 0]
@@ -263,7 +264,8 @@ class Domain:
         q, _ = weight(np.column_stack([radii, np.zeros(GAUSS)]), self.inner, self.outer, self.tilt)
         inside = (0.5 * start * shares * q) @ (radii[:, None] / start) ** POWERS
         outside, plain, size = solution.sum(sums)
-        return Integral(float(outside + inside @ np.linalg.lstsq(normal, right, rcond=None)[0]), plain, size)
+        found = Integral(float(outside + inside @ np.linalg.lstsq(normal, right, rcond=None)[0]), plain, size)
+        return found if follows else found.summed
 
     def at_tip(self, solution: Solution, values: Float) -> float:
         """Return what a smooth positive number of the local particles (n_local,) is at the tip (collective).

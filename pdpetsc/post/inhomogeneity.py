@@ -32,6 +32,9 @@ LAW_STEP = 1e-4
 # slope: that of the root of the distance, up to this many times.
 SINGULAR, SINGULAR_MOST, STEEPER = 2.0, 0.5, 3.0
 
+# It has one where the mean square of its slope within that distance is at least this many times that around.
+ROOT = 1.6
+
 # What differs between particles, in words.
 STRAIN, MODULI = "strain without stress", "moduli"
 
@@ -252,14 +255,22 @@ def softened(solution: Solution, inside: Mask) -> bool:
     return False
 
 
-def heated(solution: Solution, inside: Mask) -> bool:
-    """Return whether temperatures differ between some own particles (n_owned,) (collective)."""
+def singular(solution: Solution, tips: Sequence[Float], start: float) -> bool:
+    """Return whether the slope of a temperature grows towards crack tips as one over a root of the distance.
+
+    That of heat that flows round a crack does: its mean square within a distance ``start`` of a tip [length] is then
+    three times that from there to twice the distance, and as large where the temperature is smooth. Collective.
+    """
     expansion = solution.problem.body.expansion
     temperature = None if expansion is None else expansion.temperature(solution.state.t)
     if temperature is None:
         return False
-    low, high = _range(solution, temperature[inside])
-    return bool(high - low > SAME * max(abs(high), abs(low)))
+    square = (slopes_of_particles(solution, _with_ghosts(solution, temperature)[:, None]) ** 2).sum(axis=(1, 2))
+    distance, sums = np.min([np.linalg.norm(solution.x - tip, axis=1) for tip in tips], axis=0), []
+    for zone in (distance < start, (distance >= start) & (distance < 2.0 * start)):
+        sums += [solution.volume[zone] @ square[zone], solution.volume[zone].sum()]
+    core, volume, ring, further = solution.sum(sums)
+    return bool(core * further > ROOT * ring * volume)
 
 
 def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -> str:

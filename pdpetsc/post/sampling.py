@@ -122,9 +122,8 @@ def sampled(x: Float, values: Float, points: Float, body: Inside, held: Held | N
     allowed = (3, len(columns), len(axes)) if len(x) > 1 else (1, 2, 3)
     if given.ndim != 2 or given.shape[1] not in allowed:
         shape = "x".join(str(n) for n in given.shape)
-        raise CaseError(
-            f"Points of a body of {len(columns)} dimensions have {len(columns)} or 3 coordinates each, not {shape}."
-        )
+        words = "3 coordinates" if len(columns) == 3 else f"{len(columns)} or 3 coordinates"
+        raise CaseError(f"Points of a body of {len(columns)} dimensions have {words} each, not {shape}.")
     bad = np.flatnonzero(~np.isfinite(given).all(axis=1))
     if len(bad):
         raise CaseError(f"{len(bad)} points are not finite, the first is {given[bad[0]]}; take them out.")

@@ -344,6 +344,9 @@ class _Run:
         self._try_records(start)
         with self.phases.timed("output"):
             checkpoints = case.checkpoints if case.solver.restarts else 0
+            if origin is not None and origin.inside(self.folder):
+                # So that the next restart knows whose steps these are, if this run is killed before its end.
+                self.summary["run"] = origin.record.run
             # From here on the folder is this run's.
             self.signals.patient = True
             if origin is None or not origin.inside(self.folder):

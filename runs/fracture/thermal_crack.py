@@ -55,7 +55,7 @@ class Departs(pd.Quantity):
         return solution.largest(float(np.abs(off).max(initial=0.0))) / (GRADIENT * HALF)
 
 
-def case(kind="strip", n=40, horizon=2.015, plane="strain", scheme="correspondence", G=0.1):
+def case(kind="strip", n=40, horizon=2.015, plane="strain", scheme="sub_horizons", G=0.0):
     """Return the case: ``n`` particles along the crack."""
     pd.choose("kind", kind, {"strip": None, "flow": None})
     chosen = pd.choose("scheme", scheme, pd.SCHEMES)

@@ -1,0 +1,172 @@
+"""The Schur complement of conditions on a displacement, by two solves with a matrix of the conditions alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.sparse import coo_array, csr_array
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.discrete.communicator import largest
+from pdpetsc.kernels.near import reach_kernel
+from pdpetsc.problem.body import Body
+from pdpetsc.problem.term import Constraints
+
+# Largest number of conditions of all ranks whose matrix is factored, by dimension; more have the diagonal.
+DIRECT = {1: 10**6, 2: 250_000, 3: 40_000}
+# Bonds up to this many times as long as the 2 dim-th shortest of a family stand for all of it.
+NEAR = 1.6
+# A condition whose compliance is this share of that of what is soft hardly counts.
+STIFF = 0.1
+# What is added to the diagonal of the matrix of the conditions, as a share of it and of its largest entry.
+LIFTED, LEAST = 1e-3, 1e-14
+
+
+class SchurComplement:
+    """``S = C + B K_0^-1 B^T`` by least squares: ``S^-1 = t L^-1 H L^-1 t + (C + q)^-1``.
+
+    With the inverse D of the diagonal of ``K_0``, 0 where unknowns are prescribed::
+
+        L = B D B^T,   H = B D K D B^T,   t^2 = 1 / (1 + 10 C / q)
+
+    where K has the diagonal of ``K_0`` and couples each particle with its nearest neighbours alone. Pressures that
+    change from patch to patch push little and those that do not are resisted by little: both are in L and in H, and
+    not in a diagonal. q is the compliance of what resists a condition softly; the last part is there for conditions
+    that push nothing, and for those with a compliance.
+
+    Parameters
+    ----------
+    body : Body
+        Particles and bonds.
+    constraints : Constraints
+        The conditions.
+    compliance, soft : (n_conditions,) float64
+        C and q.
+    diagonal : (n_owned, dim) float64
+        That of ``K_0``.
+    free : (n_owned, dim) bool
+        Unknowns that are not prescribed.
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+
+    References
+    ----------
+    Elman2006, who approximate the Schur complement of the Navier-Stokes equations so.
+    """
+
+    def __init__(
+        self, body: Body, constraints: Constraints, compliance: Float, soft: Float, diagonal: Float, free: Mask
+    ) -> None:
+        cloud, dim = body.cloud, body.dim
+        n, comm = cloud.n_owned, cloud.comm
+        self._diagonal = compliance + soft
+        self._turn = np.sqrt(1.0 / (1.0 + compliance / (STIFF * soft)))
+        here = np.zeros((cloud.n_local, 2 * dim))
+        here[:n, dim:] = np.where(free, np.maximum(diagonal, 0.0), 0.0)
+        np.divide(1.0, here[:n, dim:], out=here[:n, :dim], where=here[:n, dim:] > 0.0)
+        cloud.halo.forward(here)
+        inverse, held = here[:, :dim], here[:, dim:]
+        columns = _rows_of(body)
+        turned = constraints.b.copy()
+        if len(cloud.sign):
+            images = constraints.members >= n
+            turned[images] *= cloud.sign[constraints.members[images] - n]
+        of = np.repeat(np.arange(len(compliance)), np.diff(constraints.ptr))
+        values = turned * inverse[constraints.members]
+        roots = turned * np.sqrt(inverse[constraints.members])
+        where = of, columns[constraints.members]
+        size, width = len(compliance), (n * dim, cloud.n_global * dim)
+        matrices = [_matrix(comm, size, width, dim, *where, each) for each in (roots, values)]
+        root, spread = (mat.transpose() for mat in matrices)
+        self._L = root.transposeMatMult(root)
+        near = _near(body, columns, held, width)
+        self._H = near.ptap(spread)
+        for mat in (*matrices, near):
+            mat.destroy()
+        self._x, self._y = self._L.createVecs()
+        self._L.getDiagonal(self._x)
+        most = largest(comm, float(self._x.array_r.max(initial=0.0)))
+        self._x.scale(LIFTED)
+        self._x.shift(LEAST * most if most > 0.0 else 1.0)
+        self._L.setDiagonal(self._x, PETSc.InsertMode.ADD_VALUES)
+        self._L.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._ksp = PETSc.KSP().create(comm=comm)
+        self._ksp.setOptionsPrefix("patches_")
+        self._ksp.setOperators(self._L)
+        self._ksp.setType("preonly")
+        self._ksp.getPC().setType("cholesky")
+        self._ksp.getPC().setFactorSolverType("mumps")
+        self._ksp.setFromOptions()
+
+    def solve(self, values: Float) -> Float:
+        """Return ``S^-1`` times values of the own conditions (n_conditions,)."""
+        x, y = self._x, self._y
+        x.setArray(self._turn * values)
+        self._ksp.solve(x, y)
+        self._H.mult(y, x)
+        self._ksp.solve(x, y)
+        return np.asarray(self._turn * y.array_r + values / self._diagonal)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for one in (self._ksp, self._L, self._H, self._x, self._y):
+            one.destroy()
+
+
+def _rows_of(body: Body) -> GlobalIndex:
+    """Return the number of each local particle in the order of ranks (n_local,) (collective)."""
+    cloud = body.cloud
+    number = np.zeros((cloud.n_local, 1))
+    number[: cloud.n_owned, 0] = cloud.first + np.arange(cloud.n_owned)
+    cloud.halo.forward(number)
+    return np.asarray(number[:, 0].astype(np.int64))
+
+
+def _matrix(
+    comm: PETSc.Comm, n_rows: int, width: tuple[int, int], dim: int, rows: GlobalIndex, columns: GlobalIndex,
+    values: Float,
+) -> PETSc.Mat:  # fmt: skip
+    """Return a matrix with ``values`` (n_entries, dim) at own rows and the unknowns of columns (collective)."""
+    at = (columns[:, None] * dim + np.arange(dim)).ravel()
+    found = csr_array(coo_array((values.ravel(), (np.repeat(rows, dim), at)), shape=(n_rows, width[1])))
+    return _of_rows(comm, found, (n_rows, None), width)
+
+
+def _of_rows(comm: PETSc.Comm, rows: csr_array, size: tuple[int, int | None], width: tuple[int, int]) -> PETSc.Mat:
+    """Return a matrix of the rows that each rank has (collective)."""
+    rows.sum_duplicates()
+    rows.sort_indices()
+    csr = rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data
+    return PETSc.Mat().createAIJ((size, width), csr=csr, comm=comm)
+
+
+def _near(body: Body, columns: GlobalIndex, held: Float, width: tuple[int, int]) -> PETSc.Mat:
+    """Return K: springs between nearest neighbours, the same along all axes, with the given diagonal (collective)."""
+    cloud, families, dim = body.cloud, body.families, body.dim
+    n = cloud.n_owned
+    reach, every = np.zeros(n), np.ones(len(families.neighbours), dtype=bool)
+    reach_kernel(dim, 2 * dim)(families.indptr, families.neighbours, every, cloud.x, reach)
+    length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+    # Both ends of a bond must find it short.
+    far = np.zeros((cloud.n_local, 1))
+    far[:n, 0] = NEAR * reach
+    cloud.halo.forward(far)
+    i, j = families.centres, families.neighbours
+    kept = length <= np.minimum(far[i, 0], far[j, 0])
+    i, j = i[kept], j[kept]
+    count = np.zeros((cloud.n_local, 1))
+    count[:n, 0] = np.maximum(np.bincount(i, minlength=n), 1)
+    cloud.halo.forward(count)
+    each = held / count
+    stiffness = np.where((held[i] > 0.0) & (held[j] > 0.0), 0.5 * (each[i] + each[j]), 0.0)
+    wall = np.where(held[j] > 0.0, 0.0, 0.5 * each[i])
+    diagonal = np.stack([np.bincount(i, (stiffness + wall)[:, axis], n) for axis in range(dim)], axis=1)
+    at = (columns[j][:, None] * dim + np.arange(dim)).ravel()
+    row = (i[:, None].astype(np.int64) * dim + np.arange(dim)).ravel()
+    own = np.arange(n * dim)
+    entries = np.concatenate([-stiffness.ravel(), diagonal.ravel()])
+    rows, at = np.concatenate([row, own]), np.concatenate([at, cloud.first * dim + own])
+    found = csr_array(coo_array((entries, (rows, at)), shape=(n * dim, width[1])))
+    return _of_rows(cloud.comm, found, width, width)

@@ -99,6 +99,7 @@ MEASURED: tuple[MeasuredShare, ...] = (
     MeasuredShare("bonds", "linear", 4.015, _BONDS, 1.0, 0.03),
     MeasuredShare("bonds", "brittle", 4.015, _BONDS, 1.26, 0.07),
     MeasuredShare("linear_solid", "linear", 3.015, _SOLID, 1.08, 0.03),
+    MeasuredShare("linear_solid", "short", 3.015, _QUARTER, 1.09, 0.04),
     MeasuredShare("linear_solid", "exponential", 3.015, _SOLID, 1.08, 0.03),
     MeasuredShare("linear_solid", "bilinear", 3.015, _SOLID, 1.08, 0.03),
     MeasuredShare("linear_solid", "brittle", 3.015, _QUARTER, 1.54, 0.07),
@@ -108,7 +109,7 @@ MEASURED: tuple[MeasuredShare, ...] = (
     MeasuredShare("correspondence", "linear", 3.015, _THREE_TENTHS, 0.396, 0.04),
     MeasuredShare("correspondence", "linear", 3.015, _THIRD, 0.415, 0.04),
     MeasuredShare("correspondence", "linear", 2.015, _QUARTER, 0.397, 0.05),
-    MeasuredShare("correspondence", "brittle", 3.015, _QUARTER, 0.77, 0.08),
+    MeasuredShare("correspondence", "brittle", 3.015, _QUARTER, 0.79, 0.05),
 )
 
 

@@ -84,13 +84,13 @@ class MeasuredShare:
 
 
 _BONDS, _SOLID = (1.0 / 3.0, 1.0 / 3.0), (0.1, 0.4)
-_QUARTER, _THREE_TENTHS, _THIRD = (0.24, 0.26), (0.29, 0.31), (0.32, 0.34)
+_FIFTH, _QUARTER, _THREE_TENTHS, _THIRD = (0.19, 0.21), (0.24, 0.26), (0.29, 0.31), (0.32, 0.34)
 MEASURED: tuple[MeasuredShare, ...] = (
     MeasuredShare("bonds", "linear", 3.015, _BONDS, 1.0, 0.03),
     MeasuredShare("bonds", "short", 3.015, _BONDS, 1.05, 0.04),
     MeasuredShare("bonds", "exponential", 3.015, _BONDS, 1.0, 0.03),
     MeasuredShare("bonds", "bilinear", 3.015, _BONDS, 1.0, 0.03),
-    MeasuredShare("bonds", "brittle", 3.015, _BONDS, 1.43, 0.07),
+    MeasuredShare("bonds", "brittle", 3.015, _BONDS, 1.47, 0.06),
     MeasuredShare("bonds", "smooth", 3.015, _BONDS, 1.27, 0.04),
     MeasuredShare("bonds", "linear", 2.015, _BONDS, 1.06, 0.04),
     MeasuredShare("bonds", "exponential", 2.015, _BONDS, 1.09, 0.04),
@@ -99,14 +99,17 @@ MEASURED: tuple[MeasuredShare, ...] = (
     MeasuredShare("bonds", "linear", 4.015, _BONDS, 1.0, 0.03),
     MeasuredShare("bonds", "brittle", 4.015, _BONDS, 1.26, 0.07),
     MeasuredShare("linear_solid", "linear", 3.015, _SOLID, 1.08, 0.03),
-    MeasuredShare("linear_solid", "exponential", 3.015, _SOLID, 1.08, 0.03),
-    MeasuredShare("linear_solid", "bilinear", 3.015, _SOLID, 1.08, 0.03),
+    MeasuredShare("linear_solid", "short", 3.015, _QUARTER, 1.09, 0.04),
+    MeasuredShare("linear_solid", "exponential", 3.015, _QUARTER, 1.08, 0.03),
+    MeasuredShare("linear_solid", "bilinear", 3.015, _QUARTER, 1.08, 0.03),
     MeasuredShare("linear_solid", "brittle", 3.015, _QUARTER, 1.54, 0.07),
+    MeasuredShare("correspondence", "short", 3.015, _QUARTER, 0.435, 0.05),
+    MeasuredShare("correspondence", "linear", 3.015, _FIFTH, 0.34, 0.05),
     MeasuredShare("correspondence", "linear", 3.015, _QUARTER, 0.365, 0.04),
     MeasuredShare("correspondence", "linear", 3.015, _THREE_TENTHS, 0.396, 0.04),
     MeasuredShare("correspondence", "linear", 3.015, _THIRD, 0.415, 0.04),
     MeasuredShare("correspondence", "linear", 2.015, _QUARTER, 0.397, 0.05),
-    MeasuredShare("correspondence", "brittle", 3.015, _QUARTER, 0.77, 0.08),
+    MeasuredShare("correspondence", "brittle", 3.015, _QUARTER, 0.79, 0.05),
 )
 
 

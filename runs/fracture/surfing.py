@@ -109,6 +109,8 @@ def case(
         # The domain of a tip that runs ahead of its field has left the body.
         J, far = (values[np.isfinite(values)] for values in (found["J"][runs], found["J far"][runs]))
         # The length grows by whole spacings: the slope of the line that fits best is not of two of its steps.
+        if np.count_nonzero(runs) < 3:
+            raise pd.CaseError(f"The tip goes from 13 to {end - 2.0:g} in fewer than three steps; take a longer way.")
         per_length = np.polyfit(found["length"][runs], found["dissipated"][runs], 1)[0]
         whole, first, last = taken(h, end, dx)
         return {

@@ -89,8 +89,9 @@ class Case(Declared):
         How much a bond counts.
     weights : Weights, optional
         ``Conforming()`` lets the gradients satisfy the divergence theorem up to the surface; ``Standard()`` leaves them
-        as the scheme has them. By default they conform where particles that know their surface are no lattice, as
-        those of a mesh: standard weights do not converge there; and for ``MeanDilatation`` on ``LatticeNodes``.
+        as the scheme has them. By default they conform where particles that know their surface are no lattice of
+        cells, as those of a mesh: standard weights do not converge there; and on ``LatticeNodes``, whose supports hold
+        the surface itself.
     control : ZeroEnergyControl, optional
         Zero-energy control; none where absent.
     cracks : sequence of Crack
@@ -202,9 +203,8 @@ class Case(Declared):
             return self.weights
         if self.of_bonds:
             return Standard()
-        # What shares its dilatation is pushed away from supports on the surface that weights do not conform to.
-        shared = self.gradients.patches is not None and self.particles.on_surface
-        return Suited() if shared or self.particles.irregular else Standard()
+        # Nodes on a surface that weights do not conform to are pushed away from the supports that hold it.
+        return Suited() if self.particles.irregular or self.particles.on_surface else Standard()
 
     @property
     def written(self) -> list[Field]:

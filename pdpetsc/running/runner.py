@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -374,7 +374,6 @@ class _Run:
             self.report.cut_back(at, dt, result)
 
         self.unit = solver.unit
-        self.summary["doubts"] = {}
         self.report.begin(start.t, step)
         self.phases.now = "solve"
         before = time.perf_counter()
@@ -419,7 +418,7 @@ class _Run:
             )
         if self._share is not None and self._share.grave:
             self.report.warn(f"What the cracks of this run took is not known. {self._share.said}")
-        for name, doubt in self.summary["doubts"].items():
+        for name, doubt in summary["doubts"].items():
             times = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")
             self.report.warn(f"{name} of the history at {times} {doubt['why']}.")
         if confined is not None and confined.wrong:
@@ -472,11 +471,9 @@ class _Run:
 
     def _doubt(self, state: Solution) -> None:
         """Note which numbers of the history of a step may be wrong, for the summary (collective)."""
-        doubts = self.summary["doubts"]
-        for name, quantity in self.case.history.items():
-            why = quantity.doubt(state)
-            if why:
-                doubts.setdefault(name, {"t": state.t, "why": why, "steps": 0})["steps"] += 1
+        found = {name: quantity.doubt(state) for name, quantity in self.case.history.items()}
+        if any(found.values()):
+            self.steps[-1]["doubts"] = {name: why for name, why in found.items() if why}
 
     def _fields(self) -> list[Field]:
         """Return the fields to write: the declared ones, and what the picture shows."""
@@ -532,7 +529,8 @@ class _Run:
         return self.summary | {
             "status": status,
             "results": dict(results),
-            "steps": [*self.earlier, *self.steps],
+            "steps": (steps := [*self.earlier, *self.steps]),
+            "doubts": _doubts(steps),
             "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
             "timings": self.phases.timings,
             "peak_memory_bytes": memory,
@@ -652,6 +650,15 @@ def _step_summary(step: int, converged: Converged, unit: str) -> dict[str, Any]:
         {"broken_bonds": converged.broken, "sweeps": converged.sweeps} if converged.broken or converged.sweeps else {}
     )
     return {"step": step, "t": converged.t, **_attempt(converged.result, unit), **damage, "cut_backs": cut_backs}
+
+
+def _doubts(steps: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return of each number of the history that may be wrong when and why first, and at how many steps."""
+    found: dict[str, dict[str, Any]] = {}
+    for step in steps:
+        for name, why in step.get("doubts", {}).items():
+            found.setdefault(name, {"t": step["t"], "why": why, "steps": 0})["steps"] += 1
+    return found
 
 
 def _attempt(result: StepResult, unit: str) -> dict[str, Any]:

@@ -394,7 +394,7 @@ def sweep(library, scene, place, how, first, stride):
     return [json.loads(line) for line in finished.stdout.splitlines()][1:]
 
 
-@pytest.mark.parametrize("stride", [61, pytest.param(5, marks=pytest.mark.long)])
+@pytest.mark.parametrize("stride", [97, pytest.param(5, marks=pytest.mark.long)])
 @pytest.mark.parametrize("how", ["kill", "full", "broken"])
 def test_no_write_that_fails_costs_what_is_done(how, stride, failing_writes, scene, tmp_path):
     """The step in progress is all that is lost, and the run that goes on ends with the same files."""
@@ -425,7 +425,7 @@ def test_no_write_that_fails_costs_what_is_done(how, stride, failing_writes, sce
 @pytest.mark.parametrize(
     ("how", "n"),
     [
-        ("kill", 120),
+        pytest.param("kill", 120, marks=pytest.mark.long),
         *(
             pytest.param(how, n, marks=pytest.mark.long)
             for how in ("kill", "full", "broken")

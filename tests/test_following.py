@@ -22,7 +22,7 @@ def crack(pull=1.0, **changes):
     return dataclasses.replace(case, fields=[], picture=None, **changes)
 
 
-@pytest.mark.parametrize("ratio", [1.2, 1.5, 3.0])
+@pytest.mark.parametrize("ratio", [1.5, *(pytest.param(ratio, marks=pytest.mark.long) for ratio in (1.2, 3.0))])
 def test_one_bond_in_series_with_another_is_followed_back(ratio, tmp_path):
     """Two equal springs: u = x l + q / k with the law's force q = k l (r - x) / (r - 1); below r = 2 u turns back."""
     solver = pd.PathFollowing(pd.BondStretch(0.02), until=1e-9)

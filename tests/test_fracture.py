@@ -122,7 +122,8 @@ def test_any_number_of_ranks_breaks_the_same_bonds(arguments, several, least, tm
     assert all(rows[ranks] == rows[1] for ranks in several)
 
 
-@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.long), 2])
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_a_restart_goes_on_with_the_same_bonds_and_fields(ranks, tmp_path):
     arguments = ("scheme=sub_horizons", "G=0", "steps=30")
     whole = results(PLATE, *arguments, output=tmp_path / "whole")["results"]

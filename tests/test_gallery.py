@@ -76,6 +76,7 @@ def test_what_an_example_depends_on_is_found():
     assert ROOT / "runs/patch/tension.py" in gallery.imported(ROOT / "runs/convergence/ring.py")
 
 
+@pytest.mark.long
 def test_an_example_that_is_off_is_named_and_one_that_has_not_changed_is_not_run_again(tmp_path, monkeypatch):
     (tmp_path / "runs/few").mkdir(parents=True)
     (tmp_path / "runs/few/strip.py").write_text(STRIP)

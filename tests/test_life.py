@@ -161,7 +161,7 @@ ALONE = [
     ("particles", "divides"), ("set-up", "case"), ("model", "exits"), ("declared", "divides"), ("solve", "memory"),
     ("output", "os"), ("history", "case"), ("results", "divides"), ("case", "exits"), ("solve", "petsc"),
 ]  # fmt: skip
-QUICK = {("set-up", "case", 2), ("solve", "memory", 3), ("output", "os", 2)}
+QUICK = {("set-up", "case", 2), ("output", "os", 2)}
 
 
 @pytest.mark.parametrize(

@@ -579,6 +579,7 @@ def test_the_pace_tells_what_a_step_takes_and_when_the_run_ends():
     assert np.isnan(pace.left) and "ends in" not in pace.words()
 
 
+@pytest.mark.long
 def test_a_line_at_the_bottom_of_a_terminal_tells_how_the_run_goes_on(tmp_path):
     new(tmp_path / "bar.py")
     words = [sys.executable, "-m", "pdpetsc", "bar.py", "dx=0.5", "-o", "out"]

@@ -138,7 +138,7 @@ def test_a_run_with_few_checkpoints_keeps_the_step_that_it_ends_at(tmp_path):
 
 def test_a_failed_run_ends_with_status_1_on_every_rank_count(tmp_path):
     for ranks in (1, 2):
-        finished = run(CLAMPED, "-snes_max_it", "1", ranks=ranks, output=tmp_path)
+        finished = run(CLAMPED, "ny=3", "-snes_max_it", "1", ranks=ranks, output=tmp_path)
         assert finished.returncode == 1
         said = [line for line in finished.stderr.splitlines() if line.startswith("pdpetsc:")]
         assert len(said) == 1
@@ -259,8 +259,15 @@ def signalled(folder, number, ranks):
     return process.returncode, out, err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize(
+    ("number", "ranks"),
+    [
+        (signal.SIGINT, 2),
+        (signal.SIGTERM, 1),
+        pytest.param(signal.SIGINT, 1, marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, 2, marks=pytest.mark.long),
+    ],
+)
 def test_a_signal_ends_the_run_with_valid_files(number, ranks, tmp_path):
     status, _, err = signalled(tmp_path, number, ranks)
     assert status != 0
@@ -278,7 +285,7 @@ def test_a_signal_ends_the_run_with_valid_files(number, ranks, tmp_path):
     ET.parse(tmp_path / "fields.xdmf")
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_no_room_for_a_step_leaves_the_steps_before(ranks, tmp_path):
     """The file size limit stands for a full disk: both show as an error when a file grows."""
 

@@ -96,7 +96,7 @@ def test_compare_runs_every_combination_once(tmp_path):
 
 
 def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
-    words = [sys.executable, "-m", "pdpetsc", "compare", CLAMPED, "ny=3,5,7", "steps=1", "-o", str(tmp_path)]
+    words = [sys.executable, "-m", "pdpetsc", "compare", CLAMPED, "ny=3,5", "steps=1", "-o", str(tmp_path)]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(words, cwd=ROOT, env=ENVIRONMENT, start_new_session=True, **pipes)
     wait_until(lambda: list(tmp_path.glob("ny=3*/outcome.json")), "the first run")
@@ -107,7 +107,7 @@ def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
     assert "Traceback" not in message
     first = next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime
     assert called(*words[3:]).returncode == 0
-    assert len(table(tmp_path)) == 3
+    assert len(table(tmp_path)) == 2
     assert next(tmp_path.glob("ny=3*/outcome.json")).stat().st_mtime == first
 
 
@@ -135,6 +135,7 @@ def test_a_signal_that_comes_while_a_run_is_started_ends_a_study(tmp_path):
     assert not list((tmp_path / "out").glob("*/outcome.json"))
 
 
+@pytest.mark.long
 def test_compare_on_two_ranks_and_with_petsc_options(tmp_path):
     words = ("compare", CLAMPED, "ny=3", "steps=1", "--ranks", "2", "-pc_type", "lu", "-o", tmp_path)
     finished = tool(*words)

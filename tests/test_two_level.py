@@ -264,6 +264,7 @@ def test_cycles_of_several_steps_take_under_sixty_iterations_where_nearly_incomp
         assert solved(case, tmp_path / str(dim), FREE | cycles)[1] <= 60
 
 
+@pytest.mark.long
 def test_the_command_line_tunes_both_levels_and_refuses_what_is_wrong(tmp_path):
     words = "dim=2", "n=16", "-pd_jacobian", "matfree"
     tuned = run(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pdpetsc.bond_based import BondBased, LinearSolid
-from pdpetsc.case import Case
+from pdpetsc.case import Case, ungraded
 from pdpetsc.control import Silling
 from pdpetsc.damage import (
     BilinearSoftening,
@@ -149,7 +149,7 @@ def crack_share(case: Case) -> CrackShare | None:
         return None
     found, why = _found(case)
     if found is not None:
-        share = found.share * _of_plane(case)
+        share = found.share * _of_plane(_materials(case)[0])
         said = (
             f"fracture energy: a running crack takes {share:.4g} of what pulling two halves apart takes, known to "
             f"{100.0 * found.within:.0f} % ({found.model}, {found.law} at {found.horizon:g} spacings); bonds have Gc / "
@@ -188,32 +188,41 @@ def _found(case: Case) -> tuple[MeasuredShare | None, str]:
     if not isinstance(particles, Lattice) or particles.dim != 2:
         return None, "it was measured on square lattices alone"
     if not isinstance(damage, BondDamage):
-        return None, "it was measured for one law in one material, not for DamageOf"
+        return None, "it was measured for one law, not for DamageOf"
     if type(damage.criterion) is not FractureEnergy:
         return None, f"it was measured for FractureEnergy, not for {type(damage.criterion).__name__}"
-    material = case.materials[0][1]
-    model = _model(case, material)
-    if model is None:
+    materials = _materials(case)
+    models = {_model(case, one) for one in materials}
+    model = models.pop()
+    if models or model is None:
         return None, "it was not measured for this material, scheme, weights, control and influence"
     law = next((name for name, one in LAWS.items() if _same(one, damage)), None)
     if law is None:
         return None, f"it was not measured for {type(damage).__name__} with these numbers"
     if not isinstance(case.horizon, int | float):
         return None, "it was measured for one horizon"
-    ratio, nu = case.horizon / particles.spacing, _ratio_in_plane_stress(material)
+    # A share does not depend on the modulus, so that one of several materials is that of each.
+    if len({_of_plane(one) for one in materials}) > 1:
+        return None, "it is another one in each material"
+    ratio, ratios = case.horizon / particles.spacing, [_ratio_in_plane_stress(one) for one in materials]
     for row in MEASURED:
         alike = (row.model, row.law) == (model, law) and math.isclose(ratio, row.horizon, rel_tol=SAME_HORIZON)
-        if alike and row.nu[0] - SAME_LAW <= nu <= row.nu[1] + SAME_LAW:
+        if alike and row.nu[0] - SAME_LAW <= min(ratios) and max(ratios) <= row.nu[1] + SAME_LAW:
             return row, ""
     return None, (
         f"it was not measured for {model} with {law} at a horizon of {ratio:.6g} spacings and a Poisson's ratio that "
-        f"is {nu:.3g} in plane stress"
+        f"is {' or '.join(f'{nu:.3g}' for nu in sorted(set(ratios)))} in plane stress"
     )
 
 
+def _materials(case: Case) -> list[Any]:
+    """Return what the parts of a body are made of, graded or not."""
+    return [ungraded(material) for _, material in case.materials]
+
+
 def _model(case: Case, material: Any) -> str | None:
-    """Return the model of a case as the measurements call it; None for others."""
-    if case.influence != Constant() or len(case.materials) != 1 or case.expands:
+    """Return the model of a material in a case as the measurements call it; None for others."""
+    if case.influence != Constant() or case.expands:
         return None
     if type(material) is BondBased:
         return "bonds"
@@ -232,13 +241,12 @@ def _ratio_in_plane_stress(material: Any) -> float:
     return nu if material.plane == "stress" else nu / (1.0 - nu)
 
 
-def _of_plane(case: Case) -> float:
+def _of_plane(material: Any) -> float:
     """Return what multiplies the share in plane strain.
 
     A body in plane strain is one in plane stress with ``E / (1 - nu^2)``, and takes the same energy. The bonds whose
     plane tells the fracture energy stand for E alone, and are ``16 / 15`` as stiff in plane strain.
     """
-    material: Any = case.materials[0][1]
     if type(material) is BondBased or material.plane == "stress":
         return 1.0
     return 15.0 / 16.0 / (1.0 - float(material.nu) ** 2)

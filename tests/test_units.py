@@ -89,7 +89,7 @@ def refuse_other_history(found, expected):
         np.testing.assert_allclose(*relative, rtol=1e-3, atol=1e-9)
 
 
-LONG = ("centre crack", "edge crack")
+LONG = ("centre crack", "edge crack", "notched beam along its path")
 
 
 @pytest.mark.parametrize(

@@ -178,6 +178,8 @@ def _notes(summary: Mapping[str, Any]) -> str:
         notes.append(str(energy.get("note")))
     for name, found in (summary.get("doubts") or {}).items():
         notes.append(f"{name} of the history at step time {found['t']:.6g} {found['why']}.")
+    if (summary.get("control") or {}).get("note"):
+        notes.append(str(summary["control"]["note"]))
     if (summary.get("unbalanced") or {}).get("note"):
         notes.append(str(summary["unbalanced"]["note"]))
     if summary.get("unused_options"):

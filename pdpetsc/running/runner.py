@@ -42,6 +42,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
 from pdpetsc.running.confined import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
 from pdpetsc.running.confined import words as confined_words
+from pdpetsc.running.controlled import largest_share
 from pdpetsc.running.crack_shares import CrackShare, crack_share
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
@@ -391,6 +392,8 @@ class _Run:
                 state.tangent_at = solver.tangent_at
                 keeper.write(state, converged.write_fields, converged.work)
                 self._doubt(state)
+                if case.control is not None:
+                    self.steps[-1]["energies"] = state.energies
             before, self.phases.now = time.perf_counter(), "solve"
         keeper.save()
         self._say_what_holds(problem)
@@ -421,6 +424,8 @@ class _Run:
         for name, doubt in summary["doubts"].items():
             times = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")
             self.report.warn(f"{name} of the history at {times} {doubt['why']}.")
+        if (summary.get("control") or {}).get("note"):
+            self.report.warn(summary["control"]["note"])
         if confined is not None and confined.wrong:
             self.report.warn(confined_words(confined))
         found = self.so_far
@@ -531,6 +536,7 @@ class _Run:
             "results": dict(results),
             "steps": (steps := [*self.earlier, *self.steps]),
             "doubts": _doubts(steps),
+            **({} if self.case.control is None else {"control": largest_share(steps)}),
             "failed_attempts": [_attempt(result, self.unit) for result in self.failed],
             "timings": self.phases.timings,
             "peak_memory_bytes": memory,

@@ -1,0 +1,43 @@
+"""What share of the energy of a body its zero-energy control stores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+# A control that stores more than the first share of the energy is no small disturbance. Steps with less energy than
+# the second share of the largest are not judged: what a torn body is left with is round-off.
+MUCH, LITTLE = 0.2, 0.01
+
+
+def largest_share(steps: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the largest share of the energy that the control stores in a run, when, and a sentence if that is much.
+
+    Parameters
+    ----------
+    steps : iterable of mapping
+        Step time ``t`` and ``energies`` of each step, with the energy of the material as ``strain`` and that of the
+        control as ``control`` [energy]. Steps without energies are left out.
+
+    Returns
+    -------
+    dict
+        ``share`` [-], ``t`` and ``note``, which is empty where the control stores little.
+    """
+    stored = []
+    for step in steps:
+        control, strain = (step.get("energies", {}).get(name, math.nan) for name in ("control", "strain"))
+        if math.isfinite(control + strain):
+            stored.append((control, control + strain, step["t"]))
+    most = max((whole for _, whole, _ in stored), default=0.0)
+    shares = [(control / whole, t) for control, whole, t in stored if whole > LITTLE * most]
+    share, t = max(shares, default=(0.0, 0.0))
+    if share <= MUCH:
+        return {"share": share, "t": t, "note": ""}
+    note = (
+        f"The zero-energy control stores {100.0 * share:.0f} % of the energy at step time {t:.6g}, so that "
+        f"displacements depend on its coefficient: take a smaller one, more particles, a scheme that needs none, or "
+        f"pd.Following where the material yields."
+    )
+    return {"share": share, "t": t, "note": note}

@@ -1,0 +1,53 @@
+"""Runs say where their zero-energy control carries what the material should."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.running.controlled import largest_share
+from tests.test_plastic_laws import runaway
+
+PERFECT = pd.KinematicJ2(100.0, 0.3, plane="stress", yield_stress=1.0)
+
+
+def step(t, strain, control):
+    return {"t": t, "energies": {"strain": strain, "control": control}}
+
+
+def test_the_largest_share_is_that_of_steps_that_store_energy():
+    torn = [step(0.5, 0.9, 0.1), step(1.0, 1e-30, 5e-30)]
+    assert largest_share(torn) == {"share": pytest.approx(0.1), "t": 0.5, "note": ""}
+    much = largest_share([*torn, step(0.7, 0.6, 0.3), {"t": 0.8}, step(0.9, math.nan, 1.0)])
+    assert (much["share"], much["t"]) == (pytest.approx(1.0 / 3.0), 0.7)
+    assert "stores 33 % of the energy at step time 0.7" in much["note"]
+    assert largest_share([]) == {"share": 0.0, "t": 0.0, "note": ""}
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**-30], ids=["as it is", "in another unit of force"])
+def test_a_body_beyond_its_limit_load_is_said_to_hang_on_its_control(size, tmp_path, caplog):
+    """1.2 times what a perfectly plastic strip can carry: an elastic control carries the rest, with a huge strain."""
+    material = dataclasses.replace(PERFECT, E=100.0 * size, yield_stress=size)
+    with caplog.at_level("WARNING"):
+        beyond = pd.run(runaway(material, 1.2 * size), tmp_path / "beyond")
+    note = beyond.summary["control"]["note"]
+    assert "The zero-energy control stores" in note and note in caplog.text
+    assert json.loads((tmp_path / "beyond" / "summary.json").read_text())["control"]["share"] > 0.4
+    below = pd.run(runaway(material, 0.95 * size), tmp_path / "below")
+    assert below.summary["control"]["note"] == ""
+    assert below.summary["control"]["share"] < 0.05
+
+
+def test_a_control_that_follows_the_material_carries_nothing_in_its_place(tmp_path):
+    case = dataclasses.replace(runaway(PERFECT, 1.2), control=pd.Following(pd.Silling(0.5)))
+    with pytest.raises(pd.SolveError, match="No convergence"):
+        pd.run(case, tmp_path)
+
+
+def test_what_has_no_control_records_none(tmp_path):
+    case = dataclasses.replace(runaway(PERFECT, 0.5), control=None, scheme=pd.SubHorizons())
+    summary = pd.run(case, tmp_path).summary
+    assert "control" not in summary
+    assert all("energies" not in one for one in summary["steps"])

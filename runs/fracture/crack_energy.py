@@ -11,26 +11,11 @@ been; ``J_over_Gc``; ``tip`` at the end.
 """
 
 import numpy as np
+from surfing import GC, MODELS, E, laws, parts
 
 import pdpetsc as pd
 
 LENGTH, HEIGHT, CRACK, TAPER = 46.0, 20.0, 12.0, 60.0
-E, GC = 1000.0, 0.1
-
-
-def parts(model, nu):
-    """Return material, scheme and control."""
-    elastic = pd.LinearElastic(E, nu, plane="stress")
-    return pd.choose(
-        "model",
-        model,
-        {
-            "bonds": (pd.BondBased(E, plane="stress", calibration="family"), None, None),
-            "linear_solid": (pd.LinearSolid(E, nu, plane="stress"), None, None),
-            "correspondence": (elastic, pd.Correspondence(), pd.Silling(0.5)),
-            "sub_horizons": (elastic, pd.SubHorizons(), None),
-        },
-    )
 
 
 def case(n=20, horizon=3.015, steps=90, opening=2.0, law="linear", model="bonds", share=0.0, nu=0.25):
@@ -40,14 +25,7 @@ def case(n=20, horizon=3.015, steps=90, opening=2.0, law="linear", model="bonds"
     near = pd.region.Slab("y", low=0.5 * HEIGHT - delta, high=0.5 * HEIGHT + delta)
     far = pd.region.Slab("x", low=LENGTH - delta)
     energy, protected = pd.FractureEnergy(GC, share or None), ~near | far
-    laws = {
-        "brittle": pd.Brittle(energy, protected=protected),
-        "linear": pd.LinearSoftening(energy, 3.0, protected=protected),
-        "exponential": pd.ExponentialSoftening(energy, protected=protected),
-        "bilinear": pd.BilinearSoftening(energy, protected=protected),
-        "smooth": pd.SmoothDegradation(energy, protected=protected),
-    }
-    material, scheme, control = parts(model, nu)
+    _, material, scheme, control = parts(pd.choose("model", model, {name: name for name in MODELS}), nu, 0.5)
     # Of a strip of this height, clamped and much longer, the energy far ahead of the tip is Gc at this displacement.
     grows = 0.5 * np.sqrt(2.0 * (HEIGHT - 2.0 * delta) * GC / E)
     tip, ahead, room = (CRACK, 0.5 * HEIGHT), (1.0, 0.0), 0.5 * HEIGHT - delta
@@ -77,7 +55,7 @@ def case(n=20, horizon=3.015, steps=90, opening=2.0, law="linear", model="bonds"
         control=control,
         weights=None if scheme is None else pd.Standard(),
         cracks=[pd.Segment((-1.0, 0.5 * HEIGHT), tip)],
-        damage=pd.choose("law", law, laws),
+        damage=pd.choose("law", law, laws(energy, protected)),
         conditions=[pd.Displacement(low, x=0.0, y=sides(-1.0)), pd.Displacement(high, x=0.0, y=sides(1.0))],
         steps=pd.Steps(steps),
         history={

@@ -59,6 +59,17 @@ def case(n=120, horizon=3.015, a=8.0, solver="events", scheme="", weights="stand
     return broken(n, horizon, a, solver, scheme, weights, G)
 
 
+def at_tip(tip, ahead, near, far):
+    """Return what is looked at of a crack tip."""
+    return {
+        "J": pd.JIntegral(tip, ahead, *near),
+        "J far": pd.JIntegral(tip, ahead, *far),
+        "G": pd.EnergyReleaseRate(tip, ahead, *far),
+        "K1": pd.StressIntensity(tip, ahead, *far),
+        "K2": pd.StressIntensity(tip, ahead, *far, mode="II"),
+    }
+
+
 def measured(n, horizon, a, scheme, weights, G):
     """Return the strip whose crack is looked at."""
     dx = WIDTH / n
@@ -93,13 +104,7 @@ def measured(n, horizon, a, scheme, weights, G):
             pd.Force(low, y=-WIDTH),
             pd.Force(high, y=WIDTH),
         ],
-        history={
-            "J": pd.JIntegral(tip, ahead, *near),
-            "J far": pd.JIntegral(tip, ahead, *far),
-            "G": pd.EnergyReleaseRate(tip, ahead, *far),
-            "K1": pd.StressIntensity(tip, ahead, *far),
-            "K2": pd.StressIntensity(tip, ahead, *far, mode="II"),
-        },
+        history=at_tip(tip, ahead, near, far),
         results=results,
         # The fit of the closed form ends there.
         expect={

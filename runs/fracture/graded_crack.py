@@ -14,6 +14,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from edge_crack import at_tip
 
 import pdpetsc as pd
 
@@ -86,13 +87,7 @@ def case(
         control=pd.Silling(G) if G else None,
         cracks=[pd.Segment((-1.0, 0.0), tip)],
         conditions=conditions,
-        history={
-            "J": pd.JIntegral(tip, ahead, *near),
-            "J far": pd.JIntegral(tip, ahead, *far),
-            "G": pd.EnergyReleaseRate(tip, ahead, *far),
-            "K1": pd.StressIntensity(tip, ahead, *far),
-            "K2": pd.StressIntensity(tip, ahead, *far, mode="II"),
-        },
+        history=at_tip(tip, ahead, near, far),
         results=results,
         # Correspondence models with their control are longer in settling.
         expect=expected(n, ratio, direction, a, load, plane) if scheme == "sub_horizons" else {},

@@ -39,6 +39,18 @@ def parts(model, nu, G):
     return nu, pd.LinearElastic(E, nu, plane="stress"), schemes[model], control
 
 
+def laws(energy, protected, final=3.0):
+    """Return how bonds may fail."""
+    return {
+        "brittle": pd.Brittle(energy, protected=protected),
+        "linear": pd.LinearSoftening(energy, final, protected=protected),
+        "short": pd.LinearSoftening(energy, 2.0, protected=protected),
+        "exponential": pd.ExponentialSoftening(energy, protected=protected),
+        "bilinear": pd.BilinearSoftening(energy, protected=protected),
+        "smooth": pd.SmoothDegradation(energy, protected=protected),
+    }
+
+
 def particles(dx, angle):
     """Return a square lattice, turned by an angle [degrees] against the crack."""
     if angle == 0.0:
@@ -88,14 +100,6 @@ def case(
     near = pd.region.Slab("y", low=0.5 * HEIGHT - delta, high=0.5 * HEIGHT + delta)
     energy, protected = pd.FractureEnergy(GC, share or None), rim | ~near
     nu, material, scheme, control = parts(pd.choose("model", model, {name: name for name in MODELS}), nu, G)
-    laws = {
-        "brittle": pd.Brittle(energy, protected=protected),
-        "linear": pd.LinearSoftening(energy, final, protected=protected),
-        "short": pd.LinearSoftening(energy, 2.0, protected=protected),
-        "exponential": pd.ExponentialSoftening(energy, protected=protected),
-        "bilinear": pd.BilinearSoftening(energy, protected=protected),
-        "smooth": pd.SmoothDegradation(energy, protected=protected),
-    }
     tip, ahead = (START, 0.5 * HEIGHT), (1.0, 0.0)
     follows = pd.CrackTip(ahead, 0.3, near)
     room = 0.5 * HEIGHT - delta
@@ -133,7 +137,7 @@ def case(
         control=control,
         weights=None if scheme is None else pd.Standard(),
         cracks=[pd.Segment((-1.0, 0.5 * HEIGHT), tip)],
-        damage=pd.choose("law", law, laws),
+        damage=pd.choose("law", law, laws(energy, protected, final)),
         conditions=[pd.Displacement(rim, x=prescribed(0), y=prescribed(1))],
         steps=pd.Steps(steps),
         history={

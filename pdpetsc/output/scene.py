@@ -18,6 +18,7 @@ from pdpetsc.declare.cracks import Polyline
 from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.post.inside import LARGEST, apart
 
 Near: TypeAlias = tuple[Float, Mask]
 # Particles drawn at most; of a larger cloud every n-th.
@@ -223,8 +224,8 @@ def sizes(x: Float, side: Float) -> Float:
     """
     if len(x) < 2:
         return np.ones(len(x))
-    apart = cKDTree(x).query(x, k=min(1 + 2 * x.shape[1], len(x)))[0][:, 1:].mean(axis=1)
-    return np.asarray(np.clip(side, 0.5 * apart, 1.5 * apart))
+    distance = apart(x)
+    return np.asarray(np.clip(side, 0.5 * distance, LARGEST * distance))
 
 
 def lattice_steps(x: Float) -> Float | None:

@@ -124,7 +124,7 @@ class _Solve:
         self._of.solve(x, y)
 
 
-class _Diagonal:
+class _Blocks:
     """The two levels, and the Schur complement."""
 
     def __init__(self, system: _System) -> None:
@@ -199,7 +199,7 @@ class _System:
         ksp.setType("minres")
         ksp.setTolerances(atol=0.0, max_it=MOST)
         ksp.getPC().setType("python")
-        ksp.getPC().setPythonContext(_Diagonal(self))
+        ksp.getPC().setPythonContext(_Blocks(self))
         ksp.setFromOptions()
         return ksp
 

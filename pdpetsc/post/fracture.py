@@ -121,17 +121,23 @@ class AtTip(Quantity):
         CaseError
             The domain of a tip that stays is not filled, or holds something that is not of one crack.
         """
+        number = self._known(solution)
+        if number.why and self.follows is not None:
+            return math.nan
+        refuse(f"a {type(self).__name__} at {tuple(self.tip)}", number.why)
+        return number.value
+
+    def _known(self, solution: Solution) -> Number:
+        """Return the number of a state, which is asked for by its value and by what is doubted of it (collective)."""
+        # The quantity is kept with it, so that no other one has its place in memory meanwhile.
+        return solution.state.kept(("crack tip", id(self)), lambda: (self, self._found(solution)))[1]
+
+    def _found(self, solution: Solution) -> Number:
+        """Return the number, or why there is none (collective)."""
         self.check(solution.problem.dim)
         domain = self._domain(solution)
         why = trouble(solution, domain, self.follows is not None) or self._why_not(solution, domain)
-        number = Number(math.nan)
-        if not why:
-            number = self.number(solution, domain)
-            why = number.why
-        if why and self.follows is not None:
-            return math.nan
-        refuse(f"a {type(self).__name__} at {tuple(self.tip)}", why)
-        return number.value
+        return Number(math.nan, why=why) if why else self.number(solution, domain)
 
     def doubt(self, solution: Solution) -> str:
         """Return why the number of this state may be wrong, though it is not refused (collective).
@@ -140,9 +146,9 @@ class AtTip(Quantity):
         that by one that falls near the outer one. What is integrated next to the tip, where the body is none, counts
         besides.
         """
-        if self.follows is not None and math.isnan(self.evaluate(solution)):
+        number = self._known(solution)
+        if number.why:
             return ""
-        number = self.number(solution, self._domain(solution))
         near, far = (self.number(solution, self._domain(solution, tilt)).value for tilt in (1.0, -1.0))
         least = PATHS * max(abs(number.value), self.nothing * number.size)
         if abs(near - far) > least:

@@ -95,6 +95,12 @@ class Boxes:
         return np.where(there, order[at], -1)
 
 
+def apart(x: Float) -> Float:
+    """Return the mean distance of each of two or more places (n, dim) from what is next to it (n,) [length]."""
+    distance, _ = cKDTree(x).query(x, k=min(1 + 2 * x.shape[1], len(x)))
+    return np.asarray(distance[:, 1:].mean(axis=1))
+
+
 class _Nearest:
     """Finds what is nearest, measured in its own size: of each factor of two in size a tree."""
 
@@ -141,11 +147,8 @@ class Discs:
     @classmethod
     def of(cls, x: Float, volume: Float) -> Discs:
         """Return the discs of particles with volumes (n,) [length^dim]."""
-        dim, h = x.shape[1], volume ** (1.0 / x.shape[1])
-        if len(x) == 1:
-            return cls(x, h)
-        apart = cKDTree(x).query(x, k=min(1 + 2 * dim, len(x)))[0][:, 1:]
-        return cls(x, np.minimum(h, LARGEST * apart.mean(axis=1)))
+        h = volume ** (1.0 / x.shape[1])
+        return cls(x, h if len(x) == 1 else np.minimum(h, LARGEST * apart(x)))
 
     @property
     def sides(self) -> Float:

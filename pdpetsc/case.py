@@ -24,7 +24,7 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
 from pdpetsc.declare.units import Units
-from pdpetsc.declared import Declared, name_of, shown
+from pdpetsc.declared import Declared, name_of, refuse_signature, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
@@ -83,8 +83,9 @@ class Case(Declared):
     conditions : sequence of Condition
         Displacements and loads, temperatures and strains without stress.
     scheme : Scheme, optional
-        Where deformation gradients are evaluated; sub-horizons by default, which need no control and no coefficient.
-        Materials of bonds have none.
+        Where deformation gradients are evaluated. By default sub-horizons, which need no control and no coefficient;
+        for nearly incompressible bodies (nu > 0.45) without a declared control ``MeanDilatation``. Materials of bonds
+        have none.
     influence : Influence
         How much a bond counts.
     weights : Weights, optional
@@ -93,7 +94,8 @@ class Case(Declared):
         cells, as those of a mesh: standard weights do not converge there; and on ``LatticeNodes``, whose supports hold
         the surface itself.
     control : ZeroEnergyControl, optional
-        Zero-energy control; none where absent.
+        Zero-energy control. By default none; for nearly incompressible bodies (nu > 0.45) without a declared scheme
+        ``ByShear(Silling(0.5))``.
     cracks : sequence of Crack
         What cuts bonds from the start; let it run between particles.
     damage : BondDamage or DamageOf, optional
@@ -225,6 +227,7 @@ class Case(Declared):
         self._check_durations()
         self._check_temperatures()
         self._check_names()
+        self._check_signatures()
 
     def _check_symmetry(self) -> None:
         axes = [plane.axis for plane in self.symmetry]
@@ -260,6 +263,16 @@ class Case(Declared):
                     f"What drives damage reads the temperature, and material {lacking[0]} has none; wrap it in "
                     f"Thermal, and give a Temperature or HeatConduction."
                 )
+
+    def _check_signatures(self) -> None:
+        """Raise CaseError where a function that is called after the first solve takes other arguments."""
+        if self.results is not None:
+            refuse_signature("function of results", self.results, "history")
+        drawn = [] if self.picture is None else [self.picture.field]
+        for function in [*self.written, *drawn]:
+            refuse_signature("field", function, "solution")
+        for name, quantity in self.history.items():
+            refuse_signature(f"quantity {name!r} of the history", quantity.evaluate, "solution")
 
     def _check_names(self) -> None:
         clash = _COLUMNS & set(self.history)

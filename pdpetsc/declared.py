@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import numbers
 import traceback
@@ -38,9 +39,9 @@ class Declared:
         kind: Any = type(self)
         for name, hint in _hints(kind).items():
             value = getattr(self, name)
-            if not _fits(value, hint):
+            if not fits(value, hint):
                 raise CaseError(
-                    f"{kind.__name__.lstrip('_')} takes {_words(hint)} as {name}, not {shown(value)}"
+                    f"{kind.__name__.lstrip('_')} takes {words_of(hint)} as {name}, not {shown(value)}"
                     f"{_advice(value, hint)}."
                 )
 
@@ -85,6 +86,23 @@ def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
         raise CaseError(f"The {what} {name_of(function)} failed{where}: {type(error).__name__}{said}.") from error
 
 
+def refuse_signature(what: str, function: Callable[..., Any], *arguments: str) -> None:
+    """Raise CaseError where a function of the user cannot be called with these arguments.
+
+    What has no signature, as some functions in C, is called as it is.
+    """
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError as error:
+        raise CaseError(
+            f"The {what} {name_of(function)}{signature} cannot be called with ({', '.join(arguments)}): {error}."
+        ) from None
+
+
 def numbers_from(what: str, function: Callable[..., Any], *arguments: Any) -> Float:
     """Return what a function of the user returns as an array of numbers, as ``called``.
 
@@ -123,7 +141,7 @@ def _hints(kind: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
 
 
-def _fits(value: object, hint: Any) -> bool:
+def fits(value: object, hint: Any) -> bool:
     """Return whether a value is of an annotated type; what this does not know fits."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
@@ -139,19 +157,19 @@ def _fits(value: object, hint: Any) -> bool:
     if origin is Literal:
         return isinstance(value, str) and value in arguments
     if origin in (Union, types.UnionType):
-        return any(_fits(value, argument) for argument in arguments)
+        return any(fits(value, argument) for argument in arguments)
     if origin is tuple:
         if not isinstance(value, tuple | list):
             return False
         if arguments[-1] is ...:
-            return all(_fits(item, arguments[0]) for item in value)
-        return len(value) == len(arguments) and all(map(_fits, value, arguments))
+            return all(fits(item, arguments[0]) for item in value)
+        return len(value) == len(arguments) and all(map(fits, value, arguments))
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return isinstance(value, Mapping) and all(
-            _fits(key, arguments[0]) and _fits(item, arguments[1]) for key, item in value.items()
+            fits(key, arguments[0]) and fits(item, arguments[1]) for key, item in value.items()
         )
     if origin is not None and origin is not Callable and _is_sequence_hint(origin):
-        return _is_sequence(value) and all(_fits(item, arguments[0]) for item in value)  # type: ignore[attr-defined]
+        return _is_sequence(value) and all(fits(item, arguments[0]) for item in value)  # type: ignore[attr-defined]
     if origin is np.ndarray:
         return isinstance(value, np.ndarray)
     if origin is Callable:
@@ -190,7 +208,7 @@ _WORDS: dict[Any, tuple[str, str]] = {
 }
 
 
-def _words(hint: Any, several: bool = False) -> str:
+def words_of(hint: Any, several: bool = False) -> str:
     """Return what an annotated type is in words, of one or of several."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint in _WORDS:
@@ -198,14 +216,14 @@ def _words(hint: Any, several: bool = False) -> str:
     if origin is Literal:
         return " or ".join(repr(argument) for argument in arguments)
     if origin in (Union, types.UnionType):
-        listed = list(dict.fromkeys(_words(argument, several) for argument in arguments))
+        listed = list(dict.fromkeys(words_of(argument, several) for argument in arguments))
         return " or ".join([", ".join(listed[:-1]), listed[-1]] if len(listed) > 1 else listed)
     if origin is tuple and arguments[-1] is not ...:
-        return f"{'pairs' if several else 'a pair'} ({', '.join(_words(argument) for argument in arguments)})"
+        return f"{'pairs' if several else 'a pair'} ({', '.join(words_of(argument) for argument in arguments)})"
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return f"a mapping of {_words(arguments[0], True)} to {_words(arguments[1], True)}"
+        return f"a mapping of {words_of(arguments[0], True)} to {words_of(arguments[1], True)}"
     if origin is tuple or (origin is not Callable and _is_sequence_hint(origin)):
-        return f"{'sequences' if several else 'a sequence'} of {_words(arguments[0], True)}"
+        return f"{'sequences' if several else 'a sequence'} of {words_of(arguments[0], True)}"
     if origin is Callable:
         return "functions" if several else "a function"
     if origin is np.ndarray:
@@ -224,9 +242,9 @@ def _advice(value: object, hint: Any) -> str:
         if not _is_sequence_hint(get_origin(choice)) or get_origin(choice) is tuple:
             continue
         item = get_args(choice)[0]
-        if _fits(value, item):
+        if fits(value, item):
             return "; put it into a list"
         if _is_sequence(value):
-            number, wrong = next((n, entry) for n, entry in enumerate(value, 1) if not _fits(entry, item))  # type: ignore[var-annotated, arg-type]
+            number, wrong = next((n, entry) for n, entry in enumerate(value, 1) if not fits(entry, item))  # type: ignore[var-annotated, arg-type]
             return f"; entry {number} is {shown(wrong)}"
     return ""

@@ -3,11 +3,15 @@
 import contextlib
 import os
 import signal
+import sys
 
 # For this process before numpy is loaded, and for all that tests start: tests run side by side on every core, where
 # more threads, and ranks that wait for others at full speed, take the time of what has something to do.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
+# Every process that tests start reads the compiled modules of this one, also where the environment would not keep them.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import numpy as np
 import petsc4py

@@ -2,11 +2,13 @@
 
     pip install pytest-cov
     python tests/mutate.py 100 [seed] [whole]
+    python tests/mutate.py 100 [seed] pdpetsc/damage pdpetsc/discrete/interior.py tests/test_plane_energy.py
 
 Works on a copy of the checkout. Each broken line is judged by the tests that run it in the same process, found with
 coverage; lines of compiled kernels, which coverage does not see, and lines that only other processes run by the tests
-of ``WHOLE``. With the word ``whole`` all lines are, which needs no coverage. What survives is printed with what it was
-changed to, and written to ``out/survivors_SEED.json``.
+of ``WHOLE``. With the word ``whole`` all lines are, which needs no coverage. Folders and files of the package restrict
+the lines; files of tests replace the default suite and ``WHOLE``. What survives is printed with what it was changed to,
+and written to ``out/survivors_SEED.json``.
 """
 
 import ast
@@ -59,9 +61,10 @@ def code_lines(path):
     return sorted(lines)
 
 
-def mutants(rng):
-    """Yield (file, line number, new line) for ever."""
-    files = [path for path in sorted((ROOT / "pdpetsc").rglob("*.py")) if path.name != "__init__.py"]
+def mutants(rng, folders):
+    """Yield (file, line number, new line) of random lines of the files in folders, each line once."""
+    every = {path for folder in folders for path in [ROOT / folder, *(ROOT / folder).rglob("*.py")]}
+    files = sorted(path for path in every if path.suffix == ".py" and path.name != "__init__.py")
     places = [(path.relative_to(ROOT), number) for path in files for number in code_lines(path)]
     rng.shuffle(places)
     for path, number in places:
@@ -74,10 +77,10 @@ def mutants(rng):
             yield path, number, code[: hit.start()] + new + code[hit.end() :]
 
 
-def coverage_of(copy):
-    """Return the tests of the default suite that run each (file, line)."""
+def coverage_of(copy, tests):
+    """Return those of the tests, by default of the default suite, that run each (file, line)."""
     words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "--cov=pdpetsc", "--cov-context=test", "--cov-report="]
-    subprocess.run([sys.executable, *words], cwd=copy, check=False, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, *words, *tests], cwd=copy, check=False, stdout=subprocess.DEVNULL)
     import coverage
 
     data = coverage.CoverageData(basename=str(copy / ".coverage"))
@@ -101,15 +104,18 @@ def survives(copy, tests):
 
 
 def main():
-    words = [word for word in sys.argv[1:] if word != "whole"]
+    paths = [word for word in sys.argv[1:] if word.startswith(("pdpetsc", "tests"))]
+    words = [word for word in sys.argv[1:] if word != "whole" and word not in paths]
     count, seed = int(words[0]), int(words[1]) if len(words) > 1 else 1
+    named = [path for path in paths if path.startswith("tests")]
+    folders = [path for path in paths if path not in named] or ["pdpetsc"]
     rng = random.Random(seed)
     scratch = Path(tempfile.mkdtemp())
     copy = scratch / "copy"
     shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "out", ".venv"))
-    known = {} if "whole" in sys.argv else coverage_of(copy)
+    known = {} if "whole" in sys.argv else coverage_of(copy, named)
     survivors, done = [], 0
-    for path, number, line in mutants(rng):
+    for path, number, line in mutants(rng, folders):
         if done == count:
             break
         target = copy / path
@@ -118,9 +124,13 @@ def main():
         old = lines[number - 1]
         lines[number - 1] = line + "\n"
         target.write_text("".join(lines))
-        tests = known.get((path, number), [])
+        # A constant of a module is run by the test that imports it, and noticed by others.
+        tests = known.get((path, number), []) if line.startswith(" ") else []
         chosen = rng.sample(tests, min(MOST, len(tests)))
-        alive = (not chosen or survives(copy, chosen)) and survives(copy, WHOLE)
+        alive = not chosen or survives(copy, chosen)
+        # Of named tests only those that run the line can notice.
+        if alive and not (named and 0 < len(tests) <= MOST):
+            alive = survives(copy, named or WHOLE)
         target.write_text(before)
         done += 1
         print(f"{done:4d} {'SURVIVES' if alive else 'killed  '} {path}:{number}: {old.strip()}  ->  {line.strip()}")

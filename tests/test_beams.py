@@ -14,14 +14,14 @@ from tests.commands import ROOT, field, results
 # ny, horizon / dx, error of the deflection in per cent: prototype of the same equations, which agrees with Table 1 of
 # the paper to 0.02 points except for 9 x 225 particles, where the paper prints 1.032, the error of 11 x 275.
 TABLE_1 = [
-    (3, 1.015, 6.683),
+    pytest.param(3, 1.015, 6.683, marks=pytest.mark.long),
     (5, 1.015, 2.682),
-    (7, 1.015, 1.649),
-    (9, 1.015, 1.225),
+    pytest.param(7, 1.015, 1.649, marks=pytest.mark.long),
+    pytest.param(9, 1.015, 1.225, marks=pytest.mark.long),
     (3, 2.015, 27.325),
-    (5, 2.015, 12.166),
+    pytest.param(5, 2.015, 12.166, marks=pytest.mark.long),
     (3, 3.015, 63.804),
-    (5, 3.015, 40.498),
+    pytest.param(5, 3.015, 40.498, marks=pytest.mark.long),
 ]
 
 
@@ -76,6 +76,7 @@ REACHED = {
 }
 
 
+@pytest.mark.long
 def test_newton_has_the_residuals_of_the_paper(tmp_path):
     """The sharpest test of the tangent: a wrong fourth digit in it changes the third residual of a step."""
     words = [sys.executable, "runs/beams/tables.py", str(tmp_path)]
@@ -92,23 +93,33 @@ def test_newton_has_the_residuals_of_the_paper(tmp_path):
 
 
 # Errors of the same equations in plain SciPy.
-@pytest.mark.parametrize(("ny", "error"), [(3, -3.2), (5, -1.0), (9, 0.0)])
+@pytest.mark.parametrize(
+    ("ny", "error"), [(3, -3.2), *(pytest.param(*row, marks=pytest.mark.long) for row in ((5, -1.0), (9, 0.0)))]
+)
 def test_sub_horizons_on_the_clamped_beam(ny, error, tmp_path):
     summary = results("runs/beams/clamped.py", f"ny={ny}", "scheme=sub_horizons", output=tmp_path)
     assert 100.0 * summary["results"]["error"] == pytest.approx(error, abs=0.06)
 
 
+@pytest.mark.long
 def test_stabilised_clamped_beam_is_close_to_the_strip(tmp_path):
     for horizon, bound in ((1.015, 0.04), (2.015, 0.04), (3.015, 0.18)):
         summary = results("runs/beams/clamped.py", "ny=3", f"horizon={horizon}", "G=0.55", output=tmp_path)
         assert abs(summary["results"]["error"]) < bound
 
 
-def test_simply_supported_beam_is_close_to_the_hinged_strip(tmp_path):
+@pytest.mark.parametrize(
+    ("ny", "scheme", "bound"),
+    [
+        (3, "correspondence", 0.03),
+        pytest.param(9, "correspondence", 0.04, marks=pytest.mark.long),
+        (3, "sub_horizons", 0.01),
+    ],
+)
+def test_simply_supported_beam_is_close_to_the_hinged_strip(ny, scheme, bound, tmp_path):
     """The pin is a point support whose indentation grows with the logarithm of ny, so the error does not vanish."""
-    for ny, scheme, bound in ((3, "correspondence", 0.03), (9, "correspondence", 0.04), (3, "sub_horizons", 0.01)):
-        found = results("runs/beams/simply_supported.py", f"ny={ny}", f"scheme={scheme}", output=tmp_path)
-        assert 0.0 < found["results"]["error"] < bound
+    found = results("runs/beams/simply_supported.py", f"ny={ny}", f"scheme={scheme}", output=tmp_path)
+    assert 0.0 < found["results"]["error"] < bound
 
 
 def test_cantilever_bends_as_the_elastica(tmp_path):
@@ -118,18 +129,28 @@ def test_cantilever_bends_as_the_elastica(tmp_path):
     assert all(not step["cut_backs"] for step in found["steps"])
 
 
-def test_cantilever_approaches_finite_elements(tmp_path):
+@pytest.mark.parametrize(
+    ("ny", "scheme", "bound"),
+    [
+        (5, "correspondence", 0.013),
+        (5, "sub_horizons", 0.006),
+        pytest.param(9, "correspondence", 0.008, marks=pytest.mark.long),
+        pytest.param(9, "sub_horizons", 0.002, marks=pytest.mark.long),
+    ],
+)
+def test_cantilever_approaches_finite_elements(ny, scheme, bound, tmp_path):
     """The same material, the same loaded cell; runs/beams/finite_elements.py made the reference."""
     reference = json.loads((ROOT / "runs/beams/finite_elements.json").read_text())
-    for scheme, bounds in (("correspondence", (0.013, 0.008)), ("sub_horizons", (0.006, 0.002))):
-        for ny, bound in zip((5, 9), bounds, strict=True):
-            exact = reference[f"ny={ny} plane=stress"]["w_over_L"]
-            found = results("runs/beams/cantilever.py", f"ny={ny}", f"scheme={scheme}", output=tmp_path)["results"]
-            assert abs(found["w_over_L"] / exact - 1.0) < bound
+    exact = reference[f"ny={ny} plane=stress"]["w_over_L"]
+    found = results("runs/beams/cantilever.py", f"ny={ny}", f"scheme={scheme}", output=tmp_path)["results"]
+    assert abs(found["w_over_L"] / exact - 1.0) < bound
 
 
 # w / L that section 4.4 states under 10 kN without control; the paper's solver and supports differ in details.
-@pytest.mark.parametrize(("horizon", "paper"), [(1.015, 0.302), (2.015, 0.342), (3.015, 0.529)])
+@pytest.mark.parametrize(
+    ("horizon", "paper"),
+    [(1.015, 0.302), *(pytest.param(*row, marks=pytest.mark.long) for row in ((2.015, 0.342), (3.015, 0.529)))],
+)
 def test_cantilever_without_control_has_the_deflection_of_the_paper(horizon, paper, tmp_path):
     arguments = ("plane=strain", "force=10e3", f"horizon={horizon}")
     found = results("runs/beams/cantilever.py", *arguments, output=tmp_path)["results"]
@@ -168,7 +189,8 @@ def test_cantilever_converges_for_every_horizon(ny, horizon, tmp_path):
     assert all(not step["cut_backs"] for step in found["steps"])
 
 
-@pytest.mark.parametrize("ranks", [2, *(pytest.param(ranks, marks=pytest.mark.long) for ranks in (3, 4))])
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [2, 3, 4])
 def test_displacements_do_not_depend_on_the_rank_count(ranks, tmp_path):
     for case, arguments in (
         ("clamped", ("ny=3", "horizon=2.015", "G=0.5", "steps=4")),

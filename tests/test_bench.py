@@ -29,7 +29,8 @@ def measured(tmp_path, *words):
     return json.loads((tmp_path / "found.json").read_text())
 
 
-@pytest.mark.parametrize("horizon", [pytest.param(h, marks=pytest.mark.long) for h in ("1.015", "2.015")] + ["3.015"])
+@pytest.mark.long
+@pytest.mark.parametrize("horizon", ["1.015", "2.015", "3.015"])
 def test_iterations_do_not_depend_on_horizon_or_size(horizon, tmp_path):
     small = measured(tmp_path, "n=30", f"horizon={horizon}")
     large = measured(tmp_path, "n=90", f"horizon={horizon}")
@@ -38,6 +39,7 @@ def test_iterations_do_not_depend_on_horizon_or_size(horizon, tmp_path):
     assert large["linear_iterations"] <= 1.5 * small["linear_iterations"]
 
 
+@pytest.mark.long
 def test_iterations_with_a_third_of_the_bonds_broken(tmp_path):
     found = measured(tmp_path, "n=60", "broken=0.3")
     assert found["solver"].startswith("ksp gmres")
@@ -63,6 +65,7 @@ def test_counts_of_the_performance_model(tmp_path):
         assert float(row[7]) < 7.0
 
 
+@pytest.mark.long
 def test_the_elements_that_methods_are_held_against_have_their_orders():
     """Linear ones 2 and 1 in displacement and stress, quadratic ones 3 and 2, on a shaken square and a round ring."""
     pytest.importorskip("skfem")

@@ -78,6 +78,30 @@ def test_forces_agree_with_numpy(rng):
 
 
 @pytest.mark.parametrize("dim", DIMS)
+def test_the_micromodulus_of_a_whole_ball_is_that_of_the_literature(dim):
+    """``2 E / d^2``, ``9 E / (pi d^3)`` in plane stress, ``48 E / (5 pi d^3)`` in plane strain, ``12 E / (pi d^4)``."""
+    E, d = 7.0, 1.6
+    published = {
+        (1, "strain"): 2.0 / d**2, (2, "stress"): 9.0 / (np.pi * d**3), (2, "strain"): 48.0 / (5.0 * np.pi * d**3),
+        (3, "strain"): 12.0 / (np.pi * d**4),
+    }  # fmt: skip
+    for plane in ("strain", "stress") if dim == 2 else ("strain",):
+        problem = pd.prepare(
+            pd.Case(
+                particles=pd.Lattice((0.0,) * dim, (2.0,) * dim, 0.5),
+                horizon=d,
+                material=pd.BondBased(E, plane=plane),
+                conditions=[pd.Displacement(pd.region.All(), **dict.fromkeys("xyz"[:dim], 0.0))],
+            )
+        ).problem
+        cloud, families = problem.body.cloud, problem.body.families
+        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
+        # Of the pair; each end has half of it.
+        c = 2.0 * problem.matter.k * length / 0.5 ** (2 * dim)
+        assert np.allclose(c, published[dim, plane] * E, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dim", DIMS)
 def test_uniform_strain_of_a_lattice_has_the_energy_of_its_calibration(dim, rng):
     """Exact in a cell: uniaxial stress of a calibrated lattice, dilation of a linear solid."""
     for plane in ("strain", "stress") if dim == 2 else ("strain",):

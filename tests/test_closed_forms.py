@@ -64,6 +64,7 @@ def test_a_strip_is_too_soft_and_corrected_to_a_few_percent(horizon, tmp_path):
     assert abs(corrected) < 0.7 * abs(plain)
 
 
+@pytest.mark.long
 def test_the_bar_is_the_same_on_two_ranks(tmp_path):
     one, two = (
         results(BAR, "dim=2", "n=6", "material=linear_solid", output=tmp_path / str(r), ranks=r)["results"]

@@ -261,6 +261,7 @@ def test_newton_follows_a_bond_that_fails_with_its_energy(ratio, tmp_path):
     assert law.toughness(1.0) == pytest.approx(ratio * np.log(ratio) / (ratio - 1.0), rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_path_follows_what_is_driven_most(tmp_path):
     limit, ratio = 0.01, 3.0
     law = pd.LinearSoftening(BondEnergy(0.25 * K * limit**2), ratio)
@@ -302,14 +303,15 @@ def test_a_gradient_fails_at_the_load_of_its_criterion(name, law):
 
     # The bond-based material with the same E stores 1/2 E s^2 per volume in uniform strain.
     two = model(BondEnergy(0.5 * 10.0 * V * (at / length) ** 2) if name == "energy" else BothWays(at))
-    whole = at * (1.0 - 1e-9)
+    whole = at * (1.0 - 1e-6)
     force = 2.0 * V * 10.0 * np.log1p(whole / length) / (1.0 + whole / length) / length
     u = np.array([[0.0], [whole]])
     assert two.internal_force(u)[1, 0] == pytest.approx(force, rel=1e-12)
-    assert two.driven(u) == pytest.approx(1.0, rel=1e-8)
+    assert two.driven(u) == pytest.approx((1.0 - 1e-6) ** (2 if name == "energy" else 1), rel=1e-9)
     assert not two.break_bonds(u)
-    beyond = np.array([[0.0], [at * (1.0 + 1e-9)]])
-    assert two.break_bonds(beyond) == (law == "brittle")
+    # Drives that differ by less than 1e-7 are the same.
+    reached = np.array([[0.0], [at * (1.0 - 1e-9)]])
+    assert two.break_bonds(reached) == (law == "brittle")
     if law == "linear":
         e = 1.2 * at
         x = 1.2**2 if name == "energy" else 1.2
@@ -318,7 +320,7 @@ def test_a_gradient_fails_at_the_load_of_its_criterion(name, law):
         assert two.break_bonds(np.array([[0.0], [2.001 * at]])) == 1
 
 
-@pytest.mark.parametrize("of_bonds", [True, False])
+@pytest.mark.parametrize("of_bonds", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_petsc_finds_the_jacobian_of_newton_correct(of_bonds, tmp_path, capfd):
     """A strip that softens with the energy of its bonds, and then comes apart."""
     changes = {"scheme": None, "control": None, "material": pd.BondBased(E=100.0)} if of_bonds else {}
@@ -352,6 +354,7 @@ def case(of_bonds=False):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("of_bonds", [True, False])
 def test_any_number_of_ranks_breaks_the_same_bonds_of_whole_families(of_bonds, tmp_path):
     from tests.commands import ROOT

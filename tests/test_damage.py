@@ -60,6 +60,11 @@ def test_the_published_degradation_jumps_and_can_be_made_continuous():
     published = pd.SmoothDegradation(CRITICAL, start=0.75, beta=3.0, continuous=False)
     ends = np.array([0.75, 1.0])
     assert published.integrity(ends) == pytest.approx([0.5 * (1 + np.tanh(3.0)), 0.5 * (1 - np.tanh(3.0))])
+    for law in (published, pd.Brittle(CRITICAL)):  # what is left at the end is lost there
+        for degree in (1.0, 2.0):
+            at = law.onset + (law.final - law.onset) * (np.arange(2000.0) + 0.5) / 2000.0
+            area = (law.integrity(at) * degree * at ** (degree - 1.0)).mean() * (law.final - law.onset)
+            assert law.toughness(degree) == pytest.approx(law.onset**degree + area, rel=1e-6)
     s = 0.02 * np.linspace(0.76, 0.99, 9)
     s_min, s_cr = 0.015, 0.02
     exact = 0.5 * (1.0 - np.tanh(3.0 * (s_min + s_cr - 2.0 * s) / (s_min - s_cr)))
@@ -245,7 +250,7 @@ def test_a_fracture_energy_serves_gradients_too(energy, tmp_path, caplog):
         law = pd.Brittle(energy(0.01, share))
         found = pd.run(dataclasses.replace(strip(), damage=law), output=tmp_path / str(share))
         assert found["broken"] > 0
-        return any("gradients takes another one" in one.message for one in caplog.records)
+        return any("through deformation gradients takes" in one.message for one in caplog.records)
 
     assert warned(None)
     assert not warned(0.5)

@@ -279,7 +279,7 @@ def test_a_strip_breaks_alike_on_any_ranks_and_after_a_restart(criterion, of_bon
     assert np.abs(one - other).max() <= 1e-7 * np.abs(one).max()
 
 
-@pytest.mark.parametrize("of_bonds", [True, False])
+@pytest.mark.parametrize("of_bonds", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_petsc_finds_the_jacobian_with_strain_of_both_ends_correct(of_bonds, tmp_path, capfd):
     changes = {"scheme": None, "control": None, "material": pd.BondBased(E=100.0)} if of_bonds else {}
     case = strip(damage=pd.LinearSoftening(pd.MazarsStrain(0.01), 8.0), **changes)
@@ -327,25 +327,27 @@ FIBRES = {
 }
 
 
+@pytest.mark.processors
 @pytest.mark.parametrize("material", FIBRES)
 def test_materials_with_directions_break_by_criteria_that_need_no_modulus(material, tmp_path):
     """Critical stretches, strain and stress are known without a modulus of bonds; fracture energies are not."""
     made = FIBRES[material]
-    for criterion in (pd.ConstantCritical(0.02), pd.MazarsStrain(0.02), pd.PrincipalStress(2.0)):
+    for criterion in (pd.ConstantCritical(0.02), pd.MazarsStrain(0.02), pd.PrincipalStress(6.0)):
         case = strip(
             particles=pd.Lattice((0.0, 0.0), (12.0, 4.0), 1.0), material=made, damage=pd.Brittle(criterion),
             steps=pd.Steps(4),
         )  # fmt: skip
         found = pd.run(case, output=tmp_path)
         assert found["broken"] > 4
-        assert abs(found["force"]) < found["peak"]
+        assert found["peak"] > 1.0  # the strip bears a load step before it breaks
+        assert abs(found["force"]) < 0.5 * found["peak"]
     if material != "orthotropic":  # these fibres bear nothing at F = I
         return
     with pytest.raises(pd.CaseError, match="modulus"):
         pd.prepare(strip(material=made, damage=pd.Brittle(pd.FractureEnergy(0.1))))
 
 
-@pytest.mark.parametrize("of_bonds", [True, False])
+@pytest.mark.parametrize("of_bonds", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_half_of_a_body_with_a_mirror_plane_breaks_as_the_whole(of_bonds, tmp_path, capfd):
     """Bonds across the plane have their other direction behind it; the tangent knows that."""
 

@@ -9,6 +9,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
 from tests.commands import ROOT, field, results
+from tests.pairs import pairs
 from tests.scenes import (
     ALL_CONTROLS,
     DIMS,
@@ -44,8 +45,7 @@ def exact(model, u, rng):
     return np.count_nonzero(model.failure.following(model.driven(u))[2])
 
 
-@pytest.mark.parametrize("material", WITH_HISTORY)
-@pytest.mark.parametrize(("dim", "scheme"), list(itertools.product(DIMS, EVERY_SCHEME)))
+@pytest.mark.parametrize(("dim", "scheme", "material"), pairs(DIMS, EVERY_SCHEME, WITH_HISTORY))
 def test_the_tangent_with_history_is_exact_before_and_after_bonds_break(dim, scheme, material, rng):
     horizon = 3.3 if scheme == "smoothed_displacement" else 2.015
     made = WITH_HISTORY[material]
@@ -207,6 +207,7 @@ def test_every_scheme_with_every_control_and_material(scheme, rng):
         assert np.isfinite(model.internal_force(u)).all()
 
 
+@pytest.mark.long
 def test_a_particle_without_gradient_flows_no_more(tmp_path):
     """What it keeps is not what F = I would make of it: such a particle cuts no step."""
 

@@ -75,7 +75,7 @@ def test_one_bond_in_series_with_another_follows_its_law(ratio, tmp_path):
 
 
 @pytest.mark.parametrize("critical", ["constant", "decreasing", "increasing"])
-@pytest.mark.parametrize("n", [10, 20, pytest.param(50, marks=pytest.mark.long), 100])
+@pytest.mark.parametrize("n", [10, 20, *(pytest.param(n, marks=pytest.mark.long) for n in (50, 100))])
 def test_energy_balances_at_every_event(n, critical, tmp_path):
     found = results(CELL, f"n={n}", f"critical={critical}", output=tmp_path)["results"]
     h = history(tmp_path)
@@ -89,7 +89,7 @@ def test_energy_balances_at_every_event(n, critical, tmp_path):
     assert abs(h["force"][-1]) < 1e-9 * found["max_force"]
 
 
-@pytest.mark.parametrize("n", [10, 20, 50, 100, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("n", [10, 20, *(pytest.param(n, marks=pytest.mark.long) for n in (50, 100, 200))])
 def test_constant_critical_stretch_breaks_a_triangle(n, tmp_path):
     """Fig. 4 and 5: the same maximum force and final displacement for all n, one section cut, every bond across it."""
     found = results(CELL, f"n={n}", output=tmp_path)["results"]
@@ -254,8 +254,14 @@ def test_the_order_of_events_is_the_same_on_any_number_of_ranks_and_again(case, 
         assert np.allclose(one[name], four[name], rtol=1e-9, atol=1e-12 * np.abs(one[name]).max())
 
 
-@pytest.mark.parametrize("critical", ["constant", "decreasing", "increasing"])
-@pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0])
+@pytest.mark.parametrize(
+    ("critical", "ratio"),
+    [
+        pytest.param(critical, ratio, marks=[] if n == m else pytest.mark.long)
+        for n, critical in enumerate(["constant", "decreasing", "increasing"])
+        for m, ratio in enumerate([1.0, 1.5, 3.0])
+    ],
+)
 def test_a_plane_cell_falls_apart_with_its_energy_in_balance(critical, ratio, tmp_path):
     case = cell_2d.case(n=8, critical=critical, ratio=ratio)
     found = pd.run(case, output=tmp_path)
@@ -268,7 +274,7 @@ def test_a_plane_cell_falls_apart_with_its_energy_in_balance(critical, ratio, tm
     assert h["t"][-1] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("updates", [1, 3, 1000])
+@pytest.mark.parametrize("updates", [3, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 1000))])
 def test_the_path_does_not_depend_on_when_the_matrix_is_factored(updates, tmp_path):
     pd.run(cell_2d.case(n=8, critical="increasing"), output=tmp_path / "default")
     pd.run(cell_2d.case(n=8, critical="increasing", updates=updates), output=tmp_path / "other")
@@ -283,7 +289,8 @@ def test_newton_finds_the_same_curve_at_the_events(tmp_path):
     h = history(tmp_path / "events")
     peaks = [s for s in range(1, len(h["t"]) - 1) if h["t"][s] > h["t"][:s].max() and h["force"][s] > 0.0]
     assert len(peaks) > 3
-    factors = [0.0, *(h["t"][peaks] * (1.0 - 1e-10))]
+    below = 1.0 - 1e-6  # a bond within 1e-7 of its limit is at it
+    factors = [0.0, *(h["t"][peaks] * below)]
     table = pd.Table(np.linspace(0.0, 1.0, len(factors)), factors)
     stepped = dataclasses.replace(
         case,
@@ -293,8 +300,8 @@ def test_newton_finds_the_same_curve_at_the_events(tmp_path):
     )
     pd.run(stepped, output=tmp_path / "newton")
     static = history(tmp_path / "newton")
-    assert static["force"][1:] == pytest.approx(h["force"][peaks], rel=1e-8)
-    assert static["displacement"][1:] == pytest.approx(h["displacement"][peaks], rel=1e-8)
+    assert static["force"][1:] == pytest.approx(h["force"][peaks] * below, rel=1e-8)
+    assert static["displacement"][1:] == pytest.approx(h["displacement"][peaks] * below, rel=1e-8)
 
 
 def test_newton_and_events_break_the_same_bonds(tmp_path):

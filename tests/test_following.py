@@ -57,7 +57,8 @@ def test_the_peak_of_a_crack_is_that_of_the_event_driven_solver(measure, tmp_pat
     assert path["tip"][-1] > path["tip"][0]
 
 
-@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [2, 3])
 def test_any_number_of_ranks_follows_the_same_path(ranks, tmp_path):
     case = tmp_path / "short_crack.py"
     case.write_text(

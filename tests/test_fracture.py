@@ -25,6 +25,7 @@ def broken(folder):
         return [tuple(row) for row in csv.reader(file)][1:]
 
 
+@pytest.mark.processors
 @pytest.mark.parametrize("ratio", [2.5, 4.0])
 def test_newton_follows_the_law_of_one_bond(ratio, tmp_path):
     """Two equal springs in series, one of which softens: force k l (r - x) / (r - 1) at every displacement."""
@@ -47,12 +48,10 @@ def test_the_staggered_solve_jumps_what_newton_cannot_follow(tmp_path):
     assert np.all(np.abs(h["force"][2:]) < 1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "law"),
-    [
-        *(pytest.param("correspondence", law, marks=pytest.mark.long) for law in ("brittle", "linear", "smooth")),
-        ("sub_horizons", "linear"),
-    ],
+    [*(("correspondence", law) for law in ("brittle", "linear", "smooth")), ("sub_horizons", "linear")],
 )
 def test_a_plate_with_a_hole_separates_symmetrically(law, scheme, tmp_path):
     G = 0.5 if scheme == "correspondence" else 0.0
@@ -217,7 +216,8 @@ def test_a_piece_that_comes_free_under_a_load_ends_the_run(law, tmp_path):
     assert np.abs(history(tmp_path)["u"]).max() < 1.0
 
 
-@pytest.mark.parametrize("control", [pd.Silling(0.5), None])
+@pytest.mark.processors
+@pytest.mark.parametrize("control", [pd.Silling(0.5), pytest.param(None, marks=pytest.mark.long)])
 def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_path):
     """Forces of the final damage and control balance in every step, also after sweeps with damage held."""
     free = ~(pd.region.Slab("x", high=2.0) | pd.region.Slab("x", low=10.0))
@@ -253,6 +253,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
     assert 0.5 < h["over"].max() < 1.0
 
 
+@pytest.mark.processors
 def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_failed(tmp_path):
     free = ~(pd.region.Slab("x", high=0.0) | pd.region.Slab("x", low=plate_with_hole.LENGTH))
 
@@ -315,7 +316,8 @@ def test_protected_bonds_do_not_fail(tmp_path):
     assert pd.run(strip(damage=everywhere), output=tmp_path)["broken"] == 0.0
 
 
-@pytest.mark.parametrize("a", [pytest.param(3.0, marks=pytest.mark.long), 5.0])
+@pytest.mark.long
+@pytest.mark.parametrize("a", [3.0, 5.0])
 def test_a_centre_crack_grows_at_the_load_of_griffith(a, tmp_path):
     found = results("runs/fracture/centre_crack.py", "law=brittle", "n=20", f"a={a}", output=tmp_path)["results"]
     assert found["ratio"] == pytest.approx(1.0, abs=0.05)

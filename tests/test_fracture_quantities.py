@@ -88,7 +88,7 @@ def test_auxiliary_fields_are_those_of_the_displacements(mode, plane, rng):
     assert np.allclose(w, k_field(x, *K, law), rtol=1e-12)
 
 
-@pytest.mark.parametrize("kinematics", ["small", "finite"])
+@pytest.mark.parametrize("kinematics", [pytest.param("small", marks=pytest.mark.long), "finite"])
 def test_bonds_give_j_by_the_stress_of_their_families(kinematics):
     """Within the error of their moduli on a lattice."""
     bonds = pd.BondBased(1000.0, plane="stress", calibration="family", kinematics=kinematics)
@@ -352,6 +352,7 @@ def test_a_crack_between_mirror_images_is_half_that_of_the_whole():
     assert pd.CrackLength(precracks=True).evaluate(solution) == pytest.approx(0.6, rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_surface_of_a_crack_in_space(rng):
     """A disc on a shaken cloud has about its area, on a plane of the lattice one of whole faces."""
     disc = pd.Disc((0.5, 0.5, 0.5), (0.0, 0.0, 1.0), 0.3)
@@ -377,7 +378,9 @@ def solved(case):
         solver.destroy()
 
 
-@pytest.mark.parametrize("law", [pd.NeoHookean(10.0, 0.3), pd.Hencky(10.0, 0.3, "stress")])
+@pytest.mark.parametrize(
+    "law", [pytest.param(pd.NeoHookean(10.0, 0.3), marks=pytest.mark.long), pd.Hencky(10.0, 0.3, "stress")]
+)
 def test_a_long_strip_in_pure_shear_at_finite_strain(law):
     """Rivlin and Thomas: J is the height times the energy density far ahead of the tip, at any strain.
 
@@ -480,7 +483,7 @@ def test_any_number_of_ranks_gives_the_same():
 @pytest.mark.parametrize(
     ("file", "words", "within"),
     [
-        ("centre_crack.py", ("n=60", "plane=strain", "a=6"), 0.03),
+        pytest.param("centre_crack.py", ("n=60", "plane=strain", "a=6"), 0.03, marks=pytest.mark.long),
         ("centre_crack.py", ("n=60", "angle=45"), 0.02),
         ("edge_crack.py", ("n=40",), 0.045),
         pytest.param("centre_crack.py", (), 0.02, marks=pytest.mark.long),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numba.core.caching import _CacheLocator
 
-from tests.commands import ROOT, run
+from tests.commands import ROOT, run, script_on
 
 SCRIPTS = sorted((ROOT / "runs" / "hpc").glob("*.s*"))
 ON_TWO_RANKS = f'exec "{ROOT / ".ci" / "mpirun"}" 2 "$@"'
@@ -86,6 +86,7 @@ def test_scripts_have_no_syntax_error_and_ask_for_a_warning_before_the_end(scrip
         assert "#SBATCH --signal=TERM@" in script.read_text()
 
 
+@pytest.mark.long
 def test_a_job_runs_the_case_on_all_ranks(tmp_path):
     finished = submit(tmp_path, "job.slurm", "runs/beams/clamped.py", "ny=3", "steps=1", "-o", tmp_path / "out")
     assert finished.returncode == 0, finished.stderr
@@ -104,14 +105,14 @@ def test_a_job_on_several_nodes_takes_kernels_from_their_disks(tmp_path):
     assert list((tmp_path / "local" / "pdpetsc-7" / "kernels").rglob("*.nbi"))
 
 
+@pytest.mark.long
 def test_an_array_runs_a_line_of_parameters_in_each_task(tmp_path):
     lines = tmp_path / "lines.txt"
     lines.write_text("ny=3 steps=1\nny=5 steps=2\n")
-    for task, steps in ((1, 1), (2, 2)):
-        words = lines, "runs/beams/clamped.py", "-o", tmp_path / "study", "-snes_rtol", "1e-8"
-        finished = submit(tmp_path, "array.slurm", *words, srun='exec "$@"', SLURM_ARRAY_TASK_ID=str(task))
-        assert finished.returncode == 0, finished.stderr
-        assert len(summary(tmp_path / "study" / str(task))["steps"]) == steps
+    words = lines, "runs/beams/clamped.py", "-o", tmp_path / "study", "-snes_rtol", "1e-8"
+    finished = submit(tmp_path, "array.slurm", *words, srun='exec "$@"', SLURM_ARRAY_TASK_ID="2")
+    assert finished.returncode == 0, finished.stderr
+    assert len(summary(tmp_path / "study" / "2")["steps"]) == 2
     finished = submit(tmp_path, "array.slurm", *words, SLURM_ARRAY_TASK_ID="3")
     assert finished.returncode == 2
     assert "has no line 3" in finished.stderr
@@ -243,12 +244,7 @@ for name in ("turn", "together"):
 
 
 def test_fields_are_the_same_written_together_or_in_turn(tmp_path):
-    script = tmp_path / "together.py"
-    script.write_text(TOGETHER)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    words = [str(ROOT / ".ci" / "mpirun"), "3", sys.executable, str(script), str(tmp_path)]
-    done = subprocess.run(words, cwd=ROOT, env=environment, check=True, timeout=300, capture_output=True, text=True)
-    if "parallel True" not in done.stdout:
+    if "parallel True" not in script_on(2, TOGETHER, tmp_path):
         pytest.skip("h5py has no parallel HDF5: serial would be compared with serial")
     with h5py.File(tmp_path / "turn/fields.h5", "r") as one, h5py.File(tmp_path / "together/fields.h5", "r") as two:
         for step in ("step_00000", "step_00001"):

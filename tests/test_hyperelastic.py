@@ -381,6 +381,7 @@ print(law.stress(1.2 * np.eye(3)[None])[0, 0, 0])
 """
 
 
+@pytest.mark.long
 def test_machine_code_is_kept_and_not_needed(tmp_path):
     """A second process finds it; where no folder can be written to, the answer is the same."""
 

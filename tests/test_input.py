@@ -3,6 +3,11 @@
 import dataclasses
 import inspect
 import math
+import os
+import pwd
+import resource
+import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +20,10 @@ from pdpetsc.discrete import memory
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.discrete.memory import predicted_bonds, refuse_beyond_memory
+from pdpetsc.material import energy_loops
+from pdpetsc.output.fingerprint import fingerprint
 from pdpetsc.running.build import make_cloud
-from tests.commands import called
+from tests.commands import called, script_on
 from tests.commands import results as results_of
 
 region = pd.region
@@ -218,6 +225,62 @@ def test_fields_by_name_are_written_under_their_names(tmp_path):
         assert np.allclose(last["twice"][:, 0], 1.0)
 
 
+def test_functions_that_take_other_arguments_are_refused_before_a_run(tmp_path):
+    def nothing():
+        return {}
+
+    class Number(pd.Quantity):
+        def evaluate(self):
+            return 1.0
+
+    for changes, message in (
+        ({"results": nothing}, r"results nothing\(\) cannot be called with \(history\): too many positional"),
+        ({"fields": [nothing]}, r"field nothing\(\) cannot be called with \(solution\)"),
+        ({"fields": {"a": nothing}}, r"cannot be called with \(solution\)"),
+        ({"history": {"a": Number()}}, "The quantity 'a' of the history evaluate"),
+    ):
+        with pytest.raises(pd.CaseError, match=message):
+            case(**changes)
+    assert case(results=min, fields={"a": np.negative}).results is min
+    path = tmp_path / "case.py"
+    path.write_text("case = min\n")
+    finished = called(path)
+    assert finished.returncode == 2
+    assert finished.stderr.count("\n") == 1
+    assert "The case <built-in function min> is no function" in finished.stderr
+
+
+def test_a_pipe_is_no_file_of_particles(tmp_path):
+    pipe, whole = tmp_path / "pipe.txt", tmp_path / "cloud.txt"
+    os.mkfifo(pipe)
+    whole.write_text("0 0 1 1\n1 0 1 1\n")
+
+    def late(number, frame):
+        raise AssertionError("it waits for a writer")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(20)
+    try:
+        for particles in (pd.TextFile(pipe), pd.TextFile(whole, {"left": pipe}), pd.Mesh(pipe, format="xdmf")):
+            with pytest.raises(pd.CaseError, match=r"pipe or a device|file not found"):
+                particles.chunk(0, 1)
+            fingerprint(particles)
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_a_strain_energy_needs_no_home(monkeypatch):
+    def nobody(uid):
+        raise KeyError(f"getpwuid(): uid not found: {uid}")
+
+    for name in ("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", nobody)
+    monkeypatch.setattr(energy_loops, "__file__", "/proc/nowhere/energy_loops.py")
+    assert energy_loops._module("number = 0.731\n").number == 0.731
+
+
 # --- functions of the user
 
 
@@ -268,6 +331,90 @@ def case():
         conditions=[pd.Displacement(({region}), x=0.0, y=0.0)],
     )
 """
+
+
+OF_RANKS = """
+import numpy as np
+import pdpetsc as pd
+from mpi4py import MPI
+
+RANK = MPI.COMM_WORLD.rank
+NOISE = np.random.default_rng(RANK).random()
+ALL = pd.region.All()
+
+
+class Load:
+    def __init__(self, size):
+        self.size, self.rank = size, RANK
+
+    def __call__(self, x, t):
+        return self.size * t * np.ones(len(x))
+
+
+def loose(x, t):
+    return NOISE * t * np.ones(len(x))
+
+
+def said(x, t):
+    return np.full(len(x), 0.1 * t) if RANK < 9 else None
+
+
+def drawn(random):
+    return lambda x, t: random.random(len(x))
+
+
+def case(**changes):
+    valid = {
+        "particles": pd.Lattice((0.0, 0.0), (4.0, 4.0), 1.0), "horizon": 2.015, "material": pd.Hencky(1.0, 0.3),
+        "conditions": [pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0)],
+    }
+    return pd.Case(**{**valid, **changes})
+
+
+def pulled(x):
+    return case(conditions=[pd.Displacement(ALL, y=0.0), pd.Displacement(ALL, x=x)])
+
+
+def cloud(seed):
+    return pd.Arrays(4.0 * np.random.default_rng(seed).random((20, 2)), np.ones(20))
+
+
+TWO = [pd.StrainEnergy(), pd.ExternalWork()]
+DIFFERING = {
+    "`material.E` differs between ranks: 1.0 on rank 0, 2.0 on rank 1": lambda: case(material=pd.Hencky(1.0 + RANK)),
+    "`particles.x` differs": lambda: case(particles=cloud(RANK)),
+    "`conditions[1].x` differs between ranks: 0.0 on": lambda: pulled(0.1 * RANK),
+    "`conditions[1].x.size` differs": lambda: pulled(Load(NOISE)),
+    "`NOISE` of `conditions[1].x` differs": lambda: pulled(loose),
+    "`random` of `conditions[1].x` differs": lambda: pulled(drawn(np.random.default_rng(RANK))),
+    "`conditions` differs between ranks: 1 entries on": lambda: case(conditions=case().conditions * (RANK + 1)),
+    "`steps.count` differs between ranks: 5 on": lambda: case(steps=pd.Steps(5 + RANK)),
+    "`steps` differs between ranks: Steps(count=5": lambda: case(steps=pd.AdaptiveSteps() if RANK else pd.Steps(5)),
+    "`history` differs between ranks: {} on": lambda: case(history={"E": TWO[0]} if RANK else {}),
+    "`history` differs between ranks: {'0'": lambda: case(history={str((n + RANK) % 2): TWO[n] for n in range(2)}),
+    "`fields` differs between ranks: 1 entries on": lambda: case(fields=[] if RANK else [pd.stress]),
+    "`results` differs between ranks: None on": lambda: case(results=(lambda h: {}) if RANK else None),
+    "`options['snes_rtol']` differs": lambda: case(options={"snes_rtol": 10.0 ** (-6 - RANK)}),
+}
+for words, make in DIFFERING.items():
+    try:
+        pd.prepare(make())
+    except pd.CaseError as error:
+        assert str(error).startswith(words) and "on rank 1; a case must be the same" in str(error), error
+    else:
+        raise AssertionError(f"nobody said: {words}")
+try:
+    pd.run(case(), "out", check=bool(RANK))
+except pd.CaseError as error:
+    assert str(error).startswith("`check` differs between ranks: False on rank 0"), error
+# A function may know its rank, and particles of the same seed are the same.
+for valid in (pulled(said), pulled(Load(1.0)), case(particles=cloud(1))):
+    pd.prepare(valid)
+"""
+
+
+def test_a_case_that_differs_between_ranks_is_refused_with_the_value_that_differs():
+    script_on(2, OF_RANKS, timeout=60.0)
 
 
 def test_a_region_that_fails_on_one_rank_ends_all(tmp_path):
@@ -371,6 +518,30 @@ def test_bonds_are_predicted(lattice, horizon, cell):
 def test_free_memory_is_known_here():
     assert 2**20 < memory.free_memory() < 2**60
     refuse_beyond_memory(world(), 1.0, "A byte")
+
+
+def test_images_of_a_small_cell_are_forecast_and_take_no_memory_among_themselves(monkeypatch):
+    """16 particles at a horizon of 15 periods have 12,000 images, whose 50 million pairs are no bonds."""
+    corners = (0.0, 0.0), (1.0, 1.0)
+    small = case(particles=pd.Lattice(*corners, 0.25), cell=pd.Cell(*corners), horizon=15.0, material=pd.BondBased(1.0))
+    taken = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmData"))
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (1024 * int(taken.split()[1]) + 2**28, before[1]))
+    try:
+        cloud = make_cloud(world(), small)
+        families = find_families(cloud)
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+    points = np.arange(-16 * 4, 17 * 4) * 0.25
+    apart = np.hypot(*np.meshgrid(points, points))
+    assert families.n_bonds == 16 * (np.count_nonzero(apart <= 15.0) - 1)
+    members = cloud.order[families.neighbours[families.indptr[0] : families.indptr[1]]]
+    assert (np.diff(members) > 0).all()
+    images = memory.predicted_images(world(), small.particles.chunk(0, 1).x, 15.0, small.cell)
+    assert cloud.n_ghost < images < 1.5 * cloud.n_ghost
+    monkeypatch.setattr(memory, "free_memory", lambda: 40.0 * families.n_bonds)
+    with pytest.raises(pd.CaseError, match=r"takes at least .* GiB on a machine"):
+        make_cloud(world(), small)
 
 
 @pytest.mark.parametrize("material", [pd.Hencky(1.0, 0.3), pd.BondBased(1.0), pd.LinearSolid(1.0, 0.2)])

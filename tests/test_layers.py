@@ -1,15 +1,14 @@
 """Lower layers never import higher ones, and PETSc and MPI stay where they belong."""
 
 import ast
+import functools
 import importlib
 from pathlib import Path
-
-import pytest
 
 PACKAGE = Path(__file__).parent.parent / "pdpetsc"
 # From bottom to top; a module may import from its own layer and from lower ones.
 LAYERS = [
-    {"errors", "arrays", "declared", "loading", "machine"},
+    {"errors", "arrays", "bounds", "declared", "loading", "machine"},
     {"kernels"},
     {"declare"},
     {"decks"},
@@ -30,6 +29,7 @@ LAYERS = [
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
+@functools.cache
 def imported(path):
     """Return the full names of all modules that a file imports, wherever in the file."""
     names = []
@@ -53,21 +53,21 @@ def part(path):
     return relative.parts[0] if len(relative.parts) > 1 else relative.stem
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_flow_downward(path):
-    here = layer_of(part(path))
-    for name in imported(path):
-        if name.startswith("pdpetsc."):
-            assert layer_of(name.split(".")[1]) <= here, name
+def test_imports_flow_downward():
+    wrong = [
+        f"{path.relative_to(PACKAGE)} imports {name}"
+        for path in MODULES
+        for name in imported(path)
+        if name.startswith("pdpetsc.") and layer_of(name.split(".")[1]) > layer_of(part(path))
+    ]
+    assert not wrong
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_petsc_and_mpi_stay_in_their_layers(path):
-    names = {name.split(".")[0] for name in imported(path)}
-    if "petsc4py" in names:
-        assert part(path) in ("petsc", "solvers", "command_line")
-    if "mpi4py" in names:
-        assert part(path) in ("discrete", "output")
+def test_petsc_and_mpi_stay_in_their_layers():
+    for library, rooms in (("petsc4py", ("petsc", "solvers", "command_line")), ("mpi4py", ("discrete", "output"))):
+        users = {path for path in MODULES for name in imported(path) if name.split(".")[0] == library}
+        assert users
+        assert not [str(path.relative_to(PACKAGE)) for path in users if part(path) not in rooms], library
 
 
 def files_of(name):
@@ -97,11 +97,16 @@ def test_no_file_imports_itself_by_way_of_others():
 SCRIPTS = sorted((PACKAGE.parent / "runs").rglob("*.py"))
 
 
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: str(p.relative_to(PACKAGE.parent)))
-def test_what_examples_import_is_there(path):
+def test_what_examples_import_is_there():
     """Also where a study takes hours, which nobody runs after a name has changed."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pdpetsc":
-            module = importlib.import_module(node.module)
-            for alias in node.names:
-                assert hasattr(module, alias.name) or files_of(f"{node.module}.{alias.name}"), alias.name
+    wrong = []
+    for path in SCRIPTS:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "pdpetsc":
+                module = importlib.import_module(node.module)
+                wrong += [
+                    f"{path.name}: {node.module}.{alias.name}"
+                    for alias in node.names
+                    if not hasattr(module, alias.name) and files_of(f"{node.module}.{alias.name}") is None
+                ]
+    assert not wrong

@@ -11,7 +11,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare import region
-from tests.commands import results
+from tests.commands import results, script_on
 
 E = 1000.0
 
@@ -279,3 +279,106 @@ def test_a_function_is_not_asked_about_no_particles(tmp_path):
         "            pd.Displacement(pd.region.Slab('x', low=7.0), x=lambda x, t: t * only(x[:, 1]))])\n"
     )
     assert results(case, ranks=2, output=tmp_path / "out")["status"] == "converged"
+
+
+LEFT, BOTTOM = region.Slab("x", high=1.0), region.Slab("y", high=1.0)
+
+
+def corner(*conditions, unit=1.0, modulus=E, **changes):
+    """Return a square of 4 x 4 particles with conditions that may share particles of its edges."""
+    declared = {
+        "particles": pd.Lattice((0.0, 0.0), (4.0 * unit, 4.0 * unit), unit),
+        "horizon": 2.015 * unit,
+        "material": pd.LinearElastic(E=modulus),
+        "conditions": conditions,
+        "fields": [pd.displacement],
+    }
+    return pd.Case(**(declared | changes))
+
+
+def test_conditions_that_prescribe_the_same_of_a_corner_act_as_one(tmp_path):
+    """A number with its ramp, a function and a schedule, which agree up to round-off at every step time."""
+    steps = {"steps": pd.Steps(3)}
+    rest = region.Slab("x", low=1.0) & BOTTOM
+    left = pd.Displacement(LEFT, x=lambda x, t: 0.1 * t * x[:, 1], y=lambda x, t: 0.3 * t + 0.0 * x[:, 0])
+    doubled = corner(left, pd.Displacement(BOTTOM, y=0.1, schedule=lambda t: 3.0 * t), **steps)
+    once = corner(left, pd.Displacement(rest, y=0.3), **steps)
+    one, other = (pd.run(case, tmp_path / str(n)).solution.u for n, case in enumerate((doubled, once)))
+    assert np.abs(one - other).max() < 1e-12
+    assert np.abs(one).max() > 0.3
+
+
+@pytest.mark.parametrize("unit", [1e-20, 1.0, 1e20])
+def test_conditions_that_prescribe_something_else_of_a_corner_are_named(unit):
+    def held(y, schedule=None):
+        return corner(
+            pd.Displacement(region.Slab("x", high=unit), x=0.0, y=0.1 * unit),
+            pd.Displacement(region.Slab("y", high=unit), y=y * unit, schedule=schedule), unit=unit, steps=pd.Steps(4),
+        )  # fmt: skip
+
+    pd.prepare(held(0.1 * (1.0 + 1e-14)))
+    with pytest.raises(pd.CaseError) as refused:
+        pd.prepare(held(0.1001))
+    assert str(refused.value) == (
+        f"At step time 0.25: Displacement condition 2 prescribes y of 1 particle a second time with another value: "
+        f"{0.25 * 0.1001 * unit:.10g} for particle 0 at ({0.5 * unit:g}, {0.5 * unit:g}), where Displacement condition "
+        f"1 has {0.25 * 0.1 * unit:.10g}; let both prescribe the same value, or leave these particles out of one of "
+        f"them."
+    )
+    with pytest.raises(pd.CaseError, match=r"At step time 0.25: .* a second time"):
+        pd.prepare(held(0.1, pd.Hold()))  # the same at the end only
+
+
+def test_conditions_that_part_between_the_steps_end_the_run_there():
+    """A step that is cut back meets times that nobody has named before."""
+    off = pd.Displacement(BOTTOM, y=0.1, schedule=lambda t: t + 0.5 * (t % 0.25 > 0.0))
+    problem = pd.prepare(corner(pd.Displacement(LEFT, x=0.0, y=0.1), off, steps=pd.Steps(4))).problem
+    assert problem.supports.prescribed(0.5).max() == pytest.approx(0.05)
+    with pytest.raises(pd.SolveError, match=r"At step time 0.375: .* a second time"):
+        problem.supports.prescribed(0.375)
+
+
+TWO_RANKS = """
+import pdpetsc as pd
+from tests.test_loads import BOTTOM, LEFT, corner
+
+same = corner(pd.Displacement(LEFT, x=0.0, y=0.1), pd.Displacement(BOTTOM, y=0.1))
+found = pd.prepare(same)
+print("held", sorted(found.comm.allreduce([int(gid) for gid in found.cloud.gid[: found.cloud.n_owned][
+    found.problem.supports.fixed[: found.cloud.n_owned, 1]]])))
+try:
+    pd.prepare(corner(pd.Displacement(LEFT, x=0.0, y=0.1), pd.Displacement(BOTTOM, y=lambda x, t: 0.1 * x[:, 0])))
+except pd.CaseError as error:
+    print("refused", error)
+"""
+
+
+def test_conditions_on_a_corner_are_compared_alike_on_every_rank():
+    one, two = (script_on(ranks, TWO_RANKS).splitlines() for ranks in (1, 2))
+    assert "held [0, 1, 2, 3, 4, 8, 12]" in one
+    assert set(two) == set(one)
+    assert len(two) == 2 * len(one) == 4
+
+
+@pytest.mark.parametrize("heat", [None, pd.HeatConduction()])
+def test_temperatures_that_agree_on_a_corner_act_as_one(heat, tmp_path):
+    law = pd.Thermal(pd.LinearElastic(E=E), 1e-3, conductivity=2.0)
+    held = [
+        pd.Displacement(region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.Displacement(region.Nearest((0.5, 3.5)), x=0.0)
+    ]  # fmt: skip
+    shared, rest = BOTTOM & region.Slab("x", high=3.0), BOTTOM & region.Slab("x", low=1.0, high=3.0)
+    far = pd.Temperature(~(LEFT | shared) if heat is None else region.Slab("x", low=3.0), 0.0)
+
+    def heated(*bottom):
+        left = pd.Temperature(LEFT, lambda x, t: 40.0 * t + 0.0 * x[:, 0])
+        changes = {"material": law, "heat": heat, "fields": [pd.temperature], "steps": pd.Steps(3)}
+        return corner(*held, left, *bottom, far, **changes)
+
+    one, other = (
+        pd.run(heated(pd.Temperature(where, 40.0)), tmp_path / str(n)).field("temperature")
+        for n, where in enumerate((shared, rest))
+    )
+    assert np.abs(one - other).max() < 1e-9
+    assert one.max() == pytest.approx(40.0)
+    with pytest.raises(pd.CaseError, match=r"the temperature of 1 particle a second time with another value: .* 0 at"):
+        pd.prepare(heated(pd.Temperature(shared, 41.0)))

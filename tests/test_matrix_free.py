@@ -1,9 +1,5 @@
 """The tangent without a matrix: the matrix of nearest neighbours beside it, and runs with and without assembly."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -12,7 +8,7 @@ from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.petsc.jacobian import choose
 from pdpetsc.problem.nearest_neighbours import NearAssembler
-from tests.commands import ROOT, results, run
+from tests.commands import results, run, script_on
 from tests.scenes import (
     DIMS,
     NOT_AFFINE,
@@ -133,18 +129,12 @@ def test_any_preconditioner_can_be_made_of_the_nearest_neighbours(tmp_path):
         assert f"pc {options[1]}" in found.stdout
 
 
-def test_forces_are_the_same_with_the_exchange_behind_the_work(tmp_path):
-    """In parts, with ghosts that arrive in between, or all at once after they have; on 2 and 3 ranks."""
-    script = tmp_path / "behind.py"
-    script.write_text(BEHIND)
-    for ranks in (2, 3):
-        words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, str(script)]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        finished = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300, check=False)
-        assert finished.returncode == 0, finished.stderr
-        found = [line.split() for line in finished.stdout.splitlines() if line.startswith("scheme")]
-        assert {name for _, name, _, _ in found} == set(SCHEMES)
-        assert all(int(ghosts) > 0 and float(off) < 1e-13 for _, _, ghosts, off in found), found
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
+def test_forces_are_the_same_with_the_exchange_behind_the_work(ranks):
+    """In parts, with ghosts that arrive in between, or all at once after they have."""
+    found = [line.split() for line in script_on(ranks, BEHIND).splitlines() if line.startswith("scheme")]
+    assert {name for _, name, _, _ in found} == set(SCHEMES)
+    assert all(int(ghosts) > 0 and float(off) < 1e-13 for _, _, ghosts, off in found), found
 
 
 BEHIND = """

@@ -32,7 +32,10 @@ def sawtooth(tmp_path, *arguments):
 
 
 @pytest.mark.parametrize("method", REMOVED)
-@pytest.mark.parametrize("words", [(BAR, "n=1000", "horizon=2.015"), (PULLED, "n=4000", "horizon=5.1")])
+@pytest.mark.parametrize(
+    "words",
+    [(BAR, "n=1000", "horizon=2.015"), pytest.param((PULLED, "n=4000", "horizon=5.1"), marks=pytest.mark.long)],
+)
 def test_the_sawtooth_falls_to_round_off_between_single_supports(words, method, tmp_path):
     assert results(*words, method, output=tmp_path)["results"]["sawtooth"] < 1e-13
 
@@ -65,11 +68,13 @@ def test_the_bar_takes_one_control(tmp_path):
     assert "one of control, spring, average and penalty" in finished.stderr
 
 
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
-def test_every_method_gives_the_same_fields_on_any_rank_count(dim, tmp_path):
+@pytest.mark.parametrize(
+    ("dim", "methods"), [(2, METHODS[::5]), *(pytest.param(dim, METHODS, marks=pytest.mark.long) for dim in (2, 3))]
+)
+def test_every_method_gives_the_same_fields_on_any_rank_count(dim, methods, tmp_path):
     runs = [
         (BLOCK, (f"dim={dim}", f"scheme={scheme}", f"control={control}"), f"{scheme}_{control}")
-        for scheme, control in METHODS
+        for scheme, control in methods
     ]
     run_several([(case, words, tmp_path / "two" / name) for case, words, name in runs], ranks=2, timeout=600)
     for case, words, name in runs:
@@ -87,6 +92,7 @@ def test_petsc_finds_the_jacobian_of_every_method_correct(scheme, control, tmp_p
     assert max(ratios) < 1e-7
 
 
+@pytest.mark.long
 def test_the_spectrum_of_the_plain_scheme_falls_to_zero_and_others_do_not(tmp_path):
     words = [sys.executable, "runs/singular_bar/spectrum.py", str(tmp_path)]
     subprocess.run(words, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=300)
@@ -105,6 +111,7 @@ def test_names_of_methods_are_those_the_command_line_takes(tmp_path):
 PLATE = "runs/plates/square_opening.py"
 
 
+@pytest.mark.long
 def test_the_plate_with_an_opening_oscillates_only_without_control(tmp_path):
     cures = ("scheme=stress_points", "scheme=sub_horizons", "control=silling")
     plain, *cured = (results(PLATE, *words, output=tmp_path)["results"] for words in ((), *((w,) for w in cures)))
@@ -123,6 +130,7 @@ def test_displacement_and_stress_of_the_plate_come_nearer_to_finite_elements_wit
         assert coarse[name] > 2.0 * fine[name]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["stress_points", "sub_horizons"])
 def test_symmetry_lines_spoil_the_stress_and_not_the_displacement(scheme, tmp_path):
     whole, quarter = (
@@ -134,7 +142,7 @@ def test_symmetry_lines_spoil_the_stress_and_not_the_displacement(scheme, tmp_pa
     assert quarter["stress_oscillation_away"] > 4.0 * whole["stress_oscillation_away"]
 
 
-@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+@pytest.mark.parametrize("scheme", [pytest.param("correspondence", marks=pytest.mark.long), "sub_horizons"])
 def test_a_quarter_before_mirror_planes_is_the_whole_plate(scheme, tmp_path):
     whole, quarter = (
         results(PLATE, f"scheme={scheme}", *words, output=tmp_path)["results"]
@@ -144,6 +152,7 @@ def test_a_quarter_before_mirror_planes_is_the_whole_plate(scheme, tmp_path):
     assert quarter["stress_amplitude_away"] < 0.04
 
 
+@pytest.mark.long
 def test_half_cells_on_symmetry_lines_make_the_quarter_the_whole_with_sub_horizons(tmp_path):
     quarter, whole = (
         results(PLATE, "scheme=sub_horizons", "cells=clipped", f"part={part}", output=tmp_path)["results"]
@@ -153,6 +162,7 @@ def test_half_cells_on_symmetry_lines_make_the_quarter_the_whole_with_sub_horizo
     assert whole["stress_amplitude_away"] < 0.015
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["stress_points", "sub_horizons", "bond_associated"])
 def test_the_plate_with_a_diamond_hole_is_smooth_and_near_finite_elements(scheme, tmp_path):
     found = results("runs/plates/diamond_hole.py", f"scheme={scheme}", output=tmp_path)["results"]

@@ -4,11 +4,12 @@ import pytest
 
 import pdpetsc as pd
 from tests.commands import ROOT, called, jacobian_ratios, printed, results
+from tests.pairs import pairs
 
 
-@pytest.mark.parametrize("scheme", pd.SCHEMES)
-@pytest.mark.parametrize("loading", ["displacement", "consistent"])
-@pytest.mark.parametrize("horizon", [1.015, 2.015, 3.015])
+@pytest.mark.parametrize(
+    ("scheme", "loading", "horizon"), pairs(pd.SCHEMES, ["displacement", "consistent"], [1.015, 2.015, 3.015])
+)
 def test_hydrostatic_extension_is_exact(scheme, loading, horizon, tmp_path):
     arguments = (f"scheme={scheme}", f"loading={loading}", f"horizon={horizon}", "G=0.5", "n=15", "steps=2")
     found = results("runs/patch/hydrostatic.py", *arguments, output=tmp_path)["results"]
@@ -18,25 +19,26 @@ def test_hydrostatic_extension_is_exact(scheme, loading, horizon, tmp_path):
 
 def test_hydrostatic_load_on_the_outer_layer_converges_with_the_spacing(tmp_path):
     errors = []
-    for n in (9, 17, 33):
+    for n in (9, 17):
         arguments = (f"n={n}", "loading=layer", "horizon=2.015", "G=0.5")
         errors.append(results("runs/patch/hydrostatic.py", *arguments, output=tmp_path)["results"]["error"])
-    assert errors[0] > 1.5 * errors[1] > 2.25 * errors[2]
+    assert errors[0] > 1.5 * errors[1]
+
+
+SOLIDS = [(scheme, 3, horizon) for scheme in pd.SCHEMES for horizon in (1.015, 2.015)]
 
 
 @pytest.mark.parametrize(
-    ("scheme", "dim"),
+    ("scheme", "dim", "horizon"),
     [
-        pytest.param(scheme, dim, marks=[] if dim < 3 or scheme == "sub_horizons" else pytest.mark.long)
-        for scheme in pd.SCHEMES
-        for dim in (1, 2, 3)
+        *pairs(pd.SCHEMES, [1, 2], [1.015, 2.015, 3.015]),
+        *(pytest.param(*row, marks=pytest.mark.long) for row in SOLIDS),
     ],
 )
-def test_consistent_traction_gives_a_uniform_gradient(dim, scheme, tmp_path):
-    for horizon in (1.015, 2.015) if dim == 3 else (1.015, 2.015, 3.015):
-        arguments = (f"dim={dim}", f"scheme={scheme}", f"horizon={horizon}", f"n={8 if dim == 3 else 10}")
-        found = results("runs/patch/tension.py", *arguments, output=tmp_path)["results"]
-        assert found["max_F_error"] < 1e-10
+def test_consistent_traction_gives_a_uniform_gradient(dim, scheme, horizon, tmp_path):
+    arguments = (f"dim={dim}", f"scheme={scheme}", f"horizon={horizon}", f"n={8 if dim == 3 else 10}")
+    found = results("runs/patch/tension.py", *arguments, output=tmp_path)["results"]
+    assert found["max_F_error"] < 1e-10
 
 
 @pytest.mark.long
@@ -67,9 +69,17 @@ def test_every_case_states_its_parameters(case):
     assert "parameters:" in finished.stdout
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-@pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize("scheme", ["correspondence", "sub_horizons"])
+@pytest.mark.parametrize(
+    ("dim", "scheme", "ranks"),
+    [
+        *pairs([1, 2], ["correspondence", "sub_horizons"], [1, 2]),
+        *(
+            pytest.param(3, s, ranks, marks=pytest.mark.long)
+            for s in ("correspondence", "sub_horizons")
+            for ranks in (1, 2)
+        ),
+    ],
+)
 def test_petsc_finds_the_jacobian_correct(dim, scheme, ranks, tmp_path):
     """-snes_test_jacobian compares with differences of the residual, prescribed rows included."""
     words = (f"dim={dim}", "n=4", "horizon=1.015", f"scheme={scheme}", "-snes_test_jacobian")

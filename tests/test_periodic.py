@@ -8,16 +8,19 @@ import pytest
 
 import pdpetsc as pd
 from tests.commands import field, jacobian_ratios, printed, results
+from tests.pairs import pairs
 from tests.scenes import SCHEMES
 
 CELL = "runs/patch/cell.py"
 AXES = {1: ["x"], 2: ["x", "xy"], 3: ["x", "xz", "xyz"]}
 
 
-@pytest.mark.parametrize("scheme", pd.SCHEMES)
-@pytest.mark.parametrize(("dim", "axes"), [(dim, axes) for dim in AXES for axes in AXES[dim]])
-@pytest.mark.parametrize("prescribed", ["stress", "strain"])
-def test_mean_stress_and_strain_give_the_exact_uniform_gradient(dim, axes, scheme, prescribed, tmp_path):
+@pytest.mark.parametrize(
+    ("where", "scheme", "prescribed"),
+    pairs([(dim, axes) for dim in AXES for axes in AXES[dim]], pd.SCHEMES, ["stress", "strain"]),
+)
+def test_mean_stress_and_strain_give_the_exact_uniform_gradient(where, scheme, prescribed, tmp_path):
+    dim, axes = where
     for horizon in (2.015,) if dim == 3 else (1.015, 3.015):
         arguments = (f"dim={dim}", f"axes={axes}", f"scheme={scheme}", f"prescribed={prescribed}", f"horizon={horizon}")
         found = results(CELL, *arguments, "G=0.5", output=tmp_path)["results"]
@@ -26,8 +29,16 @@ def test_mean_stress_and_strain_give_the_exact_uniform_gradient(dim, axes, schem
         assert found["stress_error"] < 1e-9
 
 
-@pytest.mark.parametrize("ranks", [1, 2, pytest.param(3, marks=pytest.mark.long)])
-@pytest.mark.parametrize(("dim", "axes"), [(1, "x"), (2, "x"), (2, "xy"), (3, "xy")])
+@pytest.mark.parametrize(
+    ("dim", "axes", "ranks"),
+    [
+        *((1, "x", 1), (2, "x", 1), (2, "xy", 2), (3, "xy", 1)),
+        *(pytest.param(1, "x", ranks, marks=pytest.mark.long) for ranks in (2, 3)),
+        *(pytest.param(2, "x", ranks, marks=pytest.mark.long) for ranks in (2, 3)),
+        *(pytest.param(2, "xy", ranks, marks=pytest.mark.long) for ranks in (1, 3)),
+        *(pytest.param(3, "xy", ranks, marks=pytest.mark.long) for ranks in (2, 3)),
+    ],
+)
 def test_the_jacobian_with_virtual_unknowns_is_correct(dim, axes, ranks, tmp_path):
     arguments = (f"dim={dim}", f"axes={axes}", "n=3", "horizon=1.015", "-snes_test_jacobian")
     assert max(jacobian_ratios(printed(CELL, *arguments, ranks=ranks, output=tmp_path))) < 1e-7
@@ -62,19 +73,18 @@ def case(dim=2):
 """
 
 
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
-def test_any_number_of_ranks_finds_the_same_cell(dim, tmp_path):
+@pytest.mark.parametrize(
+    ("dim", "ranks"), [(2, 2), *(pytest.param(*row, marks=pytest.mark.long) for row in ((2, 3), (3, 2), (3, 3)))]
+)
+def test_any_number_of_ranks_finds_the_same_cell(dim, ranks, tmp_path):
     from tests.commands import ROOT
 
     path = tmp_path / "wavy.py"
     path.write_text(CASE_FILE.format(root=str(ROOT)))
-    found = {}
-    for ranks in (1, 2, 3):
-        found[ranks] = results(path, f"dim={dim}", ranks=ranks, output=tmp_path / str(ranks))["results"]
-    for ranks in (2, 3):
-        one, other = (field(tmp_path / str(r), "displacement") for r in (1, ranks))
-        assert np.abs(one - other).max() < 1e-10 * np.abs(one).max()
-        assert found[ranks] == pytest.approx(found[1], rel=1e-9)
+    alone, several = (results(path, f"dim={dim}", ranks=r, output=tmp_path / str(r))["results"] for r in (1, ranks))
+    one, other = (field(tmp_path / str(r), "displacement") for r in (1, ranks))
+    assert np.abs(one - other).max() < 1e-10 * np.abs(one).max()
+    assert several == pytest.approx(alone, rel=1e-9)
 
 
 def test_stress_is_the_derivative_of_the_energy_by_the_mean_strain(tmp_path):

@@ -500,6 +500,7 @@ def test_a_run_into_states_without_stress_ends_in_one_sentence(tmp_path):
         horizon=1.515,
         material=soil,
         scheme=pd.Correspondence(),
+        control=pd.Silling(0.5),
         cell=pd.Cell((0.0, 0.0), (4.0, 4.0)),
         conditions=[pd.Displacement(pd.region.Nearest((0.5, 0.5)), x=0.0, y=0.0), pd.MeanStrain(xx=0.1, yy=0.1)],
         steps=pd.Steps(2),
@@ -583,15 +584,77 @@ def runaway(material, pull, n=10):
     )
 
 
-def test_a_body_that_runs_away_is_in_no_equilibrium(tmp_path):
-    """Beyond its limit load: as its displacement grows so does what round-off leaves of forces, up to these."""
-    perfect = pd.KinematicJ2(100.0, 0.3, plane="stress", yield_stress=1.0)
+@pytest.mark.processors
+@pytest.mark.parametrize("size", [1.0, 2.0**-30], ids=["as it is", "in another unit of force"])
+def test_a_body_beyond_its_limit_load_is_in_no_equilibrium(size, tmp_path):
+    """The strip carries the yield stress; the next load step would move it without end."""
+    perfect = pd.KinematicJ2(100.0 * size, 0.3, plane="stress", yield_stress=size)
+    with pytest.raises(pd.SolveError, match="above the limit load of the body"):
+        pd.run(runaway(perfect, 1.2 * size), tmp_path)
+    steps = json.loads((tmp_path / "summary.json").read_text())["steps"]
+    # Its ends, which the boundaries of the gradients stiffen, carry a little more.
+    assert 0.98 <= 1.2 * steps[-1]["t"] <= 1.01
+
+
+@pytest.mark.parametrize("far", [10.0, 1e4, 1e8])
+def test_an_iterate_that_runs_away_raises_no_tolerance(far):
+    """Its reactions and its round-off are as large as its displacement; the step involves the load alone."""
+    load = 3 * 0.9
+    hard = pd.KinematicJ2(100.0, 0.3, plane="stress", yield_stress=1.0, hardening=10.0)
+    prepared = pd.prepare(runaway(hard, 0.9))
+    solver = prepared.make_solver()
     try:
-        found = pd.run(runaway(perfect, 1.2), tmp_path).history
-    except pd.SolveError:
-        return
-    assert np.abs(found["u"]).max() < 100.0
-    assert found["alpha"].max() < 10.0
+        u, result = solver.solve(np.zeros((30, 2)), 0.5)
+        assert result.converged
+        solver.problem.commit(solver.state(u))
+        sought = solver._equilibrium
+        sought.impose(1.0)
+        sought.begin(u)
+        sought.resist(np.zeros_like(u))
+        x = solver.problem.body.cloud.x[:30]
+        away = np.where(sought.free, u + far * np.stack([x[:, 0] + 0.05 * x[:, 0] ** 2, 0.1 * x[:, 1]], axis=1), u)
+        for iteration in (0, 1):
+            assert sought.residual(away.ravel()) is not None
+            assert sought.verdict(away.ravel(), iteration, 1e-4 * load, 1e-10) is None
+            assert not sought.judge(away.ravel(), 1e-10)
+        assert sought.reference <= 2.01 * load
+    finally:
+        solver.destroy()
+
+
+def test_a_step_that_moves_a_body_by_more_than_its_size_is_shortened(tmp_path):
+    """A bar of rubber that is drawn to several times its length: forces balance, and the message says what is wrong."""
+    bar = pd.Case(
+        particles=pd.Lattice((0.0,), (8.0,), 1.0), horizon=1.515, material=pd.NeoHookean(E=1.0, nu=0.3),
+        conditions=[pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0), pd.Force(pd.region.Slab("x", low=7.0), x=3)],
+        steps=pd.Steps(1, smallest=1.0),
+    )  # fmt: skip
+    with pytest.raises(pd.SolveError, match="move the body by more than its own size in one step"):
+        pd.run(bar, tmp_path / "one")
+    found = pd.run(dataclasses.replace(bar, steps=pd.Steps(1)), tmp_path / "several")
+    assert len(found.summary["steps"]) > 1
+
+
+def test_the_first_comparison_of_forces_does_not_depend_on_the_solve_before():
+    """A run that goes on from a checkpoint has none: what counts as zero in its prediction is the same."""
+    hard = pd.KinematicJ2(100.0, 0.3, plane="stress", yield_stress=1.0, hardening=10.0)
+    found = []
+    for before in (None, 0.5, -8.0):
+        solver = pd.prepare(runaway(hard, 0.9)).make_solver()
+        try:
+            if before is not None:
+                solver.solve(np.zeros((30, 2)), before)
+                solver.problem.revert()
+            sought = solver._equilibrium
+            sought.impose(1.0)
+            sought.begin(np.zeros((30, 2)))
+            sought.assemble(np.zeros(60))
+            sought.resist(np.zeros((30, 2)))
+            found.append(sought._tolerance(np.zeros(60), 1e-6))
+        finally:
+            solver.destroy()
+    assert found[0][0] > 0.0
+    assert found[1] == pytest.approx(found[0], rel=1e-12) == found[2]
 
 
 def test_a_linear_body_may_be_displaced_without_end(tmp_path):
@@ -601,3 +664,17 @@ def test_a_linear_body_may_be_displaced_without_end(tmp_path):
         for pull in (1.0, 1e12)
     ]
     assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+def test_a_slender_linear_beam_takes_a_load_of_any_size(tmp_path):
+    """Its reactions are 500 times its load, and the round-off of its forces is that of large displacements."""
+    found = []
+    for load in (1e-3, 1e-9):
+        left, right = pd.region.Slab("x", high=2.0), pd.region.Slab("x", low=1499.0)
+        beam = pd.Case(
+            particles=pd.Lattice((0.0, 0.0), (1500.0, 3.0), 1.0), horizon=1.515, steps=pd.Steps(1, smallest=1.0),
+            material=pd.LinearElastic(1.0, 0.3, "stress"), history={"v": pd.Mean(pd.displacement, "y", right)},
+            conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Force(right, y=load)],
+        )  # fmt: skip
+        found.append(pd.run(beam, tmp_path / f"{load:g}").history["v"][-1] / load)
+    assert found[1] == pytest.approx(found[0], rel=1e-4)

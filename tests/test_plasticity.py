@@ -252,6 +252,7 @@ def test_the_beam_in_bending_iterates_and_converges_to_the_moment_of_fibres(tmp_
         assert np.abs(one - two).max() <= 1e-10 * np.abs(one).max()
 
 
+@pytest.mark.long
 def test_the_plate_is_near_finite_elements_and_nearer_with_one_gradient_per_particle(tmp_path):
     """Several gradients per particle are too many conditions for flow that keeps its volume."""
     found = {

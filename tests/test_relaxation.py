@@ -62,3 +62,25 @@ def test_an_unknown_solver_is_refused(tmp_path):
     finished = called(BLOCK, "--solver", "magic", "-o", tmp_path)
     assert finished.returncode == 2
     assert "--solver is one of newton, relaxation, events, path, not 'magic'" in finished.stderr
+
+
+def test_a_load_that_fails_does_not_judge_the_next_one():
+    """A shorter step after it begins as far from equilibrium as ever."""
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=5.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (6.0, 2.0), 1.0),
+        horizon=1.515,
+        material=pd.LinearElastic(10.0, 0.3, "stress"),
+        conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Force(right, x=1.0)],
+        solver=pd.DynamicRelaxation(tolerance=1e-3, most=5000),
+    )
+    solver = pd.prepare(case).make_solver()
+    nothing = np.zeros((12, 2))
+    alone, result = solver.solve(nothing, 1e-3)
+    assert result.converged
+    solver._options = pd.DynamicRelaxation(tolerance=1e-3, most=3)
+    assert not solver.solve(nothing, 1e9)[1].converged
+    solver._options = case.solver
+    after, result = solver.solve(nothing, 1e-3)
+    assert result.converged
+    assert np.abs(after - alone).max() <= 1e-9 * np.abs(alone).max()

@@ -172,10 +172,9 @@ def test_results_come_as_frames_and_clouds_where_the_libraries_are(result):
 
 
 def test_a_new_case_runs_as_it_is(tmp_path):
-    words, environment = [sys.executable, "-m", "pdpetsc", "new", "bar.py"], {**os.environ, "PYTHONPATH": str(ROOT)}
-    finished = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    finished = called("new", "bar.py", cwd=tmp_path)
     assert finished.returncode == 0 and finished.stdout.strip() == "bar.py"
-    assert run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "out").returncode == 0
+    assert called(tmp_path / "bar.py", "dx=0.5", "-o", tmp_path / "out").returncode == 0
     force = pd.open(tmp_path / "out").history["force"][-1]
     assert force == pytest.approx(200e3 * 0.01 * 4.0, rel=0.03)
     with pytest.raises(pd.CaseError, match="is there already"):
@@ -594,8 +593,8 @@ def test_a_line_at_the_bottom_of_a_terminal_tells_how_the_run_goes_on(tmp_path):
     os.close(here)
     assert process.wait(timeout=TIMEOUT) == 0
     assert "a step, " in said.decode() and "MiB" in said.decode()
-    # A pipe has the lines alone.
-    plain = run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "piped").stdout
+    # What is no terminal has the lines alone.
+    plain = called(tmp_path / "bar.py", "dx=0.5", "-o", tmp_path / "piped").stdout
     assert "MiB predicted" in plain and "a step, " not in plain and "\x1b" not in plain
     # So has one behind mpirun, which gives every rank a terminal of its own.
     plain = run(tmp_path / "bar.py", "dx=0.5", output=tmp_path / "two", ranks=2).stdout

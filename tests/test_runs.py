@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from tests.commands import ROOT, command, field, results, run, wait_until
+from tests.commands import ROOT, called, command, field, results, run, wait_until
 
 CLAMPED = ROOT / "runs/beams/clamped.py"
 
@@ -136,13 +136,13 @@ def test_a_run_with_few_checkpoints_keeps_the_step_that_it_ends_at(tmp_path):
         strip(checkpoints=-1)
 
 
-def test_a_failed_run_ends_with_status_1_on_every_rank_count(tmp_path):
-    for ranks in (1, 2):
-        finished = run(CLAMPED, "ny=3", "-snes_max_it", "1", ranks=ranks, output=tmp_path)
-        assert finished.returncode == 1
-        said = [line for line in finished.stderr.splitlines() if line.startswith("pdpetsc:")]
-        assert len(said) == 1
-        assert "too many Newton iterations, residual" in said[0]
+@pytest.mark.parametrize("ranks", [2, pytest.param(1, marks=pytest.mark.long)])
+def test_a_failed_run_ends_with_status_1_on_every_rank_count(ranks, tmp_path):
+    finished = run(CLAMPED, "ny=3", "-snes_max_it", "1", ranks=ranks, output=tmp_path)
+    assert finished.returncode == 1
+    said = [line for line in finished.stderr.splitlines() if line.startswith("pdpetsc:")]
+    assert len(said) == 1
+    assert "too many Newton iterations, residual" in said[0]
 
 
 def test_fields_are_what_xdmf_says(tmp_path):
@@ -207,7 +207,7 @@ def half(folder, *arguments, ranks=1):
     )
     path = folder.with_suffix(".py")
     path.write_text(text)
-    stopped = run(path, "--quiet", output=folder, ranks=ranks)
+    stopped = called(path, "--quiet", "-o", folder, ranks=ranks)
     assert stopped.returncode == 1, stopped.stderr
 
 
@@ -221,7 +221,7 @@ def test_restart_continues_to_the_same_fields(ranks, tmp_path):
     assert np.abs(one - other).max() <= 1e-10 * np.abs(one).max()
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_restart_in_its_own_folder_keeps_what_is_there(ranks, tmp_path):
     arguments = ("ny=3", "steps=4")
     results(CLAMPED, *arguments, output=tmp_path / "whole")
@@ -249,7 +249,7 @@ def test_a_checkpoint_of_another_body_is_refused(tmp_path):
 
 def signalled(folder, number, ranks):
     """Start a long run, signal it after its third step, and return the finished process."""
-    words = command(CLAMPED, "ny=9", "horizon=3.015", "G=0.5", "steps=2000", ranks=ranks, output=folder)
+    words = command(CLAMPED, "ny=5", "horizon=2.015", "G=0.5", "steps=5000", ranks=ranks, output=folder)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     history = folder / "history.csv"
@@ -263,7 +263,7 @@ def signalled(folder, number, ranks):
     ("number", "ranks"),
     [
         (signal.SIGINT, 2),
-        (signal.SIGTERM, 1),
+        pytest.param(signal.SIGTERM, 1, marks=pytest.mark.long),
         pytest.param(signal.SIGINT, 1, marks=pytest.mark.long),
         pytest.param(signal.SIGTERM, 2, marks=pytest.mark.long),
     ],
@@ -309,6 +309,7 @@ def test_no_room_for_a_step_leaves_the_steps_before(ranks, tmp_path):
     assert "cannot grow" in summary(tmp_path)["status"]
 
 
+@pytest.mark.long
 def test_an_unexpected_error_on_one_rank_ends_all(tmp_path):
     case = tmp_path / "case.py"
     case.write_text(
@@ -324,6 +325,7 @@ def test_an_unexpected_error_on_one_rank_ends_all(tmp_path):
     assert "broken field" in finished.stderr
 
 
+@pytest.mark.long
 def test_predicted_matrix_memory_is_what_is_measured(tmp_path):
     """The prediction against the growth of the process when the matrix is made, for a matrix of some 140 MiB."""
     script = """

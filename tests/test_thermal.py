@@ -73,6 +73,7 @@ def tensor(rng, dim, size=0.2):
     return made
 
 
+@pytest.mark.processors
 @pytest.mark.parametrize("dim", DIMS)
 @pytest.mark.parametrize("scheme", scenes.SCHEMES)
 def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
@@ -87,10 +88,11 @@ def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
         if not material.linear:
             G = scenes.rotation(dim, rng) @ G
         u = model.cloud.x[: model.cloud.n_owned] @ (G - np.eye(dim)).T
-        size = 10.0 * np.abs(strain).max()
-        assert np.abs(model.internal_force(u)).max() < 1e-12 * size * 10.0, name
-        assert np.abs(model.matter.cauchy_stress(model.at(u))).max() < 1e-12 * size, name
-        assert abs(sum(model.energy(u))) < 1e-12 * size, name
+        # Corrected weights multiply the round-off of u by the sum of their sizes, a few thousand on this cloud.
+        size = 1e-11 * 10.0 * np.abs(strain).max()
+        assert np.abs(model.internal_force(u)).max() < size * 10.0, name
+        assert np.abs(model.matter.cauchy_stress(model.at(u))).max() < size, name
+        assert abs(sum(model.energy(u))) < size, name
 
 
 def test_free_expansion_of_a_smoothed_displacement_and_beside_every_control(rng):

@@ -111,7 +111,7 @@ def test_moduli_that_follow_an_uneven_temperature_are_refused_in_a_stress_intens
     assert np.isfinite(pd.JIntegral(**WHERE).evaluate(softer))
 
 
-@pytest.mark.parametrize("plane", ["strain", "stress"])
+@pytest.mark.parametrize("plane", ["strain", pytest.param("stress", marks=pytest.mark.long)])
 def test_heat_round_an_insulated_crack_slides_it(plane):
     """Sih's factor from the exact fields on two contours: K within 1 %, J within 2 % and the same on both."""
     a, dx = thermal_crack.HALF, 0.0125

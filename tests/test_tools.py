@@ -34,7 +34,7 @@ def table(folder):
 
 def test_plot_draws_a_run(tmp_path):
     results(CLAMPED, "steps=2", output=tmp_path)
-    finished = tool("plot", tmp_path, "scale=10", "component=yy", "x=t", "y=w", "--animate")
+    finished = called("plot", tmp_path, "scale=10", "component=yy", "x=t", "y=w", "--animate")
     assert finished.returncode == 0, finished.stderr
     for name in ("deformed.png", "deformed.gif", "history.png", "newton.png"):
         path = tmp_path / name
@@ -79,22 +79,21 @@ def test_plot_of_an_empty_folder_is_refused(tmp_path):
 
 
 def test_compare_runs_every_combination_once(tmp_path):
-    words = ("compare", CLAMPED, "scheme=correspondence,sub_horizons", "ny=3,5", "steps=1", "-o", tmp_path)
+    words = ("compare", CLAMPED, "scheme=correspondence,sub_horizons", "ny=3", "steps=1", "-o", tmp_path)
     finished = tool(*words)
     assert finished.returncode == 0, finished.stderr
     rows = table(tmp_path)
-    assert [(row["scheme"], row["ny"]) for row in rows] == [
-        ("correspondence", "3"), ("correspondence", "5"), ("sub_horizons", "3"), ("sub_horizons", "5"),
-    ]  # fmt: skip
+    assert [(row["scheme"], row["ny"]) for row in rows] == [("correspondence", "3"), ("sub_horizons", "3")]
     assert float(rows[0]["error"]) == pytest.approx(0.0668, abs=1e-3)
     assert all(row["status"] == "finished" and float(row["seconds"]) > 0.0 for row in rows)
     assert (tmp_path / "compare.png").stat().st_size > 10_000
     times = {path: path.stat().st_mtime for path in tmp_path.glob("*/summary.json")}
-    assert len(times) == 4
+    assert len(times) == 2
     assert called(*words).returncode == 0
     assert times == {path: path.stat().st_mtime for path in tmp_path.glob("*/summary.json")}
 
 
+@pytest.mark.long
 def test_an_interrupted_comparison_goes_on_where_it_was(tmp_path):
     words = [sys.executable, "-m", "pdpetsc", "compare", CLAMPED, "ny=3,5", "steps=1", "-o", str(tmp_path)]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
@@ -237,6 +236,7 @@ def test_words_that_a_tool_does_not_take_are_refused(words, message):
     assert message in finished.stderr
 
 
+@pytest.mark.long
 def test_a_comparison_that_is_ended_ends_its_run(tmp_path):
     case, folder = tmp_path / "case.py", tmp_path / "out"
     case.write_text(

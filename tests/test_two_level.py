@@ -225,6 +225,7 @@ def test_iterations_hardly_grow_with_the_body(tmp_path):
     assert large <= 1.2 * small
 
 
+@pytest.mark.long
 def test_damage_while_running_gives_the_results_of_the_assembled_tangent(tmp_path):
     """A notched strip that softens, tears and comes apart."""
     law = pd.LinearSoftening(pd.ConstantCritical(0.01), ratio=3.0)

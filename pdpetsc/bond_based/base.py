@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -14,10 +15,14 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.declare.influence import Influence, evaluate
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
+from pdpetsc.discrete.interior import interior
 from pdpetsc.errors import CaseError
 from pdpetsc.material.linear_elastic import LinearElastic
 
+# Families whose moment is within this share of the largest one count as the largest.
+LARGEST = 0.01
 # Points of the quadrature of a moment of the influence on each half of the horizon.
 QUADRATURE = 40
 
@@ -64,6 +69,23 @@ class Neighbourhood:
         """Return moments of whole families over that of the largest horizon, ``(reach / horizon)^(power + dim)``."""
         cloud = self.cloud
         return np.asarray((cloud.reach[: cloud.n_owned] / cloud.horizon) ** (power + cloud.dim))
+
+    @cached_property
+    def share_inside(self) -> Float:
+        """Return the share of each own particle in a volume-weighted mean over the body inside (n_owned,) (collective).
+
+        The mean is over the particles further than a horizon from the surface, or, in a thin body, over those with the
+        largest families. On a lattice whose families repeat these are the same families.
+        """
+        cloud = self.cloud
+        found = None if cloud.stands_for is not None else interior(cloud, self.families)
+        if found is not None and not found.thin:
+            inside = found.along[:, 0]
+        else:
+            moment = self.moment(1) / self.relative_size(1)
+            inside = moment >= (1.0 - LARGEST) * largest(cloud.comm, float(moment.max(initial=0.0)))
+        volume = np.where(inside, cloud.volume[: cloud.n_owned], 0.0)
+        return np.asarray(volume / total(cloud.comm, float(volume.sum())))
 
 
 @dataclass(frozen=True)

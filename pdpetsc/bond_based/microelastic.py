@@ -9,16 +9,16 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.bond_based.base import BondMaterial, BondStiffness, Neighbourhood
-from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.linear_elastic import LinearElastic
 
-# Families whose moment is within this share of the largest one count as whole.
-WHOLE = 0.01
 # A family is corrected as if it had at least this share of the energy of a whole one along each axis: the factor is
 # bounded.
 LEAST = 1e-2
+# A mean family with less than this share of its largest stiffness along an axis has none there.
+NO_STIFFNESS = 1e-9
 # A Poisson's ratio that differs from the fixed one by no more than this is accepted [-].
 SAME_RATIO = 1e-3
 
@@ -39,11 +39,11 @@ class BondBased(BondMaterial):
         Poisson's ratio [-]; where given it must be the fixed one.
     calibration : {"continuum", "lattice", "family"}
         What ``I`` is. ``continuum``: the integral over a whole ball. ``lattice``: one number for the body, with which
-        the particles with the largest families, pulled along x with free sides, have the modulus E exactly; the body
-        must be thick enough to have whole families. ``family``: as ``lattice``, raised where families are cut,
-        which corrects most of the soft surface: from the energy ``W_a`` of a family stretched along each axis and the
-        largest in the body, ``g_a = W_max / W_a``, a bond gets the factor ``1 / |(n_x / g_x, n_y / g_y, n_z / g_z)|``,
-        the mean of both of its ends.
+        the particles further than a horizon from the surface, pulled along x with free sides in a uniform strain, have
+        the modulus E in the mean; in a thin body, in which no particle is that far inside, those with the largest
+        families. ``family``: as ``lattice``, raised where families are cut, which corrects most of the soft surface:
+        from the energy ``W_a`` of a family stretched along each axis and its mean inside, ``g_a = W_mean / W_a``, a
+        bond gets the factor ``1 / |(n_x / g_x, n_y / g_y, n_z / g_z)|``, the mean of both of its ends.
 
     References
     ----------
@@ -96,42 +96,45 @@ def _continuum(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
 
 
 def _family(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus of whole families, raised where the family of the first end of a bond is cut."""
+    """Return the micromodulus of families inside, raised where the family of the first end of a bond is cut."""
     cloud, families = bonds.cloud, bonds.families
     n = families.bonds(cloud.x) / bonds.length[:, None]
     weight = bonds.omega * bonds.length * cloud.volume[families.neighbours]
-    # Energy of the particle when stretched along each axis, and the largest in the body over it.
+    # Energy of the particle when stretched along each axis, and the mean inside over it.
     W = sum_by(families.centres, weight[:, None] * n**4, cloud.n_owned) / bonds.relative_size(1)[:, None]
-    whole = np.array([largest(cloud.comm, float(column.max(initial=0.0))) for column in W.T])
-    g = whole / np.maximum(W, LEAST * whole)
+    share = bonds.share_inside
+    whole = total(cloud.comm, share @ W)
+    bounded = np.maximum(W, LEAST * whole)
+    g = np.divide(whole, bounded, out=np.ones_like(bounded), where=bounded > 0.0)  # one row has no energy across it
     factor = 1.0 / np.sqrt(((n / g[families.centres]) ** 2).sum(axis=1))
     return np.asarray(_lattice(bonds, elastic) * factor)
 
 
 def _lattice(bonds: Neighbourhood, elastic: LinearElastic) -> Float:
-    """Return the micromodulus with which whole families have the modulus E along x.
+    """Return the micromodulus with which the mean family inside has the modulus E along x.
 
-    Where horizons differ, those that are whole and what they have are compared over the size of a whole ball.
+    Where horizons differ, families are compared over the size of a whole ball.
     """
     cloud, families = bonds.cloud, bonds.families
     size = bonds.relative_size(1)
-    moment = bonds.moment(1) / size
-    whole = moment >= (1.0 - WHOLE) * largest(cloud.comm, float(moment.max(initial=0.0)))
-    weight = np.where(whole[families.centres], 0.5 * bonds.omega * bonds.length / size[families.centres], 0.0)
+    weight = 0.5 * bonds.omega * bonds.length * (bonds.share_inside / size)[families.centres]
     n = families.bonds(cloud.x) / bonds.length[:, None]
-    sums = np.einsum("b,bi,bj,bk,bl->ijkl", weight * cloud.volume[families.neighbours], n, n, n, n, optimize=True)
-    count = float(total(cloud.comm, np.count_nonzero(whole)))
-    unit = _modulus_along_x(total(cloud.comm, sums) / count)
+    C = np.einsum("b,bi,bj,bk,bl->ijkl", weight * cloud.volume[families.neighbours], n, n, n, n, optimize=True)
+    C = total(cloud.comm, C)
+    stiff = np.einsum("aaaa->a", C)
+    # One row of particles has a stiffness along itself alone.
+    axis = int(np.argmax(stiff > NO_STIFFNESS * stiff.max()))
+    unit = _modulus_along(axis, C)
     lam, mu = elastic.lame(cloud.dim)
     one = np.eye(cloud.dim)
     both = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-    c = _modulus_along_x(lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit
+    c = _modulus_along(axis, lam * np.einsum("ij,kl->ijkl", one, one) + mu * both) / unit
     return np.asarray(c / size[families.centres])
 
 
-def _modulus_along_x(C: Float) -> float:
-    """Return the stress along x per strain along x with free sides, for stiffness ``C_ijkl``."""
+def _modulus_along(axis: int, C: Float) -> float:
+    """Return the stress along an axis per strain along it with free sides, for stiffness ``C_ijkl``."""
     dim = len(C)
     pairs = [(a, a) for a in range(dim)] + [(a, b) for a in range(dim) for b in range(a + 1, dim)]
     matrix = np.array([[C[a, b, c, d] * (1.0 if c == d else 2.0) for c, d in pairs] for a, b in pairs])
-    return float(1.0 / np.linalg.pinv(matrix)[0, 0])
+    return float(1.0 / np.linalg.pinv(matrix)[axis, axis])

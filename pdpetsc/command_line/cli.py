@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from pdpetsc.command_line.start import processes_started, start_petsc
+from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError, Interrupted, PdpetscError, RunError, described, of_petsc
 from pdpetsc.machine import stamp_of
 
@@ -163,7 +164,12 @@ def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict
     CaseError
         A name is unknown, a value cannot be converted, or a parameter has no default.
     """
-    parameters = inspect.signature(function).parameters
+    try:
+        parameters = inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        raise CaseError(
+            f"The case {shown(function)} is no function of a case file; define it by def case(...)."
+        ) from None
     for name, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty:
             raise CaseError(f"Parameter {name} of the case function needs a default.")
@@ -191,6 +197,8 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     try:
         status = _run(sys.argv[1:] if argv is None else list(argv))
     except BaseException as error:
+        # A second signal, as mpirun passes one on, shall not interrupt the sentence about the first.
+        _take_signals(signal.SIG_IGN)
         failure, status = error, _failed(error)
     with contextlib.suppress(ValueError):
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -215,12 +223,12 @@ def _leave_petsc(status: int) -> NoReturn:
     leave(status)
 
 
-def _take_signals() -> None:
-    """Let signals raise KeyboardInterrupt, except those that are ignored, as under nohup."""
+def _take_signals(handler: Any = None) -> None:
+    """Let signals raise KeyboardInterrupt or do something else, except those that are ignored, as under nohup."""
     with contextlib.suppress(ValueError):  # they are the main thread's
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, _interrupt)
+                signal.signal(number, handler or _interrupt)
 
 
 def _interrupt(number: int, frame: Any) -> None:
@@ -596,5 +604,5 @@ def _convert(name: str, text: str, default: Any) -> Any:
             return kind(text)
         value = ast.literal_eval(text)
         return value if default is None else kind(value)
-    except (ValueError, KeyError, SyntaxError, TypeError):
-        raise CaseError(f"Parameter {name} takes {kind.__name__} like {default!r}, not {text!r}.") from None
+    except (ValueError, KeyError, SyntaxError, TypeError, OverflowError, RecursionError, MemoryError):
+        raise CaseError(f"Parameter {name} takes {kind.__name__} like {default!r}, not {shown(text)}.") from None

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from pdpetsc.bounds import whole_number
 from pdpetsc.command_line.start import processes_started, start_petsc
 from pdpetsc.errors import RunError, described
 
@@ -247,7 +248,7 @@ def cores(comm: Comm) -> list[Finding]:
     there = os.cpu_count() or 1
     beside = comm.allgather(platform.node()).count(platform.node())
     text = os.environ.get("OMP_NUM_THREADS", "1")
-    threads = int(text) if text.isdigit() else 1
+    threads = whole_number(text) or 1
     found = f"{there} for {beside} ranks x {threads} threads" if comm.size > 1 else f"{there}, {here} for this process"
     if beside * threads > there:
         return [Finding("look", "cores", found, "start fewer ranks, or set OMP_NUM_THREADS=1")]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from itertools import pairwise
 
-from pdpetsc.errors import RunError
+from pdpetsc.bounds import whole_number
+from pdpetsc.errors import CaseError, RunError
 from pdpetsc.loading import cannot_load
+from pdpetsc.studies.asking import OPTIONS_FILES
 
 # PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
 PETSC = ["pdpetsc", "-skip_petscrc"]
@@ -17,7 +20,7 @@ LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_SIZE", "SLURM_STEP_NUM_TAS
 
 def processes_started() -> int:
     """Return how many processes a launcher says that it has started; 1 where there is none."""
-    return max((int(os.environ[name]) for name in LAUNCHED if os.environ.get(name, "").isdigit()), default=1)
+    return max((whole_number(os.environ.get(name, "")) or 1 for name in LAUNCHED), default=1)
 
 
 def start_petsc(words: Sequence[str] = ()) -> None:
@@ -25,9 +28,16 @@ def start_petsc(words: Sequence[str] = ()) -> None:
 
     Raises
     ------
+    CaseError
+        A file of options cannot be read, which PETSc says in many lines.
     RunError
         petsc4py is not there, or cannot be loaded.
     """
+    for option, value in pairwise([*words, *os.environ.get("PETSC_OPTIONS", "").split()]):
+        # A file may be followed by a word on what PETSc does with it: "q.txt:yaml".
+        files = {value, value.rpartition(":")[0]} - {""}
+        if option.lower().lstrip("-") in OPTIONS_FILES and not any(map(os.path.isfile, files)):
+            raise CaseError(f"Cannot read the options of PETSc in {value}: no such file.")
     try:
         import petsc4py
 

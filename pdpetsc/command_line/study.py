@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from pdpetsc.bounds import whole_number
+from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError, Interrupted
 from pdpetsc.studies.asking import Question
 from pdpetsc.studies.jobs import too_many
@@ -75,9 +77,10 @@ def taken(argv: Sequence[str], with_value: Sequence[str] = WITH_VALUE, flags: Se
 def count(asked: Asked, name: str, otherwise: int = 1) -> int:
     """Return the positive number after an option, or what it is otherwise; raises CaseError."""
     text = asked.options.get(name, str(otherwise))
-    if not text.isdigit() or int(text) < 1:
-        raise CaseError(f"{name} takes a positive number, not {text!r}.")
-    return int(text)
+    found = whole_number(text)
+    if not found:
+        raise CaseError(f"{name} takes a positive number, not {shown(text)}.")
+    return found
 
 
 def numbers_of(text: str, option: str) -> dict[str, float]:

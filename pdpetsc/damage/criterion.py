@@ -390,7 +390,7 @@ class Criterion(Declared, ABC):
 
     @property
     def assumes_share(self) -> bool:
-        """Return whether it follows from a fracture energy of which a crack is taken to take all."""
+        """Return True if it has a fracture energy without a share."""
         return False
 
     @property

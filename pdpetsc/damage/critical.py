@@ -12,9 +12,9 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive
-from pdpetsc.damage.energy import plane_energies, refuse_share
+from pdpetsc.damage.energy import plane_weights, refuse_share
 from pdpetsc.declared import numbers_from
-from pdpetsc.discrete.communicator import largest, smallest
+from pdpetsc.discrete.communicator import largest, smallest, total
 from pdpetsc.errors import CaseError
 
 
@@ -162,25 +162,29 @@ class CriticalOfBonds(CriticalStretch):
 
 @dataclass(frozen=True)
 class FractureEnergy(CriticalStretch):
-    """The critical stretch with which breaking every bond across a unit area takes the energy ``Gc``.
+    """Critical stretch with which breaking every bond across a unit area takes the energy ``Gc``.
 
-    The energy is the discrete sum over the bonds of the body, for its influence function, horizon and law of damage;
-    for deformation gradients, whose bonds have no energy of their own, and for those with a dilatation, that of the
-    bond-based material with the same E. Where the horizon differs from particle to particle a bond has the stretch for
-    the mean horizon of its ends, proportional to ``1 / sqrt(horizon)``. In a body of several materials, and a graded
-    one, bonds have the stretch of their own material, and those between two that with which a plane between these takes
-    Gc.
+    The energy is the sum over the bonds of the body, with its influence function, horizon and law of damage, in the
+    volume-weighted mean over the particles further than a horizon from the surface and over planes normal to the
+    coordinate axes. In a thin body, in which no particle is that far inside, planes are those across its long axes,
+    with the families that its faces cut. For deformation gradients, whose bonds have no energy of their own, and for
+    bonds with a dilatation, it is the energy of the bond-based material with the same E.
+
+    The square of the critical stretch is proportional to 1 / horizon. A bond between horizons or materials has the mean
+    of the squares of both ends, weighted with its stiffness from each end. Between two materials a plane takes Gc.
 
     Parameters
     ----------
     Gc : float
         Fracture energy [energy / area], positive.
     share : float, optional
-        What a crack that runs takes of that energy with the forces of the case [-], so that bonds are given
-        ``Gc / share``. Where it is not given a case takes the one that was measured for its model, law and horizon; the
-        log says which, and how well it is known. Without a measurement it is 1, and a run with deformation gradients
-        warns that its cracks take another energy. ``share=1.0`` is the energy of one plane of bonds,
-        for bodies that come apart all at once.
+        Energy that a running crack takes over that of a plane of bonds [-]: bonds have the energy ``Gc / share``. 1 by
+        default. Without a share a run warns if cracks of its model are known to take another energy than Gc.
+
+    Raises
+    ------
+    CaseError
+        In a case: the body is shorter than two horizons along every axis, or thin and inclined against the axes.
 
     Examples
     --------
@@ -205,10 +209,23 @@ class FractureEnergy(CriticalStretch):
     def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> CriticalStretch:
         """Return the critical stretch for the bonds of the body (collective).
 
-        Breaking all bonds across a unit area takes ``plane_energies`` at a stretch of 1.
+        ``s_i^2 = Gc / (G m_i d_i)`` with the horizon ``d_i`` of the particle, the plane energy ``G`` of bonds with the
+        energy ``omega |xi| V_i V_j / d_i^(dim + 2)`` from one end, and the ratio ``m_i`` of the energies of its
+        material at a stretch of 1 to ``omega |xi| V_i V_j / d_i^(dim + 1)``. A bond has the mean of the squares of both
+        ends, weighted with its stiffness from each: each end contributes its part of the energy.
         """
-        G = plane_energies(bonds, 0.5 * toughness(2.0) * bonds.k * bonds.length**2, 1.0)
-        stretch = np.sqrt(self.Gc / (self.share or 1.0) / G)
+        cloud, families = bonds.cloud, bonds.families
+        i, j = families.centres, families.neighbours
+        weight = plane_weights(bonds) / cloud.reach[i]
+        unit = bonds.omega * bonds.length * cloud.volume[i] * cloud.volume[j] / cloud.reach[i] ** (cloud.dim + 1)
+        energy = 0.5 * toughness(2.0) * bonds.k * bonds.length**2
+        material = _moduli(bonds, weight, energy, unit * bonds.factor[i])[bonds.material_of] * bonds.factor
+        G = float(total(cloud.comm, weight @ unit))
+        square = self.Gc / (self.share or 1.0) / (G * material * cloud.reach)
+        both = bonds.k + bonds.opposite.of(bonds.k)
+        ours = np.divide(bonds.k, both, out=np.full(len(both), 0.5), where=both > 0.0)
+        # One number stays the same number.
+        stretch = np.sqrt(square[j] + ours * (square[i] - square[j]))
         comm = bonds.cloud.comm
         least, most = (
             smallest(comm, float(stretch.min(initial=np.inf))), largest(comm, float(stretch.max(initial=0.0)))
@@ -218,3 +235,16 @@ class FractureEnergy(CriticalStretch):
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: it is resolved into a number once the stiffness of the bonds is known."""
         raise CaseError("A fracture energy gives a critical stretch in a case only, where the bonds are known.")
+
+
+def _moduli(bonds: DrivenBonds, weight: Float, energy: Float, unit: Float) -> Float:
+    """Return the energy of bonds over that of unit bonds for each material (collective).
+
+    It is that of planes through the particles inside, or of all bonds of a material that has no particle there.
+    """
+    count = 1 + int(largest(bonds.cloud.comm, float(bonds.material_of.max(initial=0))))
+    number = bonds.material_of[bonds.families.centres]
+    sums = [np.bincount(number, values, count) for values in (weight * energy, weight * unit, energy, unit)]
+    in_planes, of_unit, of_all, of_all_unit = total(bonds.cloud.comm, np.stack(sums))
+    chosen, over = np.where(of_unit > 0.0, (in_planes, of_unit), (of_all, of_all_unit))
+    return np.divide(chosen, over, out=np.ones(count), where=over > 0.0)

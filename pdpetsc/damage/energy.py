@@ -11,11 +11,9 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive, LocalDrive
-from pdpetsc.discrete.communicator import largest
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.interior import interior
 from pdpetsc.errors import CaseError
-
-# Families whose energy is this close to the largest one are whole.
-WHOLE = 0.05
 
 
 def refuse_share(share: float | None) -> None:
@@ -24,48 +22,35 @@ def refuse_share(share: float | None) -> None:
         raise CaseError(f"The share of a fracture energy that a crack takes must be positive, not {share}.")
 
 
-def plane_energies(bonds: DrivenBonds, energy: Float, power: float, by_material: bool = True) -> Float:
-    """Return what breaking all bonds across a unit area takes, between materials of both ends of every bond (n_bonds,).
+def plane_weights(bonds: DrivenBonds) -> Float:
+    """Return the weights of bonds in the energy that breaking all bonds across a unit area takes (n_bonds,).
 
-    ``G = 1 / V_i sum_j w_ij |xi . n|`` with the energy ``w_ij`` of a bond from one end, averaged over the axes; of the
-    whole families of each material the median, times what grading multiplies it with, and of a bond the mean of both of
-    its ends: in a body of the two materials on both sides of a plane each has its half [energy / length^2].
+    ``G = sum_i sum_j a_ij w_ij`` over all ranks with the energy ``w_ij`` of a bond from one end and the weight
+    ``a_ij = |xi_a| / sum_i V_i`` of the particles inside along an axis ``a``: the mean over all planes normal to the
+    axis. Weights are means over the axes, in a thin body over its long ones (``Interior``) [1 / length^2].
 
-    Parameters
-    ----------
-    bonds : DrivenBonds
-        The bonds.
-    energy : (n_bonds,) float64
-        What breaking a bond takes from one end [energy].
-    power : float
-        With which power of the horizon G grows, where that differs.
-    by_material : bool
-        Whether the energy of a bond follows the material; else all families count together.
+    Raises
+    ------
+    CaseError
+        The body is shorter than two horizons along every axis, or thin and inclined against the axes.
 
     Notes
     -----
     Collective.
     """
     cloud, families, n = bonds.cloud, bonds.families, bonds.cloud.n_owned
-    each = energy * np.abs(families.bonds(cloud.x)).mean(axis=1)
-    number = bonds.material_of if by_material else np.zeros_like(bonds.material_of)
-    factor = bonds.factor if by_material else np.ones_like(bonds.factor)
-    G = np.bincount(families.centres, each, n) / cloud.volume[:n] / factor[:n]
-    if cloud.varies:
-        G /= cloud.reach[:n] ** power
-    found = np.zeros(1 + int(largest(cloud.comm, float(number.max(initial=0)))))
-    for one in range(len(found)):
-        mine = G[number[:n] == one]
-        whole = (1.0 - WHOLE) * largest(cloud.comm, float(mine.max(initial=0.0))) <= mine
-        # Families that are cut by little count as whole; most are not, so that the median is not theirs.
-        every = np.concatenate(cloud.comm.allgather(mine[whole]))
-        found[one] = float(np.median(every)) if len(every) else 0.0
-    of_particle = found[number] * factor
-    i, j = families.centres, families.neighbours
-    middle = 0.5 * (of_particle[i] + of_particle[j])
-    if cloud.varies:
-        middle *= (0.5 * (cloud.reach[i] + cloud.reach[j])) ** power
-    return np.asarray(middle)
+    inside = interior(cloud, families)
+    if not (inside.axes and inside.aligned):
+        why = "it is thin and not along a coordinate axis" if inside.axes else "it is too short along every axis"
+        raise CaseError(
+            f"Gc cannot be converted to critical stretches for this body, no particle of which is further than its "
+            f"horizon from the surface: {why}; use a smaller horizon, or a critical stretch (ConstantCritical) instead "
+            f"of Gc."
+        )
+    here = inside.along[:, inside.axes]
+    volume = total(cloud.comm, cloud.volume[:n] @ here)
+    distance = np.abs(families.bonds(cloud.x)[:, inside.axes])
+    return np.asarray((here[families.centres] * distance / volume).mean(axis=1))
 
 
 class _EitherWay(LocalDrive):
@@ -104,8 +89,7 @@ class BondEnergy(Criterion):
     compression : bool
         Whether bonds that shorten fail as well.
     share : float, optional
-        What a crack takes of Gc with the forces of the case [-], as in ``FractureEnergy``; none was measured for this
-        criterion, so that it is 1 where it is not given.
+        Energy that a running crack takes over that of a plane of bonds [-], as in ``FractureEnergy``; 1 by default.
 
     References
     ----------
@@ -133,7 +117,7 @@ class BondEnergy(Criterion):
 
     @property
     def assumes_share(self) -> bool:
-        """Return whether Gc was given, and no share of it."""
+        """Return True if Gc was given without a share."""
         return self.Gc is not None and self.share is None
 
     def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> Criterion:
@@ -145,12 +129,12 @@ class BondEnergy(Criterion):
             w = np.full(len(both), self.w)
         else:
             assert self.Gc is not None
-            # Either end has half of what breaking a bond takes, whatever its stiffness.
-            w = (
-                self.Gc
-                / (self.share or 1.0)
-                / plane_energies(bonds, 0.5 * toughness(2.0) * pair, bonds.cloud.dim + 1.0, by_material=False)
-            )
+            # Breaking a bond takes half of it from either end, whatever its stiffness, and nothing from one that does
+            # not reach it; G grows with this power of the horizon.
+            reach, power = bonds.cloud.reach, bonds.cloud.dim + 1.0
+            half = np.where(bonds.k > 0.0, 0.5 / reach[i] ** power, 0.0)
+            G = float(total(bonds.cloud.comm, plane_weights(bonds) @ (toughness(2.0) * pair * half)))
+            w = self.Gc / (self.share or 1.0) / G * (half + bonds.opposite.of(half))
         # A bond without stiffness stores nothing and does not fail.
         square = np.divide(2.0 * w * pair, both, out=np.full(len(both), np.inf), where=both > 0.0)
         return _Limited(np.sqrt(square), self.compression)

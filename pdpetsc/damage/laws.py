@@ -123,7 +123,7 @@ class BondDamage(Declared, ABC):
 
     @property
     def assumes_share(self) -> bool:
-        """Return whether its criterion follows from a fracture energy of which a crack is taken to take all."""
+        """Return True if its criterion has a fracture energy without a share."""
         return self.criterion.assumes_share
 
     @property

@@ -108,11 +108,6 @@ class DamageOf(Declared):
         return any(law.reads_stiffness for law in self._declared)
 
     @property
-    def assumes_share(self) -> bool:
-        """Return whether a criterion follows from a fracture energy of which a crack is taken to take all."""
-        return any(law.assumes_share for law in self._declared)
-
-    @property
     def reads_strain(self) -> bool:
         """Return whether a criterion reads the whole strain of the gradients."""
         return any(law.reads_strain for law in self._declared)

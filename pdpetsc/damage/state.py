@@ -11,8 +11,10 @@ from pdpetsc.damage.several import AssignedLaws, DamageOf
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import reached_back
 
-# Bonds this close to the one furthest past its end break with it: symmetric pairs, and both ends of one bond.
-TOGETHER = 1e-8
+# Drives that differ by less than this share are the same: those of mirror images differ by 1e-12 after a direct linear
+# solve and by 1e-8 after an iterative one, those of other bonds by 1e-5 and more. So neither the order of particles nor
+# their units decide which of several equal bonds break, or whether a bond at its final drive breaks.
+TOGETHER = 1e-7
 
 
 class FailingBonds:
@@ -43,6 +45,9 @@ class FailingBonds:
         Bonds that do not fail.
     frozen : bool
         Whether the integrity stays while the displacement changes.
+    slack : float
+        Bonds whose integrity at their present drive is above the kept one by less than this follow their drive too
+        [-]: 0 but where a tangent for further loading is wanted.
     length, middle, keys
         As of ``DrivenBonds``.
     """
@@ -69,6 +74,7 @@ class FailingBonds:
         self.integrity: Float = np.ones(len(self.length))
         self.worst: Float = np.zeros(len(self.length))
         self.frozen = False
+        self.slack = 0.0
         self.commit()
 
     @property
@@ -106,7 +112,7 @@ class FailingBonds:
         # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
         fading = np.flatnonzero((x > self._onset) & self.intact)
         present[fading] = np.maximum(laws.integrity(np.minimum(x, final)[fading], fading), 0.0)
-        follows = self.law.effect.follows(present, self.integrity) & self.intact
+        follows = self.law.effect.follows(present, self.integrity + self.slack) & self.intact
         falling = fading[follows[fading] & (x < final)[fading]]
         return np.where(follows, present, self.integrity), falling, laws.slope(x[falling], falling)
 
@@ -139,12 +145,12 @@ class FailingBonds:
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:
-        """Break bonds past their final drive, the worst first; return how many pairs (collective).
+        """Break bonds at or past their final drive, the worst first; return how many pairs (collective).
 
         Parameters
         ----------
         x : (n_bonds,) float64
-            Drives [-].
+            Drives [-]; those within ``TOGETHER`` of each other are the same.
         most : int, optional
             So many pairs at once, and those that tie with the last of them. Where absent the worst one of bonds that
             snap, because its force goes to its neighbours, and all of bonds that soften.
@@ -171,7 +177,7 @@ class FailingBonds:
         """
         most = 1 if most is None and self.laws.snaps else most
         over = np.where(self.intact, x, 0.0)
-        own = np.flatnonzero((over >= self._final) & (over > 0.0))
+        own = np.flatnonzero(over >= (1.0 - TOGETHER) * self._final)
         keys = np.concatenate(self._comm.allgather(self.keys[own]))
         values = np.concatenate(self._comm.allgather(over[own]))
         if len(keys) == 0:
@@ -182,16 +188,13 @@ class FailingBonds:
         over[bonds] = np.maximum(over[bonds], found[mine])
         return self._break_worst(np.where(self.intact, over, 0.0), most)
 
-    def _break_worst(self, over: Float, most: int | None) -> int:
-        """Break bonds of which ``over`` is past the final drive, the worst first; return how many pairs.
+    def _break_worst(self, drive: Float, most: int | None) -> int:
+        """Break bonds whose drive is at or past the final one, the worst first; return how many pairs.
 
-        Of bonds with different laws it is the drive over the final one that is compared.
+        Bonds are compared by their drive over the final one, which may differ from law to law.
         """
-        drive, least = over, self._final
-        if not isinstance(least, float):
-            over, least = over / least, 1.0
-        worst = largest(self._comm, float(over.max(initial=0.0)))
-        if worst < least or worst == 0.0:
+        over, least = drive / self._final, 1.0 - TOGETHER
+        if largest(self._comm, float(over.max(initial=0.0))) < least:
             return 0
         if most is not None:
             past = over >= least

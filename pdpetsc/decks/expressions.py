@@ -14,10 +14,16 @@ In Peridigm a sign binds more tightly than a power, so that -x^2 is the square o
 product = power {("*" | "/") power}
 power = signed ["^" power]
 signed = ("+" | "-") signed | atom
+
+There a value may also be a statement, with or without a backslash before each brace, as YAML and XML have it:
+
+statement = "if" "(" either ")" block "else" (block | statement) | ["value" "="] either [";"]
+block = "{" statement "}"
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,11 +31,13 @@ from typing import Any
 
 import numpy as np
 
+from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)"
-    r"|(?P<mark>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^()<>,&|]))"
+    r"|(?P<mark>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^()<>,&|{};=]))",
+    re.ASCII,
 )
 # Functions of decks, as numpy has them, with the number of their arguments.
 FUNCTIONS: dict[str, tuple[str, int]] = {
@@ -43,7 +51,8 @@ FUNCTIONS: dict[str, tuple[str, int]] = {
 _NOT_PERIDIGM = ("abs", "min", "max", "ifelse")
 _BINDING = {"|": 1, "&": 2, "<": 3, "<=": 3, ">": 3, ">=": 3, "==": 3, "!=": 3, "+": 4, "-": 4, "*": 5, "/": 5, "**": 7}
 _COMPARE = ("<", "<=", ">", ">=", "==", "!=")
-_DEEPEST = 60
+# Levels of brackets, and words: a chain of sums is as deep as it has terms.
+_DEEPEST, _LONGEST = 60, 400
 
 
 @dataclass(frozen=True)
@@ -118,7 +127,7 @@ def parse(text: str, where: str, allowed: set[str], logical: bool = False, negat
     Parameters
     ----------
     text : str
-        The expression; ``value = ...`` and a semicolon at the end do not matter.
+        The expression; ``value = ...`` and a semicolon at the end do not matter. In Peridigm it may be an ``if``.
     where : str
         What it is of the deck, for messages.
     allowed : set of str
@@ -133,7 +142,7 @@ def parse(text: str, where: str, allowed: set[str], logical: bool = False, negat
     CaseError
         It does not follow the grammar, has another variable or function, or is no number where one is needed.
     """
-    plain = re.sub(r"^\s*value\s*=(?!=)", "", text).strip().rstrip(";").strip()
+    plain = re.sub(r"\\([{}])", r"\1", text).strip()
     # Julia's operations on every member of a list are the same as those on one.
     plain = re.sub(r"\.(?=[*/+^-])|(?<=[a-z])\.(?=\()", " ", re.sub(r"(\d)\.(?=[*/+^-])", r"\1.0", plain))
     found = _Parser(plain, text, where, allowed, negation_first).whole()
@@ -157,13 +166,15 @@ class _Parser:
                 raise self._wrong(f"{plain[at:].strip()[:12]!r} is not understood")
             kind = str(found.lastgroup)
             self._tokens.append((kind, found[kind]))
+            if len(self._tokens) > _LONGEST:
+                raise self._wrong(f"it has more than {_LONGEST} words")
             at = found.end()
         self._at = 0
 
     def _wrong(self, why: str) -> CaseError:
         return CaseError(
-            f"{self._where} of the deck is {self._shown!r}, an expression that cannot be translated: {why}; write it "
-            f"with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(self._functions)}."
+            f"{self._where} of the deck is {shown(self._shown)}, an expression that cannot be translated: {why}; write "
+            f"it with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(self._functions)}."
         )
 
     def _next(self) -> str:
@@ -177,10 +188,42 @@ class _Parser:
         return ""
 
     def whole(self) -> Node:
-        found = self._either()
+        found = self._statement()
         if self._at < len(self._tokens):
             raise self._wrong(f"{self._next()!r} stands where nothing can")
         return found
+
+    def _statement(self) -> Node:
+        self._enter()
+        if self._negation_first and self._take("if"):
+            self._need("(")
+            condition = self._either()
+            self._need(")")
+            if not condition.logical:
+                raise self._wrong("what follows an if must be a comparison")
+            value = self._block()
+            if not self._take("else"):
+                raise self._wrong("an if needs an else")
+            other = self._statement() if self._next() == "if" else self._block()
+            found = Node("call", "ifelse", (condition, value, other))
+        else:
+            if self._next() == "value":
+                self._at += 1
+                self._need("=")
+            found = self._either()
+            self._take(";")
+        self._depth -= 1
+        return found
+
+    def _block(self) -> Node:
+        self._need("{")
+        found = self._number(self._statement())
+        self._need("}")
+        return found
+
+    def _need(self, word: str) -> None:
+        if not self._take(word):
+            raise self._wrong(f"{word!r} is missing before {self._next() or 'its end'!r}")
 
     def _enter(self) -> None:
         self._depth += 1
@@ -219,14 +262,14 @@ class _Parser:
     def _sum(self) -> Node:
         found = self._product()
         while word := self._take("+", "-"):
-            found = Node("operation", word, (self._number(found), self._number(self._product())))
+            found = self._finite(Node("operation", word, (self._number(found), self._number(self._product()))))
         return found
 
     def _product(self) -> Node:
         factor = self._power if self._negation_first else self._signed
         found = factor()
         while word := self._take("*", "/"):
-            found = Node("operation", word, (self._number(found), self._number(factor())))
+            found = self._finite(Node("operation", word, (self._number(found), self._number(factor()))))
         return found
 
     def _signed(self) -> Node:
@@ -243,9 +286,15 @@ class _Parser:
         found = self._signed() if first else self._atom()
         if self._take("^") if first else self._take("^", "**"):
             exponent = self._power() if first else self._signed()
-            found = Node("operation", "**", (self._number(found), self._number(exponent)))
+            found = self._finite(Node("operation", "**", (self._number(found), self._number(exponent))))
         self._depth -= 1
         return found
+
+    def _finite(self, node: Node) -> Node:
+        """Return a node; refuse constants that are not finite, which Python may compute without end."""
+        if node.names <= {"pi"} and not math.isfinite(node.value({})):
+            raise self._wrong("a part of it is no finite number")
+        return node
 
     def _number(self, node: Node) -> Node:
         if node.logical:
@@ -258,7 +307,8 @@ class _Parser:
         kind, word = self._tokens[self._at]
         self._at += 1
         if kind == "number":
-            return Node("number", word)
+            # Python reads no whole numbers that begin with zeros.
+            return self._finite(Node("number", word.lstrip("0") or "0" if word.isdecimal() else word))
         if kind == "name" and self._next() == "(":
             return self._call(word)
         if kind == "name":
@@ -267,8 +317,7 @@ class _Parser:
             return Node("name", word)
         if word == "(":
             found = self._either()
-            if not self._take(")"):
-                raise self._wrong("a bracket is not closed")
+            self._need(")")
             return found
         raise self._wrong(f"{word!r} stands where a number must")
 
@@ -279,10 +328,9 @@ class _Parser:
         parts = [self._either()]
         while self._take(","):
             parts.append(self._either())
-        if not self._take(")"):
-            raise self._wrong("a bracket is not closed")
+        self._need(")")
         if len(parts) != FUNCTIONS[word][1]:
             raise self._wrong(f"{word}() takes {FUNCTIONS[word][1]} numbers, not {len(parts)}")
         if any(part.logical != (word == "ifelse" and place == 0) for place, part in enumerate(parts)):
             raise self._wrong(f"{word}() has a comparison where a number must stand, or the other way round")
-        return Node("call", word, tuple(parts))
+        return self._finite(Node("call", word, tuple(parts)))

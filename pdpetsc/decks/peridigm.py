@@ -6,13 +6,17 @@ What the entries mean is Peridigm's source, version 1.5 of August 2023: ``src/ma
 from __future__ import annotations
 
 import itertools
+import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from pdpetsc.arrays import Mask
+from pdpetsc.bounds import MOST_STEPS, real_number, whole_number
 from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.free_motions import hold_free_motions
+from pdpetsc.decks.quick_grid import families_code, grid_body
 from pdpetsc.decks.script import (
     Body,
     Given,
@@ -21,11 +25,17 @@ from pdpetsc.decks.script import (
     Times,
     Where,
     cracks,
+    damage_by_block,
     elastic_constants,
+    note_ties,
+    own_influence,
     quoted,
+    reads_influence,
     refuse_same_names,
+    refuse_steps,
     refuse_unknown,
     relative,
+    single_horizon,
     tidy,
     words,
 )
@@ -54,13 +64,6 @@ _EXPANSION = "Thermal Expansion Coefficient"
 _EXPANDING = ("Elastic", "Elastic Partial Volume", "Elastic Correspondence")
 _OF_SOLVERS = ("Verbose", "Peridigm Preconditioner", "Initialize Predictor From Previous Solver", "Solver Specific")
 _OF_OUTPUT = ("Verbose", "Save Restart")
-_GRID = [
-    "def grid(origin, length, count):",
-    '    """Return the middles of the cells of a box, those along x first."""',
-    "    axes = [o + (np.arange(n) + 0.5) * size / n for o, size, n in zip(origin, length, count, strict=True)]",
-    '    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")',
-    "    return np.column_stack([x.ravel(), y.ravel(), z.ravel()])",
-]
 
 
 def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: bool) -> Script:
@@ -90,8 +93,11 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck.parent, folder)
     script = Script(deck, PROGRAM, body, times, notes)
     _blocks(script, root)
+    note_ties(script)
     if "Bond Filters" in root.section("Discretization").sections:
         found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
+        if "cracks" in script.arguments:
+            raise CaseError("The deck has bond filters, which Peridigm does not take for a PdQuickGrid.")
         script.arguments["cracks"] = f"[{', '.join(found)}]"
     if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
@@ -101,6 +107,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
         raise CaseError("The deck prescribes nothing, and a static answer needs supports and loads.")
     _outputs(script, root)
     refuse_unknown(root)
+    hold_free_motions(script)
     return script
 
 
@@ -117,7 +124,7 @@ def _body(section: Section, conditions: Section | None, beside: Path, folder: Pa
         if name in section.entries:
             section.text(name)
     if kind == "PdQuickGrid":
-        return _grid(section, sets)
+        return grid_body(section, sets)
     path = beside / section.text("Input Mesh File")
     if kind == "Exodus":
         if sets:
@@ -145,7 +152,7 @@ def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
                 called.setdefault(tidy(f"{theirs}_{found[1]}"), name)
     code = [f'particles = pd.Mesh({relative(path, folder)}, format="exodus")']
     of_nodes = {tidy(name.removesuffix(" nodes")): name for name in whole.sets if name.endswith(" nodes")}
-    return Body(code, [], whole.x, dict(whole.sets), called, of_nodes=of_nodes)
+    return Body(code, [], whole.x, dict(whole.sets), called, of_nodes=of_nodes, volume=whole.volume)
 
 
 def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: int) -> Body:
@@ -159,7 +166,7 @@ def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: 
     helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
     refuse_same_names(whole.sets)
     called = {tidy(name): name for name in whole.sets}
-    return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called)
+    return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called, volume=whole.volume)
 
 
 def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | list[int]]:
@@ -170,48 +177,10 @@ def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | l
             continue
         assert conditions is not None
         text = conditions.text(name)
-        if all(word.isdigit() for word in words(text)):
-            found[name] = [int(word) for word in words(text)]
-        else:
-            found[name] = beside / text
+        numbers = [whole_number(word) for word in words(text)]
+        found[name] = [number for number in numbers if number is not None] if None not in numbers else beside / text
     refuse_same_names(found)
     return found
-
-
-def _grid(section: Section, sets: dict[str, Path | list[int]]) -> Body:
-    section.text("NeighborhoodType", "Spherical")
-    given = section.section("TensorProduct3DMeshGenerator")
-    given.text("Type", "PdQuickGrid")
-    if "Type" in section.entries and section.text("NeighborhoodType", "Spherical") != "Spherical":
-        raise CaseError(f"{section.place} of the deck has neighbourhoods that are not spherical.")
-    origin = [given.number(f"{axis} Origin") for axis in "XYZ"]
-    length = [given.number(f"{axis} Length") for axis in "XYZ"]
-    count = [given.whole(f"Number Points {axis}") for axis in "XYZ"]
-    if min(length) <= 0.0 or min(count) < 1 or np.prod(np.array(count, dtype=float)) > 1e7:
-        raise CaseError(f"{given.place} of the deck has no cells, or more than ten million.")
-    axes = [o + (np.arange(n) + 0.5) * size / n for o, size, n in zip(origin, length, count, strict=True)]
-    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
-    places = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
-    flags: dict[str, Mask] = {"block_1": np.ones(len(places), dtype=bool)}
-    listed = ["block_1"]
-    code = [
-        f"x = grid({tuple(origin)!r}, {tuple(length)!r}, {tuple(count)!r})",
-        f"volume = {float(np.prod(np.array(length) / count))!r}",
-    ]
-    entries = ['"block_1": np.ones(len(x), dtype=bool)']
-    for name, numbers in sets.items():
-        if isinstance(numbers, Path):
-            raise CaseError(f"The deck has the node set {name!r} in a file, which a PdQuickGrid takes as numbers here.")
-        if not numbers or min(numbers) < 1 or max(numbers) > len(places):
-            raise CaseError(f"The node set {name!r} of the deck names particles outside 1 to {len(places)}.")
-        flags[name] = np.isin(np.arange(1, len(places) + 1), numbers)
-        listed.append(name)
-        entries.append(f"{quoted(name)}: np.array({numbers!r}) - 1")
-    if len(entries) == 1:
-        code.append(f"particles = pd.Arrays(x, volume, {{{entries[0]}}})")
-    else:
-        code += ["sets = {", *(f"    {entry}," for entry in entries), "}", "particles = pd.Arrays(x, volume, sets)"]
-    return Body(code, _GRID, places, flags, {tidy(name): name for name in listed})
 
 
 # --- materials
@@ -224,7 +193,8 @@ def _blocks(script: Script, root: Section) -> None:
     groups = list(root.section("Blocks").sections.values())
     # The default block is what the others leave.
     groups.sort(key=lambda group: group.text("Block Names").lower() == "default")
-    damages, controls, kinds, used = set[str](), set[str | None](), set[str](), set[str]()
+    controls, kinds, used, horizons = set[str | None](), set[str](), set[str](), list[float]()
+    damages = list[tuple[Where, str, Section]]()
     for group in groups:
         names = words(group.text("Block Names"))
         if [name.lower() for name in names] == ["default"]:
@@ -242,14 +212,17 @@ def _blocks(script: Script, root: Section) -> None:
         if not (where.mask <= left).all():
             raise CaseError(f"{group.place} of the deck has blocks that another group has too.")
         left &= ~where.mask
-        script.horizon.append((where, _horizon(group)))
+        horizon = _horizon(group)
+        horizons.append(horizon)
+        radius = _radius(script, horizon)
+        script.horizon.append((where, radius))
         name = group.text("Material")
         used.add(name)
-        code, control, kind = _material(materials.section(name), script)
+        code, control, kind = _material(materials.section(name), script, radius / horizon)
         script.material.append((where, code))
         controls.add(control)
         kinds.add(kind)
-        damages.add(group.text("Damage Model", "None"))
+        damages.append((where, group.text("Damage Model", "None"), materials.section(name)))
     if left.any():
         raise CaseError(f"The deck gives {np.count_nonzero(left)} particles no block, material and horizon.")
     for name, section in materials.sections.items():
@@ -268,8 +241,8 @@ def _blocks(script: Script, root: Section) -> None:
         if control is not None:
             script.arguments["control"] = control
         script.fields += ["pd.deformation_gradient", "pd.stress"]
-    _influence(script, root)
-    _damage(script, models, damages, kinds, [materials.section(name) for name in materials.sections if name in used])
+    _influence(script, root, horizons)
+    _damage(script, models, damages, kinds)
 
 
 def _is_block(name: str) -> bool:
@@ -283,30 +256,48 @@ def _horizon(group: Section) -> float:
     return value
 
 
-def _influence(script: Script, root: Section) -> None:
-    text = root.section("Discretization").text("Influence Function", "One")
-    if text == "One":
+def _radius(script: Script, horizon: float) -> float:
+    """Return the radius of the families of a block, and declare what else bounds them."""
+    if script.body.families is None:
+        return horizon
+    radius, box = script.body.families(horizon)
+    if box:
+        script.body.helpers += ["", "", *families_code(box)]
+        script.arguments["cracks"] = "[BeyondBox()]"
+    if radius != horizon:
+        script.body.helpers += [
+            "",
+            f"# Families are those of PdQuickGrid at the horizon {horizon!r}. The horizon here is their longest bond;",
+            "# micromoduli, which fall with its fourth power, are scaled to it.",
+        ]
+    return radius
+
+
+def _influence(script: Script, root: Section, horizons: Sequence[float]) -> None:
+    """Put the influence function into the script; ``horizons`` are those of the deck, block by block [length]."""
+    section = root.section("Discretization")
+    text = section.text("Influence Function", "One")
+    if text == "One" or not reads_influence(script, section):
         return
+    # Only families of a grid, which has one block, have another radius than their horizon.
+    widened = script.horizon[0][1] / horizons[0]
     if text == "Parabolic Decay":
-        code = "influence"
-        body = "np.where(s < 0.5, 1.0, 4.0 * s * (1.0 - s))"
+        own_influence(script, "np.where(z < 0.5, 1.0, np.maximum(4.0 * z * (1.0 - z), 0.0))", "z", widened)
     elif text == "Gaussian":
-        script.arguments["influence"] = "pd.influence.Gaussian(0.4)"
-        return
+        script.arguments["influence"] = f"pd.influence.Gaussian({0.4 / widened!r})"
     else:
-        raise CaseError(f"The influence function {text!r} of the deck has no counterpart; take One, Gaussian or "
-                        f"Parabolic Decay.")  # fmt: skip
-    script.arguments["influence"] = f"Own{code.capitalize()}()"
-    script.body.helpers += [
-        *([""] * 2 if script.body.helpers else []),
-        "class OwnInfluence(pd.influence.Influence):", f'    """{text} of Peridigm."""', "",
-        "    def __call__(self, s):", '        """Return the influence of bonds of length s horizons."""',
-        f"        return {body}",
-    ]  # fmt: skip
+        place = section.entries["Influence Function"].place
+        horizon = single_horizon(set(horizons), place)
+        node = parse(text, place, {"zeta", "horizon"}, negation_first=True)
+        body = node.python({"zeta": "zeta", "horizon": repr(horizon), "pi": "np.pi"})
+        own_influence(script, body, "zeta", script.horizon[0][1])
 
 
-def _material(section: Section, script: Script) -> tuple[str, str | None, str]:
-    """Return the material as code, its control, and whether it has gradients or bonds."""
+def _material(section: Section, script: Script, widened: float) -> tuple[str, str | None, str]:
+    """Return the material as code, its control, and whether it has gradients or bonds.
+
+    ``widened`` is the radius of families over the horizon of the deck: micromoduli fall with its fourth power [-].
+    """
     model = section.text("Material Model")
     script.notes.leave_out(
         section, *_OF_MOTION, "Compute Partial Stress", "Apply Automatic Differentiation Jacobian", "Verbose"
@@ -320,14 +311,14 @@ def _material(section: Section, script: Script) -> tuple[str, str | None, str]:
     if of_gradients:
         coefficient = section.number("Hourglass Coefficient")
         if coefficient != 0.0:
-            control = f'pd.Littlewood({coefficient!r}, micromodulus="ball")'
+            control = f'pd.Littlewood({coefficient * widened**4!r}, micromodulus="ball")'
             script.notes.differs(
                 "Hourglass forces act along the reference direction of a bond and derive from an energy; those of "
                 "Peridigm act along its present direction on its two ends alone."
             )
     elif "Hourglass Coefficient" in section.entries:
         script.notes.leave_out(section, "Hourglass Coefficient")
-    found = _law(model, section, script)
+    found = _law(model, section, script, widened)
     if found is None:
         raise CaseError(
             f"{section.entries['Material Model'].place} of the deck is {model!r}, which has no counterpart here; known "
@@ -352,12 +343,12 @@ def _material(section: Section, script: Script) -> tuple[str, str | None, str]:
     return found, control, "gradients" if of_gradients else "bonds"
 
 
-def _law(model: str, section: Section, script: Script) -> str | None:
+def _law(model: str, section: Section, script: Script, widened: float) -> str | None:
     if model == "Elastic Bond Based":
         # 18 K / (pi horizon^4), with Poisson's ratio 1/4.
         modulus = "Young's Modulus" in section.entries
         E = section.number("Young's Modulus") if modulus else 1.5 * section.number("Bulk Modulus")
-        return f'pd.BondBased(E={E!r}, kinematics="finite")'
+        return f'pd.BondBased(E={E * widened**4!r}, kinematics="finite")'
     if model not in (
         "Elastic", "Linear LPS Partial Volume", "Elastic Partial Volume", "Elastic Correspondence",
         "Elastic Plastic Correspondence", "Isotropic Hardening Correspondence",
@@ -392,34 +383,34 @@ def _refuse_other_expansion(damage: Section, materials: list[Section]) -> None:
             )
 
 
-def _damage(script: Script, models: Section | None, names: set[str], kinds: set[str],
-            materials: list[Section]) -> None:  # fmt: skip
+def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str, Section]],
+            kinds: set[str]) -> None:  # fmt: skip
+    """Put the damage of blocks into the script; each has its particles, the name of its model and its material."""
+    names = {name for _, name, _ in blocks}
     if models is not None:
         for name, section in models.sections.items():
             if name not in names:
                 script.notes.leave_out_all(section)
-    if names == {"None"}:
-        return
-    if len(names) > 1:
-        raise CaseError("The deck has damage in some of its blocks, or different ones; Peridigm then breaks bonds from "
-                        "one end alone, which has no counterpart here.")  # fmt: skip
-    name = names.pop()
-    if models is None:
-        raise CaseError(f"The deck names the damage model {name!r} and has none.")
-    section = models.section(name)
-    model = section.text("Damage Model")
-    if model != "Critical Stretch" or kinds != {"bonds"}:
-        raise CaseError(
-            f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of "
-            f"materials that are no correspondence materials."
+
+    def law(name: str) -> str:
+        if models is None:
+            raise CaseError(f"The deck names the damage model {name!r} and has none.")
+        section = models.section(name)
+        model = section.text("Damage Model")
+        if model != "Critical Stretch" or kinds != {"bonds"}:
+            raise CaseError(
+                f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of "
+                f"materials that are not correspondence materials."
+            )
+        critical = section.number("Critical Stretch")
+        _refuse_other_expansion(section, [material for _, own, material in blocks if own == name])
+        script.notes.differs(
+            "Bonds break one after another with equilibrium between them; Peridigm breaks once in a step all that are "
+            "too long."
         )
-    critical = section.number("Critical Stretch")
-    _refuse_other_expansion(section, materials)
-    script.arguments["damage"] = f"pd.Brittle(pd.ConstantCritical({critical!r}))"
-    script.notes.differs(
-        "Bonds break one after another with equilibrium between them; Peridigm breaks once in a step all that are too "
-        "long."
-    )
+        return f"pd.Brittle(pd.ConstantCritical({critical!r}))"
+
+    damage_by_block(script, [(where, "" if name == "None" else name) for where, name, _ in blocks], law)
 
 
 # --- conditions
@@ -478,8 +469,8 @@ def _times(solvers: list[Section], notes: Notes, static: bool) -> Times:
                 f"{solver.place} of the deck begins at {own[0]:g}, and the solver before ends at {values[-1]:g}."
             )
         values += own[1:] if values else own
-    if len(values) > 10_000 or any(b <= a for a, b in itertools.pairwise(values)):
-        raise CaseError("The times of the deck do not ascend, or there are more than ten thousand.")
+    if len(values) > MOST_STEPS + 1 or any(b <= a for a, b in itertools.pairwise(values)):
+        raise CaseError(f"The times of the deck do not ascend, or there are more than {MOST_STEPS} load steps.")
     return Times(values)
 
 
@@ -500,18 +491,16 @@ def _times_of(solver: Section, notes: Notes, static: bool) -> list[float]:
         )
     notes.leave_out(section, *_TUNING)
     if "Time Steps" in section.entries:
-        try:
-            times = [float(word) for word in words(section.text("Time Steps"))]
-        except ValueError:
-            raise CaseError(f"{section.entries['Time Steps'].place} of the deck are no times.") from None
+        times = [number for number in map(real_number, words(section.text("Time Steps"))) if number is not None]
+        if len(times) < len(words(section.text("Time Steps"))) or not all(map(math.isfinite, times)):
+            raise CaseError(f"{section.entries['Time Steps'].place} of the deck are not times.")
         notes.leave_out(solver, "Initial Time", "Final Time")
         if len(times) < 2:
             raise CaseError(f"{section.entries['Time Steps'].place} of the deck are less than two times.")
         return times
-    first, last = solver.number("Initial Time"), solver.number("Final Time")
+    first, last = solver.number("Initial Time", 0.0), solver.number("Final Time")
     count = section.whole("Number of Load Steps")
-    if count < 1 or not last > first:
-        raise CaseError(f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}.")
+    refuse_steps(solver, count, first, last)
     return [first + (last - first) * n / count for n in range(count)] + [last]
 
 
@@ -521,7 +510,7 @@ def _times_in_time(solver: Section, section: Section, notes: Notes, static: bool
             f"{section.place} of the deck is a solver in time, and this program finds static equilibrium; give "
             f"--static to solve the deck statically up to its final time."
         )
-    first, last = solver.number("Initial Time"), solver.number("Final Time")
+    first, last = solver.number("Initial Time", 0.0), solver.number("Final Time", 1.0)
     for entry in section.leaves():
         entry.used = True
     notes.differs(

@@ -6,13 +6,16 @@ What the entries mean is PeriLab's source of August 2026: ``src/Models``, ``src/
 from __future__ import annotations
 
 import itertools
-import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pdpetsc.arrays import Mask
+from pdpetsc.bounds import MOST_STEPS, whole_number
 from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.free_motions import hold_free_motions
 from pdpetsc.decks.peridigm import STATIC_STEPS, history, text_body
 from pdpetsc.decks.script import (
     Body,
@@ -22,9 +25,15 @@ from pdpetsc.decks.script import (
     Times,
     Where,
     cracks,
+    damage_by_block,
     elastic_constants,
+    note_ties,
+    own_influence,
+    reads_influence,
     refuse_same_names,
+    refuse_steps,
     refuse_unknown,
+    single_horizon,
     tidy,
     words,
 )
@@ -63,6 +72,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
         if name in root.sections:
             raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
     warm = _blocks(script, root, linear, on)
+    note_ties(script)
     if "Bond Filters" in root.section("Discretization").sections:
         found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
         script.arguments["cracks"] = f"[{', '.join(found)}]"
@@ -80,6 +90,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
             notes.leave_out_all(one)
     notes.leave_out(root, "Outputs")
     refuse_unknown(root)
+    hold_free_motions(script)
     return script
 
 
@@ -125,11 +136,8 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
         text = given.text(name)
         if text.endswith(".txt"):
             files[name] = beside / text
-        elif re.fullmatch(r"\d+\s*:\s*\d+", text):
-            first, last = (int(word) for word in text.split(":"))
-            files[name] = list(range(first, last + 1))
-        elif all(word.isdigit() for word in words(text)):
-            files[name] = [int(word) for word in words(text)]
+        elif (numbers := _numbers(given.entries[name].place, text, len(places))) is not None:
+            files[name] = numbers
         elif text == "All":
             regions[name], chosen[name] = "pd.region.All()", np.ones(len(places), dtype=bool)
         else:
@@ -143,7 +151,18 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
     refuse_same_names([*body.sets, *chosen])
     sets = {**body.sets, **chosen}
     called = {**body.called, **{tidy(name): name for name in chosen}}
-    return Body(body.code, body.helpers, body.x, sets, called, regions)
+    return replace(body, sets=sets, called=called, regions=regions)
+
+
+def _numbers(place: str, text: str, count: int) -> list[int] | None:
+    """Return the particle numbers that a text lists or bounds, as ``1:5``, None if it has other words."""
+    bounds = [whole_number(word.strip()) for word in text.split(":")]
+    if len(bounds) == 2 and bounds[0] is not None and bounds[1] is not None:
+        if not 1 <= bounds[0] <= bounds[1] <= count:
+            raise CaseError(f"{place} of the deck is {text!r}, not numbers of particles from 1 to {count}.")
+        return list(range(bounds[0], bounds[1] + 1))
+    numbers = [whole_number(word) for word in words(text)]
+    return None if None in numbers else [number for number in numbers if number is not None]
 
 
 # --- materials
@@ -165,7 +184,8 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
     materials = models.section("Material Models")
     thermals, damages = models.sections.get("Thermal Models"), models.sections.get("Damage Models")
     left = np.ones(len(script.body.x), dtype=bool)
-    controls, kinds, broken, used = set[str | None](), set[str](), set[str](), set[str]()
+    controls, kinds, used = set[str | None](), set[str](), set[str]()
+    broken = list[tuple[Where, str]]()
     for block in root.section("Blocks").sections.values():
         number = block.whole("Block ID")
         if tidy(f"block_{number}") not in script.body.called:
@@ -195,12 +215,12 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
         kinds.add(kind)
         used.add(name)
         damage = block.text("Damage Model", "")
-        broken.add(damage if on["Damage Models"] else "")
+        broken.append((where, damage if on["Damage Models"] else ""))
     if left.any():
         raise CaseError(f"The deck gives {np.count_nonzero(left)} particles no block.")
     for held in (materials, thermals, damages):
         for name, section in held.sections.items() if held is not None else ():
-            if name not in used and (held is not damages or name not in broken):
+            if name not in used and (held is not damages or name not in {model for _, model in broken}):
                 script.notes.leave_out_all(section)
     if len(kinds) > 1 or len(controls) > 1:
         raise CaseError("The deck mixes correspondence and other materials, or blocks with and without zero-energy "
@@ -270,6 +290,11 @@ def _material(section: Section, script: Script, linear: bool) -> tuple[str, str 
         if section.text("Zero Energy Control") != "Global":
             raise CaseError(f"{section.entries['Zero Energy Control'].place} of the deck {_NO_PART}; known is Global.")
         control = 'pd.Wan(contraction="stress")'
+    if script.body.dim == 3:
+        script.notes.differs(
+            "Shear stress is 2 G times the tensor strain; PeriLab of August 2026 takes 4 G in solids of Correspondence "
+            "Elastic, whose stiffness of 2 G it multiplies by the engineering strain."
+        )
     if linear or section.flag("Linear Strain"):
         return f"pd.LinearElastic(E={E!r}, nu={nu!r}{plane})", control, "gradients"
     script.notes.differs(
@@ -326,53 +351,44 @@ def _thermal(section: Section, code: str, kind: str, script: Script) -> str:
 
 def _influence(script: Script, section: Section) -> None:
     text = section.text("Influence Function", "1")
-    if text == "1":
+    if text == "1" or not reads_influence(script, section):
         return
+    place = section.entries["Influence Function"].place
     if "control" in script.arguments:
-        raise CaseError(
-            f"{section.entries['Influence Function'].place} of the deck: zero-energy control with an influence "
-            f"function {_NO_PART}."
-        )
-    node = parse(text, section.entries["Influence Function"].place, {"xi"})
-    lengths = {length for _, length in script.horizon}
-    if len(lengths) > 1:
-        raise CaseError(f"{section.entries['Influence Function'].place} of the deck: an influence of the length of "
-                        f"bonds needs one horizon here.")  # fmt: skip
-    script.arguments["influence"] = "OwnInfluence()"
-    script.body.helpers += [
-        *([""] * 2 if script.body.helpers else []),
-        "class OwnInfluence(pd.influence.Influence):", '    """That of the deck, of the length of a bond."""', "",
-        "    def __call__(self, s):", '        """Return the influence of bonds of length s horizons."""',
-        f"        xi = {lengths.pop()!r} * s",
-        f"        return {node.python({'xi': 'xi', 'pi': 'np.pi'})} + 0.0 * xi",
-    ]  # fmt: skip
+        raise CaseError(f"{place} of the deck: zero-energy control with an influence function {_NO_PART}.")
+    node = parse(text, place, {"xi"})
+    horizon = single_horizon({length for _, length in script.horizon}, place)
+    own_influence(script, node.python({"xi": "xi", "pi": "np.pi"}), "xi", horizon)
 
 
-def _damage(script: Script, models: Section | None, names: set[str], kinds: set[str]) -> None:
-    if names == {""}:
-        return
-    if len(names) > 1 or models is None:
-        raise CaseError("The deck has damage in some of its blocks, or different ones, which has no counterpart here.")
-    section = models.section(names.pop())
-    model = section.text("Damage Model")
-    if model != "Critical Stretch" or kinds != {"bonds"}:
-        raise CaseError(
-            f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of PD Solid "
-            f"Elastic and Bond-based Elastic."
-        )
-    if section.flag("Only Tension", True) is False:
-        raise CaseError(f"{section.entries['Only Tension'].place} of the deck: damage by compression {_NO_PART}.")
-    critical = section.number("Critical Value")
-    if any("pd.LinearSolid(" in code for _, code in script.material):
+def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str]], kinds: set[str]) -> None:
+    """Put the damage of blocks into the script; each has its particles and the name of its model."""
+
+    def law(name: str) -> str:
+        if models is None:
+            raise CaseError(f"The deck names the damage model {name!r} and has none.")
+        section = models.section(name)
+        model = section.text("Damage Model")
+        if model != "Critical Stretch" or kinds != {"bonds"}:
+            raise CaseError(
+                f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of PD "
+                f"Solid Elastic and Bond-based Elastic."
+            )
+        if section.flag("Only Tension", True) is False:
+            raise CaseError(f"{section.entries['Only Tension'].place} of the deck: damage by compression {_NO_PART}.")
+        critical = section.number("Critical Value")
+        if any("pd.LinearSolid(" in code for _, code in script.material):
+            script.notes.differs(
+                "Broken bonds still count in the weighted volume of PD Solid Elastic; in PeriLab only those that hold "
+                "do, so that the forces of particles that have lost some of their bonds are larger there."
+            )
         script.notes.differs(
-            "Broken bonds still count in the weighted volume of PD Solid Elastic; in PeriLab only those that hold do, "
-            "so that the forces of particles that have lost some of their bonds are larger there."
+            "Bonds break one after another with equilibrium between them; PeriLab breaks once in a step all that are "
+            "too long."
         )
-    script.arguments["damage"] = f"pd.Brittle(pd.ConstantCritical({critical!r}))"
-    script.notes.differs(
-        "Bonds break one after another with equilibrium between them; PeriLab breaks once in a step all that are too "
-        "long."
-    )
+        return f"pd.Brittle(pd.ConstantCritical({critical!r}))"
+
+    damage_by_block(script, blocks, law)
 
 
 # --- conditions
@@ -445,11 +461,10 @@ def _times(solver: Section, notes: Notes, static: bool) -> tuple[bool, Times]:
         dt = section.number("Fixed dt", 0.0) if kinds[0] == "Static" else 0.0
         if dt > 0.0:
             # Rounded, half to even: the last step may end before or after the final time.
-            count = round((last - first) / dt)
+            count = round(min(max((last - first) / dt, 0.0), 2.0 * MOST_STEPS))
             last = first + count * dt
         notes.leave_out(section, *_TUNING)
     for name in ("Calculation", "Calculate Cauchy", "Calculate von Mises stress", "Calculate Strain"):
         notes.leave_out(solver, name)
-    if count < 1 or not last > first:
-        raise CaseError(f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}.")
+    refuse_steps(solver, count, first, last)
     return kinds[0] == _LINEAR, Times([first + (last - first) * n / count for n in range(count)] + [last])

@@ -6,13 +6,15 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.bounds import MOST_STEPS
 from pdpetsc.decks.expressions import Node
 from pdpetsc.decks.sections import Entry, Section
 from pdpetsc.errors import CaseError
@@ -21,6 +23,8 @@ from pdpetsc.errors import CaseError
 _WIDTH = 116
 # An edge of a crack is this wide, as a share of its size.
 _EDGE = 1e-9
+# Lengths that differ by less than this share are the same within rounding.
+_TIE = 1e-9
 _COORDINATES = {"x": "x[:, 0]", "y": "x[:, 1]", "z": "x[:, 2]", "pi": "np.pi"}
 
 
@@ -91,6 +95,11 @@ class Body:
         Code of the sets that are no sets of the particles.
     of_nodes : mapping of str to str
         As ``called``, for node sets whose name a block has too.
+    families : callable, optional
+        The radius of families and the half sizes of the box that cuts them at a horizon of the deck [length], if
+        families are not all particles within the horizon.
+    volume : (n,) float64
+        Volumes of the particles [length^3].
     """
 
     code: list[str]
@@ -100,6 +109,8 @@ class Body:
     called: Mapping[str, str]
     regions: Mapping[str, str] = field(default_factory=dict)
     of_nodes: Mapping[str, str] = field(default_factory=dict)
+    families: Callable[[float], tuple[float, tuple[float, ...]]] | None = None
+    volume: Float = field(default_factory=lambda: np.zeros(0))
 
     @property
     def dim(self) -> int:
@@ -119,7 +130,7 @@ class Body:
 
 def quoted(text: str) -> str:
     """Return a text as Python has it between double quotes."""
-    return json.dumps(text)
+    return json.dumps(text, ensure_ascii=False)
 
 
 def tidy(name: str) -> str:
@@ -261,7 +272,8 @@ class Script:
         imports = ["from pathlib import Path", ""] if "FOLDER" in code else []
         imports += ["import numpy as np", ""] if "np." in code else []
         folder = ["", "FOLDER = Path(__file__).resolve().parent"] if "FOLDER" in code else []
-        top = "\n".join([self._head(), "", *imports, "import pdpetsc as pd", *folder])
+        crack = ["from pdpetsc.declare.cracks import Crack"] if "(Crack)" in code else []
+        top = "\n".join([self._head(), "", *imports, "import pdpetsc as pd", *crack, *folder])
         return f"{top}\n{code}\n{self._tail()}"
 
     def _head(self) -> str:
@@ -316,9 +328,9 @@ class Script:
             # The deck jumps to a value that does not change; a number of a case would grow with the step time.
             hold = "" if value == 0.0 and given.kind != "Temperature" else ", schedule=pd.Hold()"
             return [comment, f"pd.{given.kind}({given.where.code}, {component}{value!r}{hold}),"]
-        values = _table(given, self.body, self.times.values)
+        values = table_of(given, self.body, self.times.values)
         code = given.value.python({**_COORDINATES, "t": self.times.code})
-        if given.since is not None and "t" in names and _table(given, self.body, [given.since]).any():
+        if given.since is not None and "t" in names and table_of(given, self.body, [given.since]).any():
             if given.kind == "Displacement":
                 _refuse_rests(given, values, self.times)
             # In brackets, since a negative number before a power would lose its sign.
@@ -368,7 +380,7 @@ def _values(given: Given, body: Body, t: float) -> list[float]:
     return found
 
 
-def _table(given: Given, body: Body, times: Sequence[float]) -> Float:
+def table_of(given: Given, body: Body, times: Sequence[float]) -> Float:
     """Return what a condition is at times of the deck and at each of its particles (n_times, n).
 
     Raises
@@ -520,6 +532,105 @@ def _point(point: Float) -> str:
     return f"({', '.join(repr(float(value)) for value in point)})"
 
 
+def note_ties(script: Script) -> None:
+    """Note bonds that are as long as the horizon within rounding, which families of a grid of the deck have not."""
+    if script.body.families is not None:
+        return
+    every, count = cKDTree(script.body.x), 0
+    for where, length in script.horizon:
+        own = cKDTree(script.body.x[where.mask])
+        shorter, longer = own.count_neighbors(every, np.array([1.0 - _TIE, 1.0 + _TIE]) * length)
+        count += int(longer - shorter)
+    if count:
+        script.notes.differs(
+            f"{count} bonds are as long as the horizon within rounding, from one end or both: all of them count here, "
+            f"and in {script.program} rounding decides."
+        )
+
+
+def reads_influence(script: Script, section: Section) -> bool:
+    """Return True if the materials read the influence function of the deck, and note it as left out otherwise.
+
+    Raises
+    ------
+    CaseError
+        Some of the materials read it and others do not.
+    """
+    without = {"pd.BondBased(" in code for _, code in script.material}
+    place = section.entries["Influence Function"].place
+    if len(without) > 1:
+        raise CaseError(
+            f"{place} of the deck is read by some materials and not by the bond-based ones of {script.program}; make a "
+            f"deck of each."
+        )
+    if without == {True}:
+        script.notes.leave_out(section, "Influence Function")
+        section.entries["Influence Function"].used = True
+        script.notes.differs(f"{place} has no effect: the bond-based material of {script.program} does not read it.")
+    return without == {False}
+
+
+def single_horizon(horizons: set[float], place: str) -> float:
+    """Return the horizon of a deck; raises CaseError if it has several."""
+    if len(horizons) > 1:
+        raise CaseError(f"{place} of the deck: an influence of the length of bonds needs one horizon here.")
+    return next(iter(horizons))
+
+
+def own_influence(script: Script, body: str, length: str, scale: float) -> None:
+    """Put an influence function into the script: Python of a length, which is ``scale`` times bond over horizon."""
+    script.arguments["influence"] = "OwnInfluence()"
+    script.body.helpers += [
+        *([""] * 2 if script.body.helpers else []),
+        "class OwnInfluence(pd.influence.Influence):", '    """That of the deck, of the length of a bond."""', "",
+        "    def __call__(self, s):", '        """Return the influence of bonds of length s horizons."""',
+        f"        {length} = {scale!r} * s",
+        f"        return {body} + 0.0 * {length}",
+    ]  # fmt: skip
+
+
+def damage_by_block(script: Script, blocks: Sequence[tuple[Where, str]], law: Callable[[str], str]) -> None:
+    """Put the damage of blocks into the script.
+
+    Parameters
+    ----------
+    script : Script
+        Where to, with the horizons of the blocks.
+    blocks : sequence of (Where, str)
+        The particles of each block and the name of its damage model; empty for a block without one.
+    law : callable
+        The model of a name as code.
+
+    Raises
+    ------
+    CaseError
+        Blocks of different models share bonds: the program of the deck breaks them from one end alone.
+    """
+    parts: dict[str, Where] = {}
+    for where, name in blocks:
+        parts[name] = parts[name] | where if name in parts else where
+    laws = {name: law(name) if name else "None" for name in parts}
+    if len(parts) == 1:
+        if "" not in parts:
+            script.arguments["damage"] = laws.popitem()[1]
+        return
+    reach = max(length for _, length in script.horizon) * (1.0 + _TIE)
+    for (one, here), (other, there) in itertools.combinations(parts.items(), 2):
+        shared = cKDTree(script.body.x[here.mask]).count_neighbors(cKDTree(script.body.x[there.mask]), reach)
+        if shared:
+            raise CaseError(
+                f"The deck has bonds between blocks with the damage model {one or 'None'} and blocks with "
+                f"{other or 'None'}; {script.program} breaks them from one end alone, which has no counterpart here: "
+                f"give these blocks one model."
+            )
+    regions = [f"    {quoted(name or 'None')}: {where.code}," for name, where in parts.items()]
+    codes = [f"    {quoted(name or 'None')}: {code}," for name, code in laws.items()]
+    script.arguments["damage"] = "\n".join(
+        ["pd.DamageOf(", "    {", *(f"    {line}" for line in regions), "    },", "    {",
+         *(f"    {line}" for line in codes), "    },", ")"]
+    )  # fmt: skip
+
+
 def elastic_constants(section: Section) -> tuple[float, float]:
     """Return Young's modulus and Poisson's ratio from two of the constants of a material.
 
@@ -555,6 +666,15 @@ def elastic_constants(section: Section) -> tuple[float, float]:
     if not (found[0] > 0.0 and -1.0 < found[1] < 0.5):
         raise CaseError(f"{section.place} of the deck has E = {found[0]:g} and nu = {found[1]:g}, as no material has.")
     return found
+
+
+def refuse_steps(solver: Section, count: int, first: float, last: float) -> None:
+    """Raise CaseError unless a solver has load steps, not too many, between times that ascend."""
+    if not 1 <= count <= MOST_STEPS or not last > first:
+        raise CaseError(
+            f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}; it needs 1 to {MOST_STEPS} of "
+            f"them, and times that ascend."
+        )
 
 
 def refuse_unknown(root: Section) -> None:

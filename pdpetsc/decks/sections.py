@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+from pdpetsc.bounds import DEEPEST, LONGEST_DECK, MOST_ENTRIES, real_number, text_in
 from pdpetsc.errors import CaseError
 
 # Words for yes and no.
@@ -87,11 +89,8 @@ class Section:
         if name not in self.entries and default is not None:
             return default
         text = self.text(name)
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        value = real_number(text)
+        if value is None or not math.isfinite(value):
             raise CaseError(f"{self.entries[name].place} of the deck is {text!r}, not a number.")
         return value
 
@@ -152,12 +151,7 @@ def read(path: Path) -> Section:
     CaseError
         The file is missing, is neither, or needs a package that is not there.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise CaseError(f"Cannot read the deck {path}: {error.strerror or error}.") from None
-    except ValueError:
-        raise CaseError(f"Cannot read the deck {path}: it is not text.") from None
+    text = text_in(path, "deck", LONGEST_DECK, "utf-8-sig")
     root = _read_xml(path, text) if text.lstrip().startswith("<") else _read_yaml(path, text)
     if not (root.entries or root.sections):
         raise CaseError(f"The deck {path} is empty.")
@@ -170,33 +164,66 @@ def _read_yaml(path: Path, text: str) -> Section:
     except ImportError:
         raise CaseError("Reading decks in YAML needs PyYAML; install pdpetsc[decks].") from None
     try:
+        # Peridigm's parser takes a backslash before a brace for the brace; YAML has no such escape.
+        text = re.sub(r"\\([{}])", r"\1", text)
         # Nodes alone: nothing of the deck is made into objects.
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = yaml.compose(text, Loader=_bounded(path, yaml))
         if not isinstance(node, yaml.MappingNode):
             raise CaseError(f"The deck {path} is no list of names and values.")
-        return _of_yaml(path, node, "", yaml, 0)
+        return _of_yaml(path, node, "", yaml)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
-        raise CaseError(f"Cannot read the deck {path}{where}: {getattr(error, 'problem', None) or error}.") from None
-    except RecursionError:
-        raise CaseError(f"Cannot read the deck {path}: it is nested too deeply.") from None
+        why = " ".join(str(getattr(error, "problem", None) or error).split()).rstrip(".")
+        raise CaseError(f"Cannot read the deck {path}{where}: {why}.") from None
 
 
-def _of_yaml(path: Path, node: Any, at: str, yaml: Any, depth: int) -> Section:
-    if depth > 50:
-        raise CaseError(f"Cannot read the deck {path}: it is nested too deeply.")
+def _too_deep(path: Path) -> CaseError:
+    return CaseError(f"Cannot read the deck {path}: it is nested more than {DEEPEST} deep.")
+
+
+def _too_many(path: Path) -> CaseError:
+    return CaseError(f"Cannot read the deck {path}: it has more than {MOST_ENTRIES} entries.")
+
+
+def _bounded(path: Path, yaml: Any) -> Any:
+    """Return a loader of YAML that raises CaseError if a deck is nested too deeply, has too many entries or an alias.
+
+    Aliases of aliases stand for more entries than any deck has, and an alias may be in what it stands for.
+    """
+
+    class Bounded(yaml.SafeLoader):  # type: ignore[misc]
+        depth = count = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                line = self.peek_event().start_mark.line + 1
+                raise CaseError(f"The deck {path} has an alias in line {line}; write out what it stands for.")
+            self.depth, self.count = self.depth + 1, self.count + 1
+            if self.depth > DEEPEST:
+                raise _too_deep(path)
+            # Names and values are nodes of their own.
+            if self.count > 2 * MOST_ENTRIES:
+                raise _too_many(path)
+            node = super().compose_node(parent, index)
+            self.depth -= 1
+            return node
+
+    return Bounded
+
+
+def _of_yaml(path: Path, node: Any, at: str, yaml: Any) -> Section:
     section = Section(at, node.start_mark.line + 1)
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
             raise CaseError(f"Line {line} of the deck {path} has a name that is no word.")
-        name = str(key.value).strip()
+        name = "".join(c if c.isprintable() else " " for c in str(key.value)).strip()
         here = f"{at}/{name}" if at else name
         if name in section:
             raise CaseError(f"The deck {path} has {here} twice, the second time in line {line}.")
         if isinstance(value, yaml.MappingNode):
-            section.sections[name] = _of_yaml(path, value, here, yaml, depth + 1)
+            section.sections[name] = _of_yaml(path, value, here, yaml)
             section.sections[name].line = line
         elif isinstance(value, yaml.ScalarNode):
             section.entries[name] = Entry(here, line, str(value.value).strip())
@@ -212,11 +239,17 @@ def _read_xml(path: Path, text: str) -> Section:
     """Return a Teuchos parameter list: ``ParameterList`` elements with ``Parameter name= type= value=``."""
     root: Section | None = None
     stack: list[Section] = []
+    count = 0
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal root
-        line = parser.CurrentLineNumber
+        nonlocal count
+        line, count = parser.CurrentLineNumber, count + 1
+        if len(stack) > DEEPEST:
+            raise _too_deep(path)
+        if count > MOST_ENTRIES:
+            raise _too_many(path)
         name = attributes.get("name", "").strip()
         if tag not in ("ParameterList", "Parameter"):
             raise CaseError(f"Line {line} of the deck {path} has <{tag}>; parameter lists have Parameter alone.")

@@ -27,6 +27,8 @@ _NO_CELLS = ("MASS", "ROTARYI", "SPRING", "DASHPOT", "CONN", "DCOUP", "GAP")
 _REFUSED = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"}
 # Largest depth of files that include files.
 _DEPTH = 8
+# Most files of a deck, and members of a set as its lines name them.
+_FILES, _MEMBERS = 1000, 10**7
 
 
 @dataclass
@@ -158,10 +160,21 @@ def _keyword(text: str, lines: Iterator[str]) -> tuple[str, dict[str, str]]:
     return " ".join(first.upper().split()), {" ".join(name.upper().split()): value.strip() for name, _, value in pairs}
 
 
-def files(path: Path, depth: int = 0) -> list[Path]:
-    """Return a deck and the files that it includes, and those that these include."""
+def files(path: Path) -> list[Path]:
+    """Return a deck and the files that it includes, and those that these include, each once."""
     found = [path]
-    if depth > _DEPTH or not path.is_file():
+    # Grows while it is read.
+    for one in found:
+        found += [file for file in dict.fromkeys(_included(one)) if file not in found]
+        if len(found) > _FILES:
+            break
+    return found
+
+
+def _included(path: Path) -> list[Path]:
+    """Return the files that a file includes; none if there is no such file."""
+    found = list[Path]()
+    if not path.is_file():
         return found
     with path.open(errors="replace") as file:
         lines = iter(file)
@@ -170,7 +183,7 @@ def files(path: Path, depth: int = 0) -> list[Path]:
             if text.startswith("*") and not text.startswith("**"):
                 keyword, options = _keyword(text, lines)
                 if keyword == "INCLUDE" and options.get("INPUT"):
-                    found += files(path.parent / _option(options, "INPUT", keyword), depth + 1)
+                    found.append(path.parent / _option(options, "INPUT", keyword))
     return found
 
 
@@ -272,10 +285,18 @@ def _members(sets: dict[str, list[int]], data: list[list[str]], generate: bool) 
             if step < 1 or last < first or last - first > 10**7:
                 raise CaseError(f"a set generates from {first} to {last} by {step}")
             members += range(first, last + 1, step)
+            _refuse_many(members)
             continue
         for word in given:
-            members += _named(sets, word) if not _is_whole(word) else [int(word)]
+            members += _named(sets, word) if not _is_whole(word) else [_whole(word, "a member")]
+            # Sets of sets may double with every line.
+            _refuse_many(members)
     return members
+
+
+def _refuse_many(members: list[int]) -> None:
+    if len(members) > _MEMBERS:
+        raise CaseError(f"a set has more than {_MEMBERS} members")
 
 
 def _is_whole(word: str) -> bool:
@@ -316,7 +337,7 @@ def _surface(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> Non
     for words in data:
         sets = deck.element_sets if kind == "ELEMENT" else deck.node_sets
         word = words[0].rpartition(".")[2]
-        members = [int(word)] if _is_whole(word) else _named(sets, words[0])
+        members = [_whole(word, "a member")] if _is_whole(word) else _named(sets, words[0])
         if kind == "NODE":
             deck.node_sets.setdefault(name, []).extend(members)
         else:

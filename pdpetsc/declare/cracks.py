@@ -189,7 +189,10 @@ def crack_of(record: Mapping[str, Any]) -> Crack | None:
     """Return the crack of a record, None where it is of a user's class."""
     given = {name: value for name, value in record.items() if name != "kind"}
     kind = SHIPPED.get(str(record.get("kind")))
-    return kind(**given) if kind is not None and given else None
+    try:
+        return kind(**given) if kind is not None and given else None
+    except (TypeError, ValueError) as error:
+        raise CaseError(f"A run has left a crack that cannot be read: {error}.") from None
 
 
 def _crossing(

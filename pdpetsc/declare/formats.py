@@ -42,6 +42,8 @@ def files_of(path: Path, name: str | None) -> list[Path]:
     endings = {word: endings for word, (endings, _) in FORMATS.items()}
     of = {word for word in endings if (word == name if name is not None else path.suffix.lower() in endings[word])}
     try:
+        if not path.is_file():
+            return [path]
         if "abaqus" in of:
             return abaqus.files(path)
         if "xdmf" in of:

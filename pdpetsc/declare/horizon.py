@@ -105,7 +105,7 @@ def horizons_of(horizon: AnyHorizon, chunk: Chunk, first: int, count: int, thick
             raise CaseError(f"The case has {count} particles and an array of {len(horizon)} horizons; give one each.")
         return np.asarray(horizon[first : first + len(chunk.x)], dtype=float)
     if isinstance(horizon, Horizon):
-        return horizon.ratio * _spacings(chunk, thickness)
+        return horizon.ratio * spacings(chunk, thickness)
     if not callable(horizon):
         return float(horizon)
     # A function of positions need not know what to make of none.
@@ -122,7 +122,7 @@ def horizons_of(horizon: AnyHorizon, chunk: Chunk, first: int, count: int, thick
     return lengths
 
 
-def _spacings(chunk: Chunk, thickness: float) -> Float:
+def spacings(chunk: Chunk, thickness: float) -> Float:
     """Return the spacing of each particle of a part (n,) [length]."""
     if chunk.spacing is not None:
         return chunk.spacing

@@ -84,6 +84,13 @@ class Particles(Declared, ABC):
             f"weights and tractions with a normal and an area."
         )
 
+    def stairs(self, part: int, parts: int) -> int:
+        """Return how many facets of a part are steps of a staircase: one cell high, with a corner on either side.
+
+        0 if the particles do not form a lattice. Surfaces along the planes of the lattice have none.
+        """
+        return 0
+
     def triangles(self, part: int, parts: int) -> Float | None:
         """Return the surface of a solid body as triangles (n, 3, 3) [length], outward by the right hand.
 
@@ -239,6 +246,12 @@ class Lattice(Particles):
         x = self.chunk(part, parts).x
         return _lattice_facets(x, np.full(self.dim, self.spacing), self.thickness, self._has, cracks)
 
+    def stairs(self, part: int, parts: int) -> int:
+        """Return how many facets of a part are steps of a staircase."""
+        if self.cut is None and self.keep is None:
+            return 0
+        return _stairs(self.chunk(part, parts).x, np.full(self.dim, self.spacing), self._has)
+
     def _has(self, x: Float) -> Mask:
         """Return which places (n, dim) are centres of cells with a particle."""
         low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
@@ -360,6 +373,10 @@ class LatticeNodes(Particles):
         named = {f"{sign}{axis}": looks == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
         return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), named)
 
+    def stairs(self, part: int, parts: int) -> int:
+        """Return how many facets of the cells of a part are steps of a staircase."""
+        return self._cells.stairs(part, parts)
+
     def triangles(self, part: int, parts: int) -> Float | None:
         """Return the halves of the free faces of the cells."""
         if self._cells.dim < 3:
@@ -480,6 +497,15 @@ class Arrays(Particles):
             return super().surface(part, parts, cracks)
         return _lattice_facets(x[first:last], sizes, self.thickness, has, cracks)
 
+    def stairs(self, part: int, parts: int) -> int:
+        """Return how many facets of a part are steps of a staircase; 0 for particles that fill no lattice."""
+        x = np.asarray(self.x, dtype=float)
+        try:
+            sizes, has = self._lattice()
+        except CaseError:
+            return 0
+        return _stairs(x[part * len(x) // parts : (part + 1) * len(x) // parts], sizes, has)
+
     def _lattice(self) -> tuple[Float, Callable[[Float], Mask]]:
         """Return the sizes of the cells (dim,) [length], and what tells which places (n, dim) are centres of them.
 
@@ -580,6 +606,24 @@ def _lattice_facets(
     named = np.array(directions, dtype="U2")
     tags = {f"{sign}{axis}": named == f"{sign}{axis}" for axis in "xyz"[:dim] for sign in "-+"}
     return Facets(np.concatenate(places), np.concatenate(areas), np.concatenate(particles), tags)
+
+
+def _stairs(x: Float, sizes: Float, has: Callable[[Float], Mask]) -> int:
+    """Return how many free faces of box cells with centres ``x`` are steps of a staircase, one cell high.
+
+    Across such a face the surface turns outward on one side and inward on the other: along some axis the next cell on
+    one side is missing too, and on the other side there are that cell and the one before it.
+    """
+    count = 0
+    axes = sizes * np.eye(len(sizes))
+    directions = np.concatenate([axes, -axes])
+    for out in directions:
+        faces = x[~has(x + out)]
+        for along in directions[directions @ out == 0.0]:
+            turned = faces[~has(faces + along)]
+            turned = turned[has(turned - along)]
+            count += int(np.count_nonzero(has(turned - along + out)))
+    return count
 
 
 def _cell_sides(sizes: Float, thickness: float) -> Float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Declared, shown
 from pdpetsc.errors import CaseError
 
 Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
@@ -27,17 +28,33 @@ def refuse_growth(plastic_growth: float | None) -> None:
         raise CaseError(f"plastic_growth is a positive plastic strain, not {plastic_growth}.")
 
 
+def checked_times(name: str, times: Sequence[float]) -> tuple[float, ...]:
+    """Return step times, or none; raise CaseError unless they ascend from above 0 to 1, ``LEAST_STEP`` apart."""
+    given = tuple(float(t) for t in times)
+    if given and not (given[-1] == 1.0 and min(_lengths(given)) >= LEAST_STEP and len(given) <= MOST_STEPS):
+        raise CaseError(
+            f"{name} takes up to {MOST_STEPS} times that ascend from above 0 to 1, at least {LEAST_STEP:g} apart, not "
+            f"{shown(list(given))}."
+        )
+    return given
+
+
+def _lengths(times: Sequence[float]) -> list[float]:
+    """Return the lengths of the steps that end at given times [-]."""
+    return [later - earlier for earlier, later in zip([0.0, *times], times, strict=False)]
+
+
 @dataclass(frozen=True)
 class Steps(Declared):
-    """Equal load steps; one that does not converge is halved, and steps grow again after easy ones.
+    """Load steps, equal or to given times; one that does not converge is halved, and steps grow again after easy ones.
 
     Parameters
     ----------
     count : int
-        Number of steps.
+        Number of equal steps; leave it out with ``times``.
     smallest : float
         Smallest step as a share of the whole load [-]; when it fails too the run ends with exit status 1. By default
-        1/64 of a step.
+        1/64 of the shortest step.
     bonds_at_once : int, optional
         Bonds that break at once before equilibrium is sought again, the worst first. By default one, with those that
         tie with it, where bonds snap, and all that have lost their force where they soften.
@@ -49,12 +66,17 @@ class Steps(Declared):
     plastic_growth : float, optional
         Largest growth of the accumulated plastic strain at any point in a step [-]: a step with more is taken as one
         that failed, and a step grows only as far as the growth of the last one allows.
+    times : sequence of float, optional
+        Step times at which the steps end [-], ascending from above 0 to 1. Short steps after a jump of a load or a
+        displacement resolve it: a material that relaxes sees the load grow evenly over each step.
 
     Examples
     --------
     >>> import pdpetsc as pd
     >>> pd.Steps(4).stops()
     [0.25, 0.5, 0.75, 1.0]
+    >>> pd.Steps(times=(0.01, 0.1, 0.5, 1.0)).largest
+    0.5
     """
 
     count: int = 1
@@ -62,37 +84,46 @@ class Steps(Declared):
     bonds_at_once: int | None = None
     unstable: Unstable = "warn"
     plastic_growth: float | None = None
+    times: Sequence[float] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.count <= MOST_STEPS:
             raise CaseError(f"Steps needs a positive whole number up to {MOST_STEPS}, not {self.count}.")
-        if self.smallest is not None and not LEAST_STEP <= self.smallest <= 1.0 / self.count:
+        object.__setattr__(self, "times", checked_times("Steps", self.times))
+        if self.times and self.count != 1:
+            raise CaseError(f"Steps takes a number of steps or their times, not {self.count} and {self.times}.")
+        if self.smallest is not None and not LEAST_STEP <= self.smallest <= self._shortest:
             raise CaseError(
-                f"The smallest of {self.count} steps must lie between {LEAST_STEP:g} and 1/{self.count}, "
-                f"not {self.smallest}."
+                f"The smallest of {len(self.stops())} steps must lie between {LEAST_STEP:g} and the shortest of them, "
+                f"{self._shortest:.6g}, not {self.smallest}."
             )
         refuse_bonds_at_once(self.bonds_at_once)
         refuse_growth(self.plastic_growth)
 
     @property
+    def _shortest(self) -> float:
+        """Return the shortest step that is meant [-]."""
+        return min(_lengths(self.times), default=1.0 / self.count)
+
+    @property
     def first(self) -> float:
-        """Return the first step [-]."""
-        return 1.0 / self.count
+        """Return the largest first step [-]: it ends at the first of the ``stops``."""
+        return self.largest
 
     @property
     def largest(self) -> float:
         """Return the largest step [-]."""
-        return 1.0 / self.count
+        return max(_lengths(self.times), default=1.0 / self.count)
 
     @property
     def least(self) -> float:
         """Return the smallest step [-]."""
-        return 1.0 / (64.0 * self.count) if self.smallest is None else self.smallest
+        return max(LEAST_STEP, self._shortest / 64.0) if self.smallest is None else self.smallest
 
     def stops(self) -> list[float]:
         """Return the step times that are met exactly, ascending, ending with 1."""
-        return [(n + 1) / self.count for n in range(self.count)]
+        return list(self.times) or [(n + 1) / self.count for n in range(self.count)]
 
 
 @dataclass(frozen=True)
@@ -105,6 +136,8 @@ class AdaptiveSteps(Declared):
         Step sizes as a share of the whole load.
     bonds_at_once, unstable, plastic_growth
         As in ``Steps``.
+    times : sequence of float, optional
+        Step times that are met exactly [-], ascending from above 0 to 1, as where a load jumps; any steps lie between.
 
     Examples
     --------
@@ -118,9 +151,11 @@ class AdaptiveSteps(Declared):
     bonds_at_once: int | None = None
     unstable: Unstable = "warn"
     plastic_growth: float | None = None
+    times: Sequence[float] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "times", checked_times("AdaptiveSteps", self.times))
         if not LEAST_STEP <= self.smallest <= self.first <= self.largest <= 1.0:
             raise CaseError(
                 f"AdaptiveSteps needs {LEAST_STEP:g} <= smallest <= first <= largest <= 1, "
@@ -137,5 +172,5 @@ class AdaptiveSteps(Declared):
         return self.smallest
 
     def stops(self) -> list[float]:
-        """Return the step times that are met exactly."""
-        return [1.0]
+        """Return the step times that are met exactly, ascending, ending with 1."""
+        return list(self.times) or [1.0]

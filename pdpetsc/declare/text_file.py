@@ -17,9 +17,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.bounds import MOST_BLOCKS
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
+from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import stamp_of
 
@@ -145,7 +147,10 @@ class TextFile(Particles):
                     f"{path} has block {block[wrong[0]]:g} in row {wrong[0] + 1}, and blocks are whole numbers; if the "
                     f"columns are not x y z block volume, name them in a first line 'header: x y z block_id volume'."
                 )
-            sets = {f"block_{int(b)}": block == b for b in np.unique(block)}
+            numbers = np.unique(block)
+            if len(numbers) > MOST_BLOCKS:
+                raise CaseError(f"{path} has {len(numbers)} different blocks, more than {MOST_BLOCKS}.")
+            sets = {f"block_{int(b)}": block == b for b in numbers}
         for name, given in self.node_sets.items():
             if name in sets:
                 raise CaseError(f"The node set {name!r} has the name of a block of {path}; give it another one.")
@@ -238,8 +243,8 @@ def _members(path: str | Path | None, given: object, name: str, count: int) -> M
         what = f"Node set {name!r}"
         try:
             members = np.asarray(given, dtype=float).ravel()
-        except (TypeError, ValueError):
-            raise CaseError(f"{what} takes a file or particle numbers, not {given!r}.") from None
+        except (TypeError, ValueError, OverflowError):
+            raise CaseError(f"{what} takes a file or particle numbers, not {shown(given)}.") from None
     else:
         what = str(path)
         rows = [row for row in _lines(Path(path)) if row.split("#", 1)[0].strip()]
@@ -266,6 +271,9 @@ def _read(path: Path) -> tuple[list[str], list[str] | None, Float]:
 
 
 def _lines(path: Path) -> list[str]:
+    if stamp_of(path) is None and not path.is_dir():
+        # Every rank reads it, more than once; a pipe without a writer would be waited for.
+        raise CaseError(f"Cannot read {path}: it is a pipe or a device; write its content to a file.")
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:

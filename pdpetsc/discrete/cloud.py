@@ -78,6 +78,9 @@ class Cloud:
         What the numbers mean.
     n_created : int
         How many particles this rank created.
+    spread : (dim, dim) float64
+        Second moment of the volume of the body about its centre, over its volume [length^2]: of the particles of all
+        ranks and their mirror images. Zero along periodic directions, in which a body has no end.
     stands_for : (n_owned,) float64 or None
         How many particles each own one stands for where it does for others with the same family; 1 each where None.
     """
@@ -102,6 +105,7 @@ class Cloud:
     place: GlobalIndex
     places: Places
     n_created: int
+    spread: Float
     stands_for: Float | None = None
 
     def counted(self, numbers: NDArray[Any]) -> int:
@@ -246,7 +250,25 @@ def distribute(
         place=np.concatenate([np.zeros(n_owned, dtype=np.int64), number - places.home]),
         places=places,
         n_created=n_created,
+        spread=_spread(comm, x, volume, cell, planes),
     )
+
+
+def _spread(comm: Comm, x: Float, volume: Float, cell: Cell | None, planes: Sequence[Symmetry]) -> Float:
+    """Return the second moment of the body about its centre from the own particles of the ranks (collective)."""
+    sums = total(comm, np.append(volume @ x, volume.sum()))
+    centre = sums[:-1] / sums[-1]
+    for plane in planes:
+        centre[plane.number] = plane.at
+    away = x - centre
+    moment: Float = total(comm, (volume[:, None] * away).T @ away) / sums[-1]
+    for plane in planes:
+        flip = np.ones(x.shape[1])
+        flip[plane.number] = -1.0
+        moment = 0.5 * (moment + flip[:, None] * moment * flip)
+    for axis in [] if cell is None else cell.periodic:
+        moment[axis] = moment[:, axis] = 0.0
+    return moment
 
 
 def from_parts(cloud: Cloud, part: NDArray[Any]) -> NDArray[Any]:

@@ -206,8 +206,11 @@ def reached_back(cloud: Cloud, families: Families, length: Float) -> Mask:
 def _pairs(cloud: Cloud) -> LocalIndex:
     """Return the pairs with a bond and an own end (n, 2); of bonds from one end that one is first."""
     if not cloud.varies:
-        pairs = cKDTree(cloud.x).query_pairs(cloud.horizon * (1.0 + HORIZON_TOLERANCE), output_type="ndarray")
-        return np.asarray(pairs[(pairs < cloud.n_owned).any(axis=1)])
+        # Ghosts are not searched from: in a small cell their pairs are many times those with an own end.
+        radius, own = cloud.horizon * (1.0 + HORIZON_TOLERANCE), cKDTree(cloud.x[: cloud.n_owned])
+        inside = own.query_pairs(radius, output_type="ndarray")
+        across = own.sparse_distance_matrix(cKDTree(cloud.x[cloud.n_owned :]), radius, output_type="ndarray")
+        return np.concatenate([inside, np.stack([across["i"], across["j"] + cloud.n_owned], axis=1)])
     n = cloud.n_local if cloud.mutual else cloud.n_owned
     every, found = cKDTree(cloud.x), [np.empty((0, 2), dtype=np.int64)]
     for members in by_reach(cloud.reach[:n]):

@@ -18,6 +18,8 @@ from pdpetsc.errors import CaseError
 
 # Least memory of a particle until it has its rank, and of a bond until families are found [bytes].
 PER_PARTICLE, PER_BOND = 140.0, 40.0
+# Least memory of an image until ghosts are found [bytes].
+PER_IMAGE = 200.0
 # Particles whose families are counted.
 SAMPLE = 32
 # Images of a periodic cell are searched one after another.
@@ -112,8 +114,7 @@ def predicted_bonds(
     n_global = int(total(comm, len(x)))
     reach = np.broadcast_to(np.asarray(horizon, dtype=float), len(x))
     widest = largest(comm, reach.max(initial=0.0))
-    lengths = np.zeros(x.shape[1]) if cell is None or cell.dim != x.shape[1] else cell.lengths
-    periods = np.where(lengths > 0.0, widest / np.where(lengths > 0.0, lengths, 1.0), 0.0)
+    lengths, periods = _periods(x.shape[1], widest, cell)
     images = math.prod(2.0 * math.ceil(min(p, 1e15)) + 1.0 for p in periods)
     with agreed(comm):
         if images > MOST_IMAGES:
@@ -149,3 +150,36 @@ def predicted_bonds(
         )
     family = float(found.mean()) if len(sample) else 0.0
     return n_global * max(family - 1.0, 0.0)
+
+
+def predicted_images(comm: Comm, x: Float, widest: float, cell: Cell | None = None) -> float:
+    """Return about how many periodic images of particles all ranks together receive when ghosts are searched.
+
+    With ``p`` horizons a period along each of ``k`` periodic axes, a rank of ``size`` that holds an equal part of the
+    cell receives ``n (prod(size^(-1/k) + 2 p) - 1 / size)``.
+
+    Parameters
+    ----------
+    x : (n, dim) float64
+        The part of the particles that this rank holds [length].
+    widest : float
+        Radius of the largest families [length].
+    cell : Cell, optional
+        The periodic cell.
+
+    Notes
+    -----
+    Collective.
+    """
+    _, periods = _periods(x.shape[1], widest, cell)
+    along = periods[periods > 0.0]
+    if not len(along):
+        return 0.0
+    share = comm.size ** (-1.0 / len(along))
+    return float(total(comm, float(len(x))) * (comm.size * np.prod(share + 2.0 * along) - 1.0))
+
+
+def _periods(dim: int, widest: float, cell: Cell | None) -> tuple[Float, Float]:
+    """Return the periods of a cell (dim,) [length], 0 along other axes, and the horizon in each of these."""
+    lengths = np.zeros(dim) if cell is None or cell.dim != dim else cell.lengths
+    return lengths, np.where(lengths > 0.0, widest / np.where(lengths > 0.0, lengths, 1.0), 0.0)

@@ -35,11 +35,11 @@ class MeanDilatation(Scheme):
     for linear materials ``theta = tr F - dim`` and ``F_bar = F + (<theta> - theta) / dim I``. The second part of the
     energy is that of dilatations that the mean does not see: without it they meet no force. Uniform states have ``F_bar
     = F``. The pressure is nearly constant in a patch, so its error falls with the edge; an edge of two spacings leaves
-    one condition to eight displacements in the plane, to 24 in space. Patches do not depend on the number of ranks;
-    beside a mirror plane they end there. Particles of several materials in one box are in several patches, and so are
-    those of a graded one between which moduli jump, by a quotient of 1.5 or more, and pieces of a box that no bonds
-    inside it hold together, as on both sides of a crack. Around the tip of a crack, which bonds of the box still go
-    around, both sides share their dilatation.
+    one condition to eight displacements in the plane, to 24 in space. Patches do not depend on the number of ranks.
+    Their boxes lie along the axes of ``SubHorizons``, which turn with the body, and end at mirror planes. Particles of
+    several materials in one box are in several patches, and so are those of a graded one between which moduli jump, by
+    a quotient of 1.5 or more, and pieces of a box that no bonds inside it hold together, as on both sides of a crack.
+    Around the tip of a crack, which bonds of the box still go around, both sides share their dilatation.
 
     A control is scaled with the bulk modulus unless it is told not to: take ``ByShear``. Walls hold the pressure where
     they hold particles on the surface itself, with conforming weights, or layers two horizons deep; else the stress is
@@ -108,7 +108,8 @@ def boxes(comm: Comm, x: Float, edge: float) -> GlobalIndex:
     Parameters
     ----------
     x : (n, dim) float64
-        Positions of particles that this rank holds [length]; the grid begins at the least of all ranks.
+        Positions of particles that this rank holds, along the axes of the grid [length]; the grid begins at the least
+        of all ranks.
     edge : float
         Edge of a box [length].
 

@@ -22,7 +22,7 @@ from pdpetsc.gradient.base import (
 
 
 def sector_operator(
-    cloud: Cloud, families: Families, omega: Float, share: Float, distance: Float, name: str
+    cloud: Cloud, families: Families, omega: Float, share: Float, distance: Float, name: str, note: str = ""
 ) -> GradientOperator:
     """Return the operator with one point per sector that has a gradient (collective).
 
@@ -36,6 +36,8 @@ def sector_operator(
         How far sectors lie apart: one whose own bonds are too flat hands them to the nearest others, in equal parts.
     name : str
         Name of the scheme, for messages.
+    note : str
+        What the log says of the sectors.
 
     Raises
     ------
@@ -56,7 +58,9 @@ def sector_operator(
     points = ~empty
     points[lost, 0] = True
     merged, particles = cloud.counted(empty.sum(axis=1)), cloud.counted(empty.any(axis=1))
-    note = f"{merged} sectors at {particles} particles are too flat and merged with others" if merged else ""
+    if merged:
+        few = f"{merged} sectors at {particles} particles are too flat and merged with others"
+        note = "; ".join(filter(None, [note, few]))
     owner, sector, number = _numbered(points)
     stencils = with_centres(*_listed(owner, number, centres, families.neighbours, weight, share))
     # Of a particle without a gradient in any sector argmax gives the first, which has its point.

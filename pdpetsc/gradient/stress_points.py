@@ -9,6 +9,7 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
+from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.gradient.sectors import sector_operator
 
@@ -22,12 +23,13 @@ IN_PLANE = 1e-8
 class StressPoints(Scheme):
     """Stress points: a family is halved by the plane across a diagonal, each half has a gradient point.
 
-    The diagonal (1, +-1, +-1) is drawn per particle: one choice in 1D, two in 2D, four in 3D. A bond in the dividing
-    plane, which nearest neighbours on a lattice never have, belongs to both halves in equal parts. A family that is not
-    balanced, because a boundary cuts it or positions are irregular, is halved across its mean bond instead: along a
-    flat face the halves are then mirror images of themselves and the face stays free of stress. Both rules extend the
-    method to wider horizons. A particle with a half too flat to give a gradient, as at every boundary of a lattice of
-    nearest neighbours, has one point over all bonds.
+    The diagonal (1, +-1, +-1) is drawn per particle: one choice in 1D, two in 2D, four in 3D. Its axes turn with the
+    body as those of ``SubHorizons``; a body that turns by more than 45 degrees may have another draw. A bond in the
+    dividing plane, which nearest neighbours on a lattice never have, belongs to both halves in equal parts. A family
+    that is not balanced, because a boundary cuts it or positions are irregular, is halved across its mean bond instead:
+    along a flat face the halves are then mirror images of themselves and the face stays free of stress. Both rules
+    extend the method to wider horizons. A particle with a half too flat to give a gradient, as at every boundary of a
+    lattice of nearest neighbours, has one point over all bonds.
 
     Parameters
     ----------
@@ -54,6 +56,8 @@ class StressPoints(Scheme):
         for d in range(1, cloud.dim):
             diagonal[:, d] -= 2.0 * ((draw >> np.uint64(d - 1)) & np.uint64(1)).astype(float)
         xi = families.bonds(cloud.x)
+        axes, note = body_axes(cloud, families, xi)
+        diagonal = diagonal @ axes
         length = np.linalg.norm(xi, axis=1)
         weight = omega * cloud.volume[families.neighbours]
         mean, size = np.zeros_like(diagonal), np.zeros(cloud.n_owned)
@@ -68,7 +72,7 @@ class StressPoints(Scheme):
         ahead = np.where(np.abs(along) < IN_PLANE * length, 0.5, (along > 0.0).astype(float))
         share = np.stack([1.0 - ahead, ahead], axis=1)
         distance = np.array([[0.0, 1.0], [1.0, 0.0]])
-        return sector_operator(cloud, families, omega, share, distance, "stress points")
+        return sector_operator(cloud, families, omega, share, distance, "stress points", note)
 
 
 def _drawn(gid: GlobalIndex, seed: int) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:

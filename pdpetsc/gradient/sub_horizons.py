@@ -11,6 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import GradientOperator, Scheme
 from pdpetsc.gradient.sectors import sector_operator
 
@@ -29,12 +30,18 @@ class SubHorizons(Scheme):
     but a lattice of nearest neighbours needs it. A sector whose own bonds are too flat to give a gradient hands them
     to the nearest others, in equal parts, and has no point; the others share the volume.
 
+    The sectors turn with the body. Their axes are the edges of its lattice; an irregular cloud has the principal axes
+    of the body. All particles share them. A body with neither, such as a disc of irregular particles with equal
+    principal moments, has the axes of space, and the log says so. The x axis of the body is the axis nearest to x in
+    space. Multiples of four sectors in 2D and eight in 3D do not depend on that choice; other numbers turn with the
+    body by less than 45 degrees.
+
     Parameters
     ----------
     sectors : int, optional
         Number of sectors. Halves, quadrants and octants where absent. In 1D an even number: shells of equal width on
-        each side; in 2D any number from 2: equal angles from the x axis; in 3D an even number from 4: equal longitudes
-        from the x axis, above and below.
+        each side; in 2D any number from 2: equal angles from the x axis of the body; in 3D an even number from 4: equal
+        longitudes from that axis, above and below.
 
     References
     ----------
@@ -64,6 +71,8 @@ class SubHorizons(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where no sector of a family gives a gradient."""
         xi = families.bonds(cloud.x)
+        axes, note = body_axes(cloud, families, xi)
+        xi = xi @ axes.T
         number = self.sectors if self.sectors is not None else 2**cloud.dim
         least, even = {1: (2, True), 2: (2, False), 3: (4, True)}[cloud.dim]
         if number < least or (even and number % 2):
@@ -80,7 +89,7 @@ class SubHorizons(Scheme):
         else:
             above = _side(xi[:, 2], reach)
             share, distance = _product(_around(xi, number // 2), above), _apart(number // 2, 2, 1)
-        return sector_operator(cloud, families, omega, share, distance, "sub-horizons")
+        return sector_operator(cloud, families, omega, share, distance, "sub-horizons", note)
 
 
 def _side(component: Float, reach: Float) -> Float:

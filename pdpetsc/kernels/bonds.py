@@ -201,9 +201,14 @@ def first_failure(e, rate, limit, able):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def first_of_tied(e, rate, limit, able, step, tolerance):  # type: ignore[no-untyped-def]
-    """Return the first ``able`` growing bond that is within a relative tolerance of its limit after a step, or -1."""
+def first_of_tied(e, rate, limit, able, step, tolerance, order):  # type: ignore[no-untyped-def]
+    """Return the tied bond of least ``order``, -1 if no bond is tied.
+
+    A bond is tied if it is ``able``, grows, and is within a relative tolerance of its limit after a step.
+    """
+    first = -1
     for b in range(e.size):
-        if able[b] and rate[b] > 0.0 and e[b] + step * rate[b] >= limit[b] * (1.0 - tolerance):
-            return b
-    return -1
+        tied = able[b] and rate[b] > 0.0 and e[b] + step * rate[b] >= limit[b] * (1.0 - tolerance)
+        if tied and (first < 0 or order[b] < order[first]):
+            first = b
+    return first

@@ -35,6 +35,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     callable
         The compiled function, with the same signature.
     """
+    if numba.config.DISABLE_JIT:  # NUMBA_DISABLE_JIT=1
+        return function
     jit: Any = numba.njit(nogil=True, error_model="numpy", fastmath=FASTMATH)(function)
     try:
         jit.enable_caching()

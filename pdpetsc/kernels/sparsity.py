@@ -32,13 +32,19 @@ def families_from_pairs(pairs, directed, order, n_owned):  # type: ignore[no-unt
                 neighbours[fill[i]] = pairs[r, 1 - side]
                 fill[i] += 1
     for i in range(n_owned):
-        for t in range(indptr[i] + 1, indptr[i + 1]):
-            j = neighbours[t]
-            s = t - 1
-            while s >= indptr[i] and order[neighbours[s]] > order[j]:
-                neighbours[s + 1] = neighbours[s]
-                s -= 1
-            neighbours[s + 1] = j
+        # By insertion at falling distances: families of a small cell can have 100,000 members.
+        gap = 1
+        while 9 * gap < indptr[i + 1] - indptr[i]:
+            gap = 3 * gap + 1
+        while gap > 0:
+            for t in range(indptr[i] + gap, indptr[i + 1]):
+                j = neighbours[t]
+                s = t - gap
+                while s >= indptr[i] and order[neighbours[s]] > order[j]:
+                    neighbours[s + gap] = neighbours[s]
+                    s -= gap
+                neighbours[s + gap] = j
+            gap //= 3
     return indptr, neighbours
 
 

@@ -85,6 +85,18 @@ class Material(Declared, ABC):
         """Return the time from step time 0 to 1 [time], which all of a case share; None where rates do not count."""
         return None
 
+    def spread(self, step: float) -> float:
+        """Return the error of the stress at the end of a step over which a jump of the strain is spread [-].
+
+        It is a share of the stress of the jump itself; 0 for a material that does not relax.
+
+        Parameters
+        ----------
+        step : float
+            Length of the step, a share of the whole load [-].
+        """
+        return 0.0
+
     @abstractmethod
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the loops for dimension ``dim``."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Sequence
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import permutations
@@ -16,6 +18,8 @@ from pdpetsc.errors import CaseError
 
 # Longest text, and bits of the largest number that a power of numbers may give: longer ones could keep a run busy.
 LONGEST_TEXT, MOST_BITS = 4000, 512
+# Most operations of the second derivative of an energy along one of its variables, by the rules for derivatives.
+MOST_OPERATIONS = 3000
 # Invariants of C = F^T F and of up to two fibre directions: I4, I5 of the first, I6, I7 of the second.
 OF_FIBRES = {"I4": 0, "I5": 0, "I6": 1, "I7": 1}
 INVARIANTS = ("I1", "I2", "J", *OF_FIBRES)
@@ -152,7 +156,12 @@ def parse(text: str, names: tuple[str, ...]) -> Energy:
         raise CaseError(f"An energy may have {LONGEST_TEXT} characters, not {len(text)}.")
     reader = _Reader(text, names)
     try:
-        expression = reader.of(ast.parse(text.strip(), mode="eval").body)
+        with warnings.catch_warnings():
+            # Python warns of numbers with letters behind them before it refuses them.
+            warnings.simplefilter("ignore", SyntaxWarning)
+            tree = ast.parse(text.strip(), mode="eval").body
+        _refuse_long(tree, reader)
+        expression = reader.of(tree)
     except CaseError:
         raise
     except SyntaxError as error:
@@ -179,13 +188,82 @@ def _checked(energy: Energy, reader: _Reader) -> Energy:
         expression = expression.xreplace(in_stretches)
         if not _symmetric(expression, energy.constants):
             raise reader.refused("changes when l1, l2 and l3 are exchanged, so it is not that of an isotropic material")
+    if overflows(expression, UNDEFORMED):
+        raise reader.refused("is no finite number at F = I")
     at_rest = expression.xreplace(UNDEFORMED)
     if at_rest.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo, sympy.I):
         raise reader.refused("is no finite number at F = I")
     return Energy(energy.text, energy.names, expression - at_rest)
 
 
+def _refuse_long(tree: ast.expr, reader: _Reader) -> None:
+    """Raise CaseError if the derivatives of an energy have too many operations, before SymPy sees any of it.
+
+    A product u v has ``u'' v + 2 u' v' + u v''`` and a function of u ``f'' u' u' + f' u''``: the second derivatives of
+    a chain of products, or of functions in each other, grow with its third power.
+    """
+
+    def sizes(node: ast.expr) -> tuple[int, int, int]:
+        """Return about how many operations a node and its first and second derivatives have."""
+        if not isinstance(node, ast.BinOp | ast.UnaryOp | ast.Call):
+            return 1, int(isinstance(node, ast.Name) and node.id not in reader.names), 0
+        if isinstance(node, ast.BinOp):
+            parts = [sizes(node.left), sizes(node.right)]
+        else:
+            parts = [sizes(part) for part in ([node.operand] if isinstance(node, ast.UnaryOp) else node.args)]
+        own, first, second = (sum(part[k] for part in parts) for k in range(3))
+        if first and not isinstance(getattr(node, "op", None), ast.Add | ast.Sub | ast.UAdd | ast.USub):
+            first, second = first + own, second + 2 * first + own
+        if own + first + second > MOST_OPERATIONS:
+            raise reader.refused(f"has derivatives of more than {MOST_OPERATIONS} operations; write a shorter one")
+        return own + 1, first, second
+
+    sizes(tree)
+
+
+def overflows(expression: Any, numbers: Mapping[Any, Any]) -> bool:
+    """Return True if a part of an expression is beyond the largest float at these values of the symbols.
+
+    SymPy would compute it with all of its digits. Parts with other symbols have no value and count for nothing.
+    """
+    values: dict[Any, float] = {symbol: float(number) for symbol, number in numbers.items()}
+    for node in sympy.postorder_traversal(expression):
+        if node in values:
+            continue
+        parts = [values.get(part, math.nan) for part in node.args]
+        try:
+            if not node.args:
+                values[node] = float(node) if node.is_number else math.nan
+            elif node.is_Add:
+                values[node] = math.fsum(parts)
+            elif node.is_Mul:
+                values[node] = math.prod(parts)
+            elif node.is_Pow:
+                values[node] = abs(parts[0]) ** parts[1]
+            elif isinstance(node, sympy.exp | sympy.sinh | sympy.cosh):
+                values[node] = math.exp(parts[0] if isinstance(node, sympy.exp) else abs(parts[0]))
+            else:
+                values[node] = parts[0]
+        except ZeroDivisionError:
+            values[node] = math.nan
+        except (OverflowError, ValueError):
+            return True
+        if math.isinf(values[node]):
+            return True
+    return False
+
+
 UNDEFORMED = {symbol: sympy.Integer(3 if name in ("I1", "I2") else 1) for name, symbol in SYMBOLS.items()}
+
+
+def derivative(expression: Any, symbol: Any) -> Any:
+    """Return the derivative of an expression by a symbol.
+
+    Symbols have no assumptions meanwhile: SymPy would look for the sign of every part and for roots of polynomials.
+    """
+    plain = {one: sympy.Dummy(one.name) for one in expression.free_symbols | {symbol}}
+    found = sympy.diff(expression.xreplace(plain), plain[symbol])
+    return found.xreplace({dummy: one for one, dummy in plain.items()})
 
 
 def _symmetric(expression: Any, constants: Sequence[Any]) -> bool:
@@ -193,6 +271,8 @@ def _symmetric(expression: Any, constants: Sequence[Any]) -> bool:
     numbers = {symbol: sympy.Float(0.7 + 0.31 * n) for n, symbol in enumerate(constants)}
     stretches = [SYMBOLS[name] for name in STRETCHES]
     values = []
+    if overflows(expression, {**numbers, **{symbol: sympy.Float(1.29) for symbol in stretches}}):
+        return False
     for order in permutations((sympy.Float(0.83), sympy.Float(1.07), sympy.Float(1.29))):
         value = expression.xreplace({**numbers, **dict(zip(stretches, order, strict=True))})
         values.append(complex(value.evalf()))

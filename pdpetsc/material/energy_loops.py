@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import os
 import sys
 import tempfile
@@ -22,7 +23,7 @@ from sympy.printing.numpy import NumPyPrinter
 
 from pdpetsc.kernels.compile import note
 from pdpetsc.material.base import HistoryKernels, Kind
-from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, UNDEFORMED, Energy
+from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, UNDEFORMED, Energy, derivative
 
 # A solid; a plane body without strain or without stress across it; a bar with free sides.
 DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
@@ -30,6 +31,8 @@ DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
 HIDDEN: dict[Kind, int] = {"solid": 0, "strain": 1, "stress": 1, "bar": 2}
 # Newton's method for a hidden stretch: largest number of steps, longest step and last one in its logarithm.
 STEPS, LONGEST, LAST = 100, 0.4, 1e-9
+# Most terms that products are multiplied out to.
+MOST_TERMS = 500
 
 _b = sympy.Symbol("b", positive=True)
 _i1 = sympy.Symbol("i1", positive=True)
@@ -98,8 +101,8 @@ def invariant_scalars(energy: Energy, kind: Kind) -> Scalars:
     names = tuple(name for name in INVARIANTS if SYMBOLS[name] in psi.free_symbols)
     J = SYMBOLS["J"]
     scale = {name: J if name == "J" else sympy.Integer(2) for name in names}
-    first = {name: sympy.diff(psi, SYMBOLS[name]) for name in names}
-    second = {(m, n): sympy.diff(first[m], SYMBOLS[n]) for m in names for n in names}
+    first = {name: derivative(psi, SYMBOLS[name]) for name in names}
+    second = {(m, n): derivative(first[m], SYMBOLS[n]) for m in names for n in names}
     g = {name: scale[name] * first[name] for name in names}
     h = {(m, n): scale[m] * scale[n] * value for (m, n), value in second.items()}
     if "I2" in names:
@@ -142,8 +145,19 @@ def _hidden_derivatives(hidden: int) -> tuple[dict[str, Any], dict[str, Any], An
 def _tidy(value: Any) -> Any:
     """Return the shorter of a value and the same with products multiplied out, where terms may cancel."""
     value = sympy.sympify(value)
+    if _terms(value) > MOST_TERMS:
+        return value
     spread = sympy.expand_mul(value)
     return spread if spread.count_ops() < value.count_ops() else value
+
+
+def _terms(value: Any) -> int:
+    """Return how many terms a value has once products are multiplied out: 2^n of n factors with two terms each."""
+    terms: dict[Any, int] = {}
+    for node in sympy.postorder_traversal(value):
+        parts = [terms[part] for part in node.args]
+        terms[node] = sum(parts) if node.is_Add else math.prod(parts) if node.is_Mul else 1
+    return max(terms.values())
 
 
 class _Printer(NumPyPrinter):  # type: ignore[misc]
@@ -491,12 +505,12 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
     hidden = {"solid": {}, "strain": {l3: _b}, "stress": {l3: _b}, "bar": {l2: _b, l3: _b}}[kind]
     shown = [l1, l2, l3][:dim]
     psi = energy.expression.subs(hidden)
-    r = sympy.diff(psi, _b)
-    slope = sympy.diff(r, _b)
-    first = [sympy.diff(psi, stretch) for stretch in shown]
-    second = [[sympy.diff(value, stretch) for stretch in shown] for value in first]
+    r = derivative(psi, _b)
+    slope = derivative(r, _b)
+    first = [derivative(psi, stretch) for stretch in shown]
+    second = [[derivative(value, stretch) for stretch in shown] for value in first]
     if free:
-        mixed = [sympy.diff(value, _b) for value in first]
+        mixed = [derivative(value, _b) for value in first]
         second = [[second[a][b] - mixed[a] * mixed[b] / slope for b in range(dim)] for a in range(dim)]
     text = _Text(energy, kind)
     text.add(_called(), *_HEADER)
@@ -603,7 +617,7 @@ def _module(text: str) -> ModuleType:
 def _written(text: str, name: str) -> Path | None:
     """Write the text to a file of its name, unless it is there; return its path, None where no folder takes it."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    homes = [Path(chosen)] if chosen else [Path(__file__).parent / "__pycache__", _of_user()]
+    homes = [Path(chosen)] if chosen else [Path(__file__).parent / "__pycache__", *_of_user()]
     for home in homes:
         path = home / "pdpetsc_made" / f"{name}.py"
         try:
@@ -622,6 +636,7 @@ def _written(text: str, name: str) -> Path | None:
     return None
 
 
-def _of_user() -> Path:
-    """Return the folder for what programs of this user keep for later."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+def _of_user() -> list[Path]:
+    """Return the folder for what programs of this user keep for later, none without a home, as in a container."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    return [folder] if folder.is_absolute() else []

@@ -63,7 +63,10 @@ class EnergyMaterial(Material):
             if direction is not None and not callable(direction):
                 # Not an array, with which two materials could not be compared.
                 object.__setattr__(self, field, tuple(_unit(direction, name).tolist()))
-        self._refuse_bad_start()
+        try:
+            self._refuse_bad_start()
+        except RecursionError:
+            raise CaseError(f"The energy of {name} is nested too deeply to be differentiated.") from None
 
     @property
     def _energy(self) -> Energy:
@@ -244,10 +247,13 @@ def _undeformed(energy: Energy, constants: tuple[float, ...], axes: tuple[tuple[
     """Return stress (3, 3) and tangent (3, 3, 3, 3) of a solid at F = I."""
     import sympy
 
-    from pdpetsc.material.energy import SYMBOLS, UNDEFORMED
+    from pdpetsc.material.energy import SYMBOLS, UNDEFORMED, derivative, overflows
     from pdpetsc.material.energy_loops import invariant_scalars
 
     numbers = {symbol: sympy.Float(value, 17) for symbol, value in zip(energy.constants, constants, strict=True)}
+
+    if overflows(energy.expression, {**UNDEFORMED, **numbers}):
+        return np.full((3, 3), np.nan), np.full((3, 3, 3, 3), np.nan)
 
     def value(expression: Any) -> float:
         try:
@@ -259,8 +265,8 @@ def _undeformed(energy: Energy, constants: tuple[float, ...], axes: tuple[tuple[
     one = np.eye(3)
     if energy.of_stretches:
         l1, l2 = SYMBOLS["l1"], SYMBOLS["l2"]
-        first = energy.expression.diff(l1)
-        stress, lam, whole = value(first), value(first.diff(l2)), value(first.diff(l1))
+        first = derivative(energy.expression, l1)
+        stress, lam, whole = value(first), value(derivative(first, l2)), value(derivative(first, l1))
         # Of the shear moduli (dP/dF)_abab and (dP/dF)_abba half the sum counts, half the difference is half the stress.
         moduli = isotropic_moduli(lam, 0.5 * (whole - lam), 3)
         return stress * one, moduli

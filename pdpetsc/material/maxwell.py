@@ -82,6 +82,16 @@ class Maxwell(LagrangianMaterial):
         """Return the energy of the branches, the deviator and the stress of each branch."""
         return np.zeros(7 + 6 * len(self.shear))
 
+    def spread(self, step: float) -> float:
+        """Return ``sum_k shear_k ((1 - exp(-x_k)) / x_k - exp(-x_k)) / (mu + sum_k shear_k)``, x_k = dt / times_k.
+
+        The deviator of a strain that grows evenly in a step leaves the first part of each branch stress at its end, one
+        that jumps at the start of the step the second.
+        """
+        x = step * self.duration / np.array(self.times)
+        shear = np.array(self.shear)
+        return float(shear @ (-np.expm1(-x) / x - np.exp(-x)) / (self.shear_and_bulk[0] + shear.sum()))
+
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> TensorResponse:
         """Return the stress of spring and branches."""
         mu, K = self.shear_and_bulk

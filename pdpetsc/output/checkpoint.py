@@ -45,6 +45,8 @@ SEAL = "pdpetsc checkpoint, sha256 of what follows the first 512 bytes: "
 BLOCK = 100_000
 # Rows that have a checksum together.
 CHUNK = 16_384
+# No run has as many steps.
+MOST_STEPS = 10**9
 # Attributes, and the kind of value of each.
 ATTRIBUTES = {
     "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
@@ -175,6 +177,12 @@ def _digest(file: IO[bytes]) -> str:
     return digest.hexdigest()
 
 
+def whole(path: Path) -> bool:
+    """Return True if a sealed file is intact (not collective); raises OSError."""
+    with path.open("rb") as file:
+        return file.read(HEAD).rstrip(b"\0") == f"{SEAL}{_digest(file)}\n".encode()
+
+
 def _check_seal(path: Path) -> None:
     """Raise CaseError where a file is no checkpoint or has changed since it was written."""
     try:
@@ -184,7 +192,7 @@ def _check_seal(path: Path) -> None:
                 raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
             if not head.startswith(SEAL.encode()):
                 raise CaseError(f"Cannot read the checkpoint {path}: it is none of pdpetsc, or its beginning is lost.")
-            if head[len(SEAL) :].rstrip(b"\0") != f"{_digest(file)}\n".encode():
+            if not whole(path):
                 raise CaseError(f"Cannot read the checkpoint {path}: it is damaged; restart from another one.")
     except OSError as error:
         if isinstance(error, CaseError):
@@ -409,7 +417,10 @@ def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> 
     """Raise where a value has no meaning."""
     t = float(values["t"])
     _must(any_load or 0.0 <= t <= 1.0, f"its step time {t:g} is not in 0 to 1")
-    _must(int(values["step"]) >= 0, f"its step is {int(values['step'])}")
+    step, so_far = int(values["step"]), values["so_far"]
+    _must(0 <= step < MOST_STEPS, f"its step is {step}")
+    counted = so_far.get("steps", step) if so_far.get("whole") else step
+    _must(counted == step, f"its step is {step}, and its run has counted {counted:g}")
     _must(int(values["frozen"]) in (0, 1), f"frozen is {int(values['frozen'])}")
     _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
 

@@ -6,12 +6,15 @@ import dataclasses
 import enum
 import functools
 import hashlib
+import itertools
 import json
 import os
+import stat
 import struct
 import sys
 import sysconfig
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path, PurePath
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -21,6 +24,9 @@ import numpy as np
 from pdpetsc.declare.files import Mesh
 from pdpetsc.declare.formats import files_of
 from pdpetsc.declare.text_file import Column, TextFile
+from pdpetsc.declared import shown
+from pdpetsc.discrete.communicator import Comm, agreed
+from pdpetsc.errors import CaseError
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
 MAY_DIFFER = {
@@ -33,6 +39,10 @@ _COUNTS: tuple[type, ...] = (
     bool, int, float, str, bytes, tuple, list, set, frozenset, dict, np.ndarray, np.generic,
     FunctionType, functools.partial, type, ModuleType,
 )  # fmt: skip
+_RANDOM: tuple[type, ...] = (np.random.Generator, np.random.RandomState)
+_PLAIN: tuple[type, ...] = (bool, int, float, np.generic, enum.Enum, str, bytes, PurePath, set, frozenset, *_RANDOM)
+# Stands between a variable of a function and the path of the function.
+_OF = "` of `"
 
 
 def declared_parts(case: Any) -> dict[str, str]:
@@ -70,6 +80,49 @@ def fingerprint(value: Any) -> str:
     return _Walk().of(value).hex()
 
 
+def refuse_differing(comm: Comm, declared: Mapping[str, Any]) -> None:
+    """Raise CaseError on all ranks if a declared value differs between ranks.
+
+    All plain values, arrays and the content of files of particles are compared exactly. Of functions and of objects
+    other than dataclasses the floating-point numbers, arrays and random generators in them are compared: a function
+    may read the number of its rank.
+
+    Parameters
+    ----------
+    declared : mapping of str to object
+        Declared values by name.
+
+    Raises
+    ------
+    CaseError
+        The first value that differs.
+
+    Notes
+    -----
+    Collective. Each value is walked and each array hashed once on every rank.
+    """
+    if comm.size == 1:
+        return
+    with agreed(comm):
+        digest = _Entries().digest_of(declared)
+    digests = comm.allgather(digest)
+    other = next((rank for rank, told in enumerate(digests) if told != digests[0]), None)
+    if other is None:
+        return
+    with agreed(comm):
+        entries = _Entries(listed=[])
+        entries.digest_of(declared)
+    mine = comm.bcast(entries.listed), comm.bcast(entries.listed, root=other)
+    nothing = ("", b"", "nothing")
+    first, second = next(pair for pair in itertools.zip_longest(*mine, fillvalue=nothing) if pair[0][:2] != pair[1][:2])
+    path = (first if first[0] else second)[0]
+    with agreed(comm):
+        raise CaseError(
+            f"`{path}` differs between ranks: {first[2]} on rank 0, {second[2]} on rank {other}; a case must be the "
+            f"same on every rank, so seed random numbers."
+        )
+
+
 def _hash(kind: str, *parts: bytes) -> bytes:
     digest = hashlib.blake2b(kind.encode(), digest_size=12)
     for part in parts:
@@ -89,8 +142,8 @@ class _Walk:
         self._open: list[int] = []
         self._done: dict[int, tuple[Any, bytes]] = {}
 
-    def of(self, value: Any) -> bytes:
-        """Return the fingerprint of any object."""
+    def of(self, value: Any, label: str = "") -> bytes:
+        """Return the fingerprint of any object; ``label`` says where in the object around it it is."""
         if value is None or value is Ellipsis or isinstance(value, bool | np.bool_):
             return _hash("constant", str(value).encode())
         if isinstance(value, enum.Enum):
@@ -115,10 +168,11 @@ class _Walk:
         return self._done[id(value)][1]
 
     def _all(self, values: Iterable[Any]) -> list[bytes]:
-        return [self.of(value) for value in values]
+        return [self.of(value, f"[{n}]") for n, value in enumerate(values)]
 
-    def _mapping(self, values: Mapping[Any, Any]) -> bytes:
-        return _hash("mapping", *sorted(_hash("item", self.of(key), self.of(item)) for key, item in values.items()))
+    def _mapping(self, values: Mapping[Any, Any], label: str = "[{!r}]") -> bytes:
+        items = (_hash("item", self.of(key), self.of(item, label.format(key))) for key, item in values.items())
+        return _hash("mapping", *sorted(items))
 
     def _composite(self, value: Any) -> bytes:
         if isinstance(value, np.ndarray) and value.dtype != object:
@@ -141,7 +195,7 @@ class _Walk:
         if isinstance(value, MethodType):
             return _hash("method", self.of(value.__func__), self.of(value.__self__))
         if isinstance(value, functools.partial):
-            return _hash("partial", self.of(value.func), self.of(value.args), self.of(value.keywords))
+            return self._partial(value)
         if isinstance(value, BuiltinFunctionType | np.ufunc):
             return _hash("builtin", str(getattr(value, "__qualname__", value.__name__)).encode())
         inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
@@ -156,12 +210,12 @@ class _Walk:
             sets = found.get("node_sets", {})
             named = {name: _content(one) if isinstance(one, str | Path) else one for name, one in sets.items()}
             files = files_of(Path(value.path), value.format) if isinstance(value, Mesh) else [value.path]
-            return self._mapping({**found, "path": _contents(files), "node_sets": named})
+            return self._mapping({**found, "path": _contents(files), "node_sets": named}, ".{}")
         if dataclasses.is_dataclass(value):
             fields = [f.name for f in dataclasses.fields(value) if f.compare]
-            return self._mapping({name: getattr(value, name, None) for name in fields})
+            return self._mapping({name: getattr(value, name, None) for name in fields}, ".{}")
         if hasattr(value, "__dict__"):
-            return self._mapping(vars(value))
+            return self._mapping(vars(value), ".{}")
         try:
             return self.of(value.__reduce_ex__(4)[1:3])
         except Exception:  # what cannot be taken apart (a lock, a generator) counts by its class
@@ -186,16 +240,16 @@ class _Walk:
         self._open.append(id(kind))
         try:
             bases = [self._class(base) for base in kind.__bases__]
-            return _hash("class", name, *bases, self._mapping(members))
+            return _hash("class", name, *bases, self._mapping(members, ".{}"))
         finally:
             self._open.pop()
 
     def _function(self, function: FunctionType) -> bytes:
         """Return the fingerprint of a function."""
         cells = []
-        for cell in function.__closure__ or ():
+        for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             try:
-                cells.append(self.of(cell.cell_contents))
+                cells.append(self.of(cell.cell_contents, f"{name}{_OF}"))
             except ValueError:  # not yet filled
                 cells.append(b"")
         own = [function.__qualname__.encode(), self.of(function.__defaults__), self.of(function.__kwdefaults__), *cells]
@@ -204,7 +258,10 @@ class _Walk:
         named = _names(function.__code__)
         known = {name: function.__globals__[name] for name in sorted(named) if name in function.__globals__}
         used = {name: value for name, value in known.items() if _counts(value)}
-        return _hash("function", *own, self._code(function.__code__), self._mapping(used))
+        return _hash("function", *own, self._code(function.__code__), self._mapping(used, f"{{}}{_OF}"))
+
+    def _partial(self, value: functools.partial[Any]) -> bytes:
+        return _hash("partial", self.of(value.func), self.of(value.args), self.of(value.keywords))
 
     def _code(self, code: CodeType) -> bytes:
         # Neither file nor lines: a case may move, and so may a function in it.
@@ -212,6 +269,96 @@ class _Walk:
         names = [",".join(part).encode() for part in (code.co_names, code.co_varnames, code.co_freevars)]
         counts = json.dumps([code.co_argcount, code.co_kwonlyargcount, code.co_posonlyargcount, code.co_flags])
         return _hash("code", code.co_code, *constants, *names, counts.encode())
+
+
+class _Entries(_Walk):
+    """Walks an object and notes the values in it that have to be the same on all ranks.
+
+    Parameters
+    ----------
+    listed : list, optional
+        Takes path, digest and text of each of these values.
+    """
+
+    def __init__(self, listed: list[tuple[str, bytes, str]] | None = None) -> None:
+        super().__init__()
+        self.listed = listed
+        self._digest = hashlib.blake2b(digest_size=16)
+        self._path = ""
+        # An object that a function reads counts in full if it is declared elsewhere too.
+        self._done_of_functions: dict[int, tuple[Any, bytes]] = {}
+        self._in_function = False
+
+    def digest_of(self, declared: Mapping[str, Any]) -> bytes:
+        """Return the digest of the values that are declared under some names."""
+        for name, value in declared.items():
+            self.of(value, name)
+        return self._digest.digest()
+
+    def of(self, value: Any, label: str = "") -> bytes:
+        """Note an object and what is in it."""
+        outer = self._path
+        self._path = f"{label}{outer}" if label.endswith(_OF) else f"{outer}{label}"
+        try:
+            is_array = isinstance(value, np.ndarray) and value.dtype != object
+            if value is None or is_array or isinstance(value, _PLAIN):
+                if is_array or not self._in_function or isinstance(value, (float, np.floating, *_RANDOM)):
+                    self._note(value, bytes.fromhex(fingerprint(value)))
+                return b""
+            if not self._in_function:
+                self._note(value, _kind(value))
+            return super().of(value)
+        finally:
+            self._path = outer
+
+    def _note(self, value: Any, digest: bytes) -> None:
+        self._digest.update(_hash(self._path, digest))
+        if self.listed is not None:
+            text = f"{len(value)} entries" if isinstance(value, list | tuple) else shown(value)
+            self.listed.append((self._path, digest, text))
+
+    @contextmanager
+    def _of_function(self) -> Iterator[None]:
+        """Note in the body only what a function of the case must not have of its own on a rank."""
+        outer, within = self._done, self._in_function
+        self._done, self._in_function = self._done_of_functions, True
+        try:
+            yield
+        finally:
+            self._done, self._in_function = outer, within
+
+    def _mapping(self, values: Mapping[Any, Any], label: str = "[{!r}]") -> bytes:
+        for key, item in values.items():
+            self.of(item, label.format(key))
+        return b""
+
+    def _function(self, function: FunctionType) -> bytes:
+        with self._of_function():
+            return super()._function(function)
+
+    def _partial(self, value: functools.partial[Any]) -> bytes:
+        with self._of_function():
+            return super()._partial(value)
+
+    def _class(self, kind: type) -> bytes:
+        with self._of_function():
+            return super()._class(kind)
+
+    def _state(self, value: Any) -> bytes:
+        if dataclasses.is_dataclass(value):
+            return super()._state(value)
+        with self._of_function():
+            return super()._state(value)
+
+
+def _kind(value: Any) -> bytes:
+    """Return the digest of what an object is, without what is in it; the order of a mapping counts."""
+    if isinstance(value, Mapping):
+        return _hash("mapping", bytes.fromhex(fingerprint(list(value))))
+    if isinstance(value, list | tuple | np.ndarray):
+        return _hash("sequence", str(len(value)).encode())
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return _hash("object", str(named.__qualname__).encode())
 
 
 def _names(code: CodeType) -> set[str]:
@@ -239,6 +386,8 @@ def _content(path: str | Path) -> str:
     """Return the fingerprint of a file's content, of its name where it cannot be read."""
     digest = hashlib.sha256()
     try:
+        if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe would wait for a writer
+            return str(path)
         with Path(path).open("rb") as file:
             while block := file.read(2**20):
                 digest.update(block)

@@ -5,27 +5,49 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import fits, shown, words_of
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import open_hdf5
+
+_TABLE: TypeAlias = Mapping[str, Any]
+_ROWS: TypeAlias = Sequence[Mapping[str, Any]]
+# Types of what readers of a summary take out of it.
+_OF_SUMMARY: dict[str, Any] = {
+    "status": str, "results": _TABLE, "doubts": Mapping[str, _TABLE], "dimension": int, "thickness": float,
+    "horizon": float, "cuts": _ROWS, "cracks": Sequence[Sequence[Sequence[float]]], "steps": _ROWS, "checks": _ROWS,
+    "loads": _ROWS, "timings": Mapping[str, float], "peak_memory_bytes": Sequence[float], "parameters": _TABLE,
+    "versions": _TABLE, "options": _TABLE, "scheme": _TABLE, "control": _TABLE, "unbalanced": _TABLE, "pieces": _TABLE,
+    "fracture_energy": _TABLE, "case": _TABLE, "restart": _TABLE, "unused_options": Sequence[str],
+}  # fmt: skip
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
     """Return ``summary.json``; raises CaseError where there is none."""
     try:
         found = json.loads((folder / "summary.json").read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CaseError(f"{folder} holds no summary.json of a run.") from error
     if not isinstance(found, dict):
         raise CaseError(f"{folder} holds a summary.json that is not of a run.")
+    for name, hint in _OF_SUMMARY.items():
+        if found.get(name) is not None and not fits(found[name], hint):
+            raise CaseError(
+                f"{folder} holds a summary.json that is damaged or not of a run: {name} is {shown(found[name])}, not "
+                f"{words_of(hint)}."
+            )
+    if found.get("dimension") not in (None, 1, 2, 3):
+        raise CaseError(
+            f"{folder} holds a summary.json that is damaged or not of a run: dimension is {found['dimension']}."
+        )
     return found
 
 

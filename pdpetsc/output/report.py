@@ -166,6 +166,12 @@ def _notes(summary: Mapping[str, Any]) -> str:
     if unstable:
         many = f"{len(unstable)} equilibria are" if len(unstable) > 1 else "One equilibrium is"
         notes.append(f"{many} unstable, the first at step {unstable[0].get('step')}.")
+    branching = [step for step in summary.get("steps") or [] if (step.get("growth") or 0.0) > 1.0]
+    if branching:
+        notes.append(
+            f"Damage jumped to where other branches lead away, the first time at step {branching[0].get('step')}: "
+            f"round-off may decide what follows."
+        )
     if summary.get("detached_particles"):
         notes.append(f"{summary['detached_particles']} particles have too few bonds left for a gradient.")
     if summary.get("held_at_cut_families"):
@@ -173,9 +179,9 @@ def _notes(summary: Mapping[str, Any]) -> str:
             f"{summary['held_at_cut_families']} particles are held at a face that cuts their families: stresses within "
             f"two horizons of it are those of no continuum."
         )
-    energy = summary.get("fracture_energy") or {}
-    if energy and not energy.get("known"):
-        notes.append(str(energy.get("note")))
+    notes += [str(note) for note in summary.get("notes") or []]
+    if (summary.get("fracture_energy") or {}).get("note"):
+        notes.append(str(summary["fracture_energy"]["note"]))
     for name, found in (summary.get("doubts") or {}).items():
         notes.append(f"{name} of the history at step time {found['t']:.6g} {found['why']}.")
     if (summary.get("control") or {}).get("note"):

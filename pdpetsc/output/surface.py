@@ -10,6 +10,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.communicator import Comm, agreed, is_root, smallest
 from pdpetsc.errors import CaseError
+from pdpetsc.output.checkpoint import HEAD, seal, whole
 from pdpetsc.output.files import HEADERS, WRITE_ERRORS, cannot_write, open_hdf5, replacing, writing_hdf5
 from pdpetsc.output.folder import FIELDS, SURFACE
 from pdpetsc.post.inside import Facets
@@ -42,20 +43,35 @@ def write_surface(comm: Comm, folder: Path, run: str, particles: Particles) -> N
             path = folder / FIELDS / SURFACE
             size = sum(array.nbytes for array in arrays.values()) + 4 * HEADERS
             try:
-                with replacing(path) as aside, writing_hdf5(aside, size) as file:
-                    file.attrs["run"] = run
-                    for name, array in arrays.items():
-                        file.create_dataset(name, data=array)
+                with replacing(path) as aside:
+                    with writing_hdf5(aside, size, userblock_size=HEAD) as file:
+                        file.attrs["run"] = run
+                        for name, array in arrays.items():
+                            file.create_dataset(name, data=array)
+                    seal(aside)
             except WRITE_ERRORS as error:
                 raise cannot_write(path, error) from error
 
 
 def read_surface(folder: Path, run: str | None) -> Facets | None:
-    """Return the surface that a run wrote; None without any."""
-    try:
-        with open_hdf5(folder / FIELDS / SURFACE) as file:
-            if run is not None and file.attrs["run"] != run:
-                return None
-            return Facets(*(np.asarray(file[name]) for name in ("position", "area", "triangles")))
-    except (OSError, KeyError, RuntimeError, ValueError):
+    """Return the surface that a run wrote; None without any, raises CaseError where the file is damaged."""
+    path = folder / FIELDS / SURFACE
+    if not path.exists():
         return None
+    try:
+        # HDF5 does not survive every damage. Files of earlier versions have no seal.
+        with path.open("rb") as file:
+            sealed = file.read(4) != b"\x89HDF"
+        if sealed and not whole(path):
+            raise ValueError("it is damaged")
+        with open_hdf5(path) as stored:
+            if run is not None and stored.attrs["run"] != run:
+                return None
+            x, area, triangles = (np.asarray(stored[name], dtype=float) for name in ("position", "area", "triangles"))
+        shaped = x.ndim == 2 and x.shape[1] in (1, 2, 3) and area.shape == x.shape and triangles.shape[1:] == (3, 3)
+        if not (shaped and all(np.isfinite(array).all() for array in (x, area, triangles))):
+            raise ValueError("it holds no facets")
+    except Exception as error:  # whatever HDF5, h5py and numpy say of a damaged file
+        why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise CaseError(f"Cannot read {path}: {why}; run the case again, or remove the file.") from None
+    return Facets(x, area, triangles)

@@ -116,6 +116,20 @@ def negative_pivots(ksp: PETSc.KSP) -> int | None:
     return int(negative)
 
 
+def null_pivots(ksp: PETSc.KSP) -> int:
+    """Return how many vanishing pivots MUMPS has replaced in its last factor; 0 for other solvers (collective)."""
+    pc = ksp.getPC()
+    if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+        return 0
+    return int(pc.getFactorMatrix().getMumpsInfog(28))
+
+
+def put_irregular(b: PETSc.Vec) -> None:
+    """Set numbers without any symmetry between -1 and 1 (not collective)."""
+    first, last = b.getOwnershipRange()
+    b.array = np.sin(1.0 + np.arange(first, last, dtype=np.float64) ** 2)
+
+
 def start_anew(ksp: PETSc.KSP) -> None:
     """Forget a factorisation that failed: after one PETSc's MUMPS does not even try the next matrix (collective).
 

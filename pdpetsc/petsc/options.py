@@ -18,6 +18,8 @@ from pdpetsc.petsc.library import option_used
 
 # Option that keeps PETSc from reading .petscrc in the home and the working folder.
 SKIP_FILES = "skip_petscrc"
+# Endings of options that are numbers: without a value PETSc passes them over.
+NEEDS_NUMBER = re.compile(r"(tol|tolerance|max_it|max_fail|max_funcs|max_linear_solve_fail)$")
 # Beginnings of options that PETSc looks up only when it ends.
 READ_AT_THE_END = ("log_", "malloc", "memory_view", "objects_", "options_", "on_error", "debug", "start_in_debugger")
 
@@ -50,6 +52,16 @@ def refuse_files(comm: Comm, in_force: Mapping[str, Mapping[str, Any]]) -> None:
         raise
 
 
+def _refuse_values(in_force: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise CaseError for values that PETSc takes as if the option were not there, or compares nothing with."""
+    for name, option in in_force.items():
+        value = str(option["value"] or "").strip()
+        if value.lower().lstrip("+-") == "nan":
+            raise CaseError(f"The option -{name} is nan; give it a number.")
+        if not value and NEEDS_NUMBER.search(name):
+            raise CaseError(f"The option -{name} has no value; write a number after it.")
+
+
 class Options:
     """PETSc's options of one run, which are in PETSc's database only while the run uses PETSc.
 
@@ -72,7 +84,7 @@ class Options:
     Raises
     ------
     CaseError
-        A name cannot be an option's.
+        A name cannot be an option's, or a value is no number where one is needed.
     """
 
     # Those whose options are in the database, the last one for PETSc to see.
@@ -92,6 +104,7 @@ class Options:
         self._defaults |= defaults
         with self.active():
             self.in_force = self._found()
+        _refuse_values(self.in_force)
         return self
 
     @contextlib.contextmanager

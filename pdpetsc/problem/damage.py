@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
+
+# A bond whose integrity would be above that of its largest drive by less than this is at its largest drive [-].
+AT_LARGEST = 1e-4
 
 
 class Damage:
@@ -121,6 +125,18 @@ class Damage:
         """Let damage stay, or follow the displacement (not collective)."""
         if self.bonds.frozen != frozen:
             self.bonds.frozen = frozen
+            self.version += 1
+
+    @contextmanager
+    def loading(self) -> Iterator[None]:
+        """Let every bond that is at its largest drive lose force in the tangent of the body (not collective)."""
+        bonds, frozen = self.bonds, self.bonds.frozen
+        bonds.slack, bonds.frozen = AT_LARGEST, False
+        self.version += 1
+        try:
+            yield
+        finally:
+            bonds.slack, bonds.frozen = 0.0, frozen
             self.version += 1
 
     def commit(self, state: State) -> None:

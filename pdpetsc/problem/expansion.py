@@ -10,10 +10,11 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.thermal import Eigenstrain, Temperature
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, largest, total
+from pdpetsc.discrete.communicator import agreed, largest
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.thermal import Thermal
+from pdpetsc.problem.prescribed import Prescribed
 
 # Step of differences by temperature, as a share of the largest distance from that without stress, which counts as at
 # least so much of the temperature itself: at that without stress the distance may be round-off.
@@ -45,29 +46,46 @@ class PrescribedTemperature(TemperatureField):
         The particles.
     start : (n_owned,) float64
         The temperature at the start.
+
+    Attributes
+    ----------
+    held : (n_owned,) bool
+        Which own particles have a prescribed temperature.
+    given : Prescribed
+        Which conditions prescribe it.
     """
 
     def __init__(self, cloud: Cloud, start: Float) -> None:
         self._cloud = cloud
         self.start = start
         self._given: list[tuple[LocalIndex, Temperature]] = []
+        self.given = Prescribed(cloud)
         self.held: Mask = np.zeros(cloud.n_owned, dtype=bool)
 
     def prescribe(self, condition: Temperature, mask: Mask, name: str) -> None:
-        """Take in a condition on own particles; raises CaseError where one has a temperature already (collective)."""
-        cloud = self._cloud
-        twice = int(total(cloud.comm, np.count_nonzero(self.held & mask)))
-        if twice:
-            raise CaseError(f"{name} prescribes the temperature of {twice} particles a second time; let them have one.")
+        """Prescribe the temperature of own particles, which may have several conditions that agree (collective)."""
+        own = np.flatnonzero(mask).astype(np.int32)
         self.held |= mask
-        self._given.append((np.flatnonzero(mask).astype(np.int32), condition))
+        self._given.append((own, condition))
+        self.given.add(name, "the temperature", own)
 
     def at(self, t: float) -> Float:
-        """Return the temperature at step time ``t`` (collective)."""
+        """Return the temperature at step time ``t`` (collective).
+
+        Raises
+        ------
+        SolveError
+            A function of the case fails, or two conditions prescribe different temperatures of the same particle.
+        """
         cloud, found = self._cloud, self.start.copy()
         with agreed(cloud.comm):
-            for own, condition in self._given:
-                found[own] = condition.values(self.start[own], cloud.x[own], cloud.gid[own], cloud.n_global, t)
+            values = [
+                condition.values(self.start[own], cloud.x[own], cloud.gid[own], cloud.n_global, t)
+                for own, condition in self._given
+            ]
+        self.given.refuse_different(values, t)
+        for (own, _), of_condition in zip(self._given, values, strict=True):
+            found[own] = of_condition
         return found
 
 

@@ -61,9 +61,13 @@ class LooseSprings(Term):
 
     def force(self, u: Float) -> Float:
         """Return the forces against the springs at ``u`` (n_rows, dim) [force] (not collective)."""
-        f = np.zeros_like(u)
+        return self.resistance(u - self._anchor)
+
+    def resistance(self, du: Float) -> Float:
+        """Return the forces against a change of the unknowns (n_rows, dim) [force] (not collective)."""
+        f = np.zeros_like(du)
         n = len(self._held)
-        f[:n] = np.where(self._held[:, None], self._each * (u[:n] - self._anchor[:n]), 0.0)
+        f[:n] = np.where(self._held[:, None], self._each * du[:n], 0.0)
         return f
 
     def add_row_force(self, state: State, r: Float) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import first_moments
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
+from pdpetsc.problem.prescribed import Prescribed
 
 # A family is cut in a direction where its first moment is more than this share of what one side alone would have.
 ONE_SIDED = 0.9
@@ -44,6 +44,8 @@ class Supports:
     ----------
     fixed : (n_rows, dim) bool
         Prescribed degrees of freedom.
+    given : Prescribed
+        Which conditions prescribe them.
 
     Notes
     -----
@@ -55,6 +57,7 @@ class Supports:
         self.cell = cell
         self.fixed: Mask = np.zeros((body.cloud.n_rows, body.dim), dtype=bool)
         self._held: list[_Held] = []
+        self.given = Prescribed(body.cloud)
         self._strains: list[tuple[MeanStrain, int, float]] = []
         if cell is not None and cell.here:
             # Entries of the virtual rows that stand for no component.
@@ -65,22 +68,12 @@ class Supports:
     ) -> None:
         """Prescribe components of the displacement of some own particles.
 
-        Raises
-        ------
-        CaseError
-            A degree of freedom is prescribed already, on every rank.
+        Particles may have several conditions that agree; ``prescribed`` compares their values.
         """
-        cloud = self.body.cloud
-        with agreed(cloud.comm):
-            for axis, value in components:
-                twice = where[self.fixed[where, axis]]
-                if len(twice):
-                    raise CaseError(
-                        f"{name} prescribes {'xyz'[axis]} of {len(twice)} particles a second time "
-                        f"(id {cloud.gid[twice[0]]}); let each degree of freedom have one condition."
-                    )
-                self.fixed[where, axis] = True
-                self._held.append(_Held(name, condition, axis, value, where))
+        for axis, value in components:
+            self.fixed[where, axis] = True
+            self._held.append(_Held(name, condition, axis, value, where))
+            self.given.add(name, "xyz"[axis], where)
 
     def prescribe_strain(self, condition: MeanStrain, components: Sequence[tuple[int, float]]) -> None:
         """Prescribe components of the mean strain of the cell."""
@@ -91,15 +84,23 @@ class Supports:
                 self.cell.rows(self.fixed)[unknown] = True
 
     def prescribed(self, t: float) -> Float:
-        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free."""
+        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free.
+
+        Raises
+        ------
+        SolveError
+            A function of the case fails, or two conditions prescribe different values of the same particle.
+        """
         u = np.zeros(self.fixed.shape)
         cloud = self.body.cloud
         x = cloud.x[: cloud.n_owned]
         with agreed(cloud.comm):
-            for held in self._held:
-                u[held.where, held.axis] = held.condition.value(held.value, x[held.where], t)
+            values = [held.condition.value(held.value, x[held.where], t) for held in self._held]
             what = "schedule of a MeanStrain condition"
             factors = [float(evaluated(what, strain.schedule, (), t, t)) for strain, _, _ in self._strains]
+        self.given.refuse_different(values, t)
+        for held, found in zip(self._held, values, strict=True):
+            u[held.where, held.axis] = found
         if self.cell is not None and self.cell.here:
             for (_, unknown, value), factor in zip(self._strains, factors, strict=True):
                 self.cell.rows(u)[unknown] += self.cell.sizes[unknown] * value * factor

@@ -26,10 +26,18 @@ from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, smallest, total
 from pdpetsc.discrete.families import Families, find_families
 from pdpetsc.discrete.lattice import Repeats, positions_on_lattice
-from pdpetsc.discrete.memory import PER_BOND, PER_PARTICLE, predicted_bonds, refuse_beyond_memory
+from pdpetsc.discrete.memory import (
+    PER_BOND,
+    PER_IMAGE,
+    PER_PARTICLE,
+    predicted_bonds,
+    predicted_images,
+    refuse_beyond_memory,
+)
 from pdpetsc.discrete.selection import select
 from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.gradient.repeated import RepeatedOperator
@@ -47,7 +55,6 @@ from pdpetsc.problem.matter import Matter
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
-from pdpetsc.running.crack_shares import with_crack_share
 from pdpetsc.solvers.staggered import HeatMarch, HeatTogether
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
@@ -71,15 +78,24 @@ ENOUGH_TO_REPEAT = [30.0, 7.0, 7.0]
 FAR = 1e60
 
 
-def make_cloud(comm: Comm, case: Case) -> Cloud:
-    """Create the particles of a case and distribute them (collective); raises CaseError where they are wrong."""
+def make_chunk(comm: Comm, case: Case) -> Chunk:
+    """Create this rank's part of the particles (collective); raises CaseError where they are wrong."""
     refuse_beyond_memory(comm, case.particles.estimate() / comm.size * PER_PARTICLE, "Making the particles")
     with agreed(comm):
         chunk = called("particles", case.particles.chunk, comm.rank, comm.size)
         _refuse_bad_particles(chunk)
-    count = int(total(comm, len(chunk.x)))
-    if count == 0:
+    if int(total(comm, len(chunk.x))) == 0:
         raise CaseError("The case has no particles.")
+    return chunk
+
+
+def make_cloud(comm: Comm, case: Case, chunk: Chunk | None = None, axes: Float | None = None) -> Cloud:
+    """Distribute the particles of a case, those of ``make_chunk`` (collective); raises CaseError if it cannot.
+
+    Boxes of ``MeanDilatation`` along ``axes`` (dim, dim), by default those of space, stay on one rank each.
+    """
+    chunk = make_chunk(comm, case) if chunk is None else chunk
+    count = int(total(comm, len(chunk.x)))
     first = offset(comm, len(chunk.x))
     with agreed(comm):
         reach = horizons_of(case.horizon, chunk, first, count, case.particles.thickness)
@@ -87,12 +103,13 @@ def make_cloud(comm: Comm, case: Case) -> Cloud:
     # A bond is one thing with two ends, of which a gradient reads one.
     mutual = case.of_bonds
     patches = None if case.of_bonds else case.gradients.patches
-    together = None if patches is None else boxes(comm, chunk.x, patches.edge).astype(float)
+    along = chunk.x if axes is None else chunk.x @ axes.T
+    together = None if patches is None else boxes(comm, along, patches.edge).astype(float)
     cloud = distribute(comm, chunk.x, chunk.volume, chunk.sets, reach, case.cell, case.symmetry, mutual, together)
     if patches is not None and smallest(comm, cloud.n_owned) == 0:
         raise CaseError(
-            f"Patches of {patches.edge:g} are fewer than the {comm.size} ranks can share; run on fewer ranks, or take "
-            f"patches of two spacings."
+            f"Patches of {patches.edge:g} are fewer than the {comm.size} ranks can share; run on fewer ranks, or "
+            f"declare a scheme without patches or with smaller ones."
         )
     return cloud
 
@@ -105,7 +122,9 @@ def _refuse_large_families(comm: Comm, case: Case, x: Float, reach: float | Floa
     widest = largest(comm, float(np.max(reach, initial=0.0)))
     what = f"A horizon of {widest:g} gives {count} particles about {family:.4g} neighbours each, which"
     listed = _listed_share(comm, case, x, reach)
-    refuse_beyond_memory(comm, (listed * bonds * each + (1.0 - listed) * count * PER_REPEATED) / comm.size, what)
+    needed = listed * bonds * each + (1.0 - listed) * count * PER_REPEATED
+    needed += PER_IMAGE * predicted_images(comm, x, widest, case.cell)
+    refuse_beyond_memory(comm, needed / comm.size, what)
 
 
 def _listed_share(comm: Comm, case: Case, x: Float, reach: float | Float) -> float:
@@ -133,6 +152,23 @@ def make_families(case: Case, cloud: Cloud) -> Families:
     return find_families(cloud, case.cracks, repeated, _in_order(case))
 
 
+def with_whole_patches(case: Case, chunk: Chunk, cloud: Cloud, families: Families) -> tuple[Cloud, Families]:
+    """Return cloud and families with every box of ``MeanDilatation`` on one rank (collective).
+
+    The axes of the boxes follow from the families, so that particles are distributed a second time if the boxes are not
+    those along the axes of space.
+    """
+    patches, comm = None if case.of_bonds else case.gradients.patches, cloud.comm
+    if patches is None or comm.size == 1:
+        return cloud, families
+    axes, _ = body_axes(cloud, families, families.bonds(cloud.x))
+    moved = boxes(comm, chunk.x @ axes.T, patches.edge) != boxes(comm, chunk.x, patches.edge)
+    if int(total(comm, np.count_nonzero(moved))) == 0:
+        return cloud, families
+    cloud = make_cloud(comm, case, chunk, axes)
+    return cloud, make_families(case, cloud)
+
+
 def make_problem(case: Case, cloud: Cloud, families: Families, options: Options | None = None) -> Problem:
     """Return the problem of a case on a distributed cloud, set up with PETSc options of its run (collective)."""
     if int(total(cloud.comm, families.n_bonds)) == 0:
@@ -140,7 +176,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
             f"the cracks cut less."
         )
-    materials, material_of, factor = _materials(case, cloud)
+    materials, material_of, factor = materials_of(case, cloud)
     with agreed(cloud.comm):
         weights = case.chosen_weights
     surface = None
@@ -151,7 +187,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
             if case.needs_surface:  # not by default only
                 raise
             weights = Unsuited(str(error))
-    chosen = replace(with_crack_share(case), weights=weights)
+    chosen = replace(case, weights=weights)
     body = Body(cloud, families, surface, case.particles.thickness)
     return _problem(chosen, body, materials, material_of, factor, options)
 
@@ -234,7 +270,7 @@ def _problem(
             "What drives damage is the whole strain here, and part of it has no stress where a body expands or has "
             "strain without stress; take a criterion of stretch, bond energy or stress."
         )
-    applied = apply(body, matter, case.conditions, case.particles)
+    applied = apply(body, matter, case.conditions, case.particles, case.steps.stops())
     supports, heat = applied.supports, None
     if case.expands:
         if case.heat is not None:
@@ -433,7 +469,7 @@ def _refuse_several(
         )
 
 
-def _materials(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:
+def materials_of(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:
     """Return the materials, the index of each own particle's, and its factor where any is graded (collective)."""
     count = np.zeros(cloud.n_owned, dtype=np.int32)
     index = np.zeros(cloud.n_owned, dtype=np.int32)

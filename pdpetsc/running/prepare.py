@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case, check_declared
+from pdpetsc.declared import name_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import Comm, agreed, communicator
 from pdpetsc.discrete.components import refuse_rigid_motion
+from pdpetsc.output.fingerprint import refuse_differing
 from pdpetsc.petsc.defaults import coupled_options, default_options
 from pdpetsc.petsc.jacobian import Choice, assembler, choose, predicted
 from pdpetsc.petsc.options import Options
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
-from pdpetsc.running.build import make_cloud, make_families, make_problem, rehearse
+from pdpetsc.running.build import make_chunk, make_cloud, make_families, make_problem, rehearse, with_whole_patches
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.result import gathered
+from pdpetsc.running.suited import with_suited_scheme
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start
 from pdpetsc.solvers.table import refuse_unmet, solver_of
 
@@ -33,7 +36,7 @@ class Prepared:
     Attributes
     ----------
     case : Case
-        What is declared.
+        What is declared, with the scheme and the control that were chosen for a nearly incompressible body.
     comm : Comm
         The ranks that share the problem.
     problem : Problem
@@ -167,7 +170,7 @@ def prepare(
     Raises
     ------
     CaseError
-        The case or the name of an option is wrong.
+        The case or the name of an option is wrong, or the case differs between ranks.
 
     Notes
     -----
@@ -185,9 +188,12 @@ def prepare(
     """
     ranks = communicator(comm)
     phases = Phases() if phases is None else phases
+    refuse_differing(ranks, _of_all_ranks(case) | {"options": {**case.options, **(options or {})}})
     chosen = Options({**case.options, **(options or {})})
     with phases.timed("particles"):
-        cloud = make_cloud(ranks, case)
+        chunk = make_chunk(ranks, case)
+        case = with_suited_scheme(ranks, case, chunk)
+        cloud = make_cloud(ranks, case, chunk)
         with agreed(ranks):
             check_declared(case, cloud.dim)
             # Files of particles are read once for it.
@@ -195,8 +201,16 @@ def prepare(
     with phases.timed("kernels"):
         rehearse(ranks, weighed, cloud.dim)
     with phases.timed("families"):
-        families = make_families(weighed, cloud)
+        cloud, families = with_whole_patches(weighed, chunk, cloud, make_families(weighed, cloud))
+        del chunk
     with phases.timed("model"):
         problem = make_problem(weighed, cloud, families, chosen)
         refuse_rigid_motion(cloud, families, problem.held)
     return Prepared(case, problem, chosen, phases)
+
+
+def _of_all_ranks(case: Case) -> dict[str, Any]:
+    """Return the declared values that must be equal on all ranks; fields and results count by their names."""
+    declared = {field.name: getattr(case, field.name) for field in fields(case)}
+    results = None if case.results is None else name_of(case.results)
+    return declared | {"fields": [name_of(field) for field in case.written], "results": results}

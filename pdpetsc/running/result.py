@@ -125,7 +125,7 @@ class Result(Mapping[str, float]):
     @property
     def doubts(self) -> dict[str, str]:
         """Return which numbers of the history may be wrong though the run has ended well, and why; mostly none."""
-        return {name: str(found["why"]) for name, found in self.summary.get("doubts", {}).items()}
+        return {name: str(found.get("why")) for name, found in (self.summary.get("doubts") or {}).items()}
 
     def sample(self, points: Any, name: str = "displacement", step: int | None = None) -> Float:
         """Return a field at points, by linear fits to the nearest particles (not collective).
@@ -383,7 +383,7 @@ def open_run(folder: str | Path) -> Result:
     summary = read_summary(folder)
     try:
         results = {str(name): float(value) for name, value in dict(summary.get("results") or {}).items()}
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CaseError(f"{folder} holds a summary.json whose results are not numbers: {error}.") from error
     history = read_history(folder) if (folder / "history.csv").exists() else {}
     return Result(folder, results, history, summary, run=run)

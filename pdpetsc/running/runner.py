@@ -25,7 +25,7 @@ from pdpetsc.kernels.compile import cache_trouble
 from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
-from pdpetsc.output.fingerprint import declared_parts
+from pdpetsc.output.fingerprint import declared_parts, refuse_differing
 from pdpetsc.output.folder import holding, set_aside
 from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
@@ -43,12 +43,15 @@ from pdpetsc.running.checks import Check, compared, failure, lines, recorded, re
 from pdpetsc.running.confined import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
 from pdpetsc.running.confined import words as confined_words
 from pdpetsc.running.controlled import largest_share
-from pdpetsc.running.crack_shares import CrackShare, crack_share
+from pdpetsc.running.crack_energy import missed_fracture_energy
+from pdpetsc.running.notes import notes
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
 from pdpetsc.running.signals import Signals, watched
 from pdpetsc.running.so_far import SoFar, steps_before
+from pdpetsc.running.suited import lame_ratio, locking_note
+from pdpetsc.running.suited import words as suited_words
 from pdpetsc.solvers.protocol import Converged, Solver, Start, StepResult
 
 
@@ -124,6 +127,7 @@ def run(
     """
     ranks = communicator(comm)
     folder = Path(output)
+    refuse_differing(ranks, {"output": folder, "restart": restart, "restart_anyway": restart_anyway, "check": check})
     with messages_apart(ranks), holding(ranks, folder), report(ranks) as said:
         given = dict(options or {}), restart, restart_anyway, said, dict(parameters or {})
         one = _Run(case, ranks, folder, *given, check)
@@ -170,7 +174,6 @@ class _Run:
         self.history: dict[str, list[float]] = {}
         self.failed: list[StepResult] = []
         self.unit = "Newton"
-        self._share: CrackShare | None = None
         self.prepared: Prepared | None = None
         self.solver: Solver | None = None
         self.keeper: Keeper | None = None
@@ -209,10 +212,18 @@ class _Run:
         if self.check:
             with agreed(self.comm):
                 refuse_unchecked(self.case.expect)
-        prepared = self.prepared = prepare(self.case, self.comm, self.options, self.phases)
+        declared = self.case
+        prepared = self.prepared = prepare(declared, self.comm, self.options, self.phases)
+        self.case = prepared.case
         if cache_trouble():
             self.report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
         self._describe(prepared.problem)
+        if self.case.scheme is not declared.scheme:
+            with agreed(self.comm):
+                chosen = suited_words(self.case, lame_ratio(self.case, prepared.problem.dim))
+            self.summary["scheme"]["chosen"] = chosen
+            self.report.say(chosen)
+        self._note(prepared.problem)
         self._report_loads(prepared.problem)
         self.phases.now = "set-up"
         options = prepared.options
@@ -419,8 +430,6 @@ class _Run:
             self.report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
-        if self._share is not None and self._share.grave:
-            self.report.warn(f"What the cracks of this run took is not known. {self._share.said}")
         for name, doubt in summary["doubts"].items():
             times = f"step time {doubt['t']:.6g}" + (f", the first of {doubt['steps']}," if doubt["steps"] > 1 else "")
             self.report.warn(f"{name} of the history at {times} {doubt['why']}.")
@@ -435,6 +444,12 @@ class _Run:
                 f"{found.unstable} of {found.steps} equilibria are unstable, the first at step time "
                 f"{found.first_unstable:.6g}; perturb the body, or let "
                 f'Steps(unstable="shorten") end the run before.'
+            )
+        if found.branching:
+            self.report.warn(
+                f"At {found.branching} of {found.steps} steps damage jumped to where other branches lead away, the "
+                f"first at step time {found.first_branching:.6g}: round-off may decide what follows, and with it the "
+                f"units and the order of particles; take smaller steps, or perturb the body."
             )
         self._show(results)
         return Result(self.folder, results, self.history, summary, keeper.last, keeper.run, case.expect)
@@ -578,10 +593,20 @@ class _Run:
         self.summary["scheme"] = {"name": scheme, "note": matter.note}
         if matter.note:
             self.report.say(f"scheme: {matter.note}")
-        share = self._share = crack_share(self.case)
-        if share is not None:
-            self.summary["fracture_energy"] = share.record
-            (self.report.warn if share.grave else self.report.say)(share.said)
+        missed = missed_fracture_energy(self.case)
+        if missed is not None:
+            self.summary["fracture_energy"] = {"note": missed}
+            self.report.warn(missed)
+
+    def _note(self, problem: Problem) -> None:
+        """Say what a user should know before relying on the numbers (collective)."""
+        locking = locking_note(self.case, problem)
+        if locking:
+            self.report.warn(locking)
+        found = notes(self.case, problem)
+        for note in found:
+            self.report.say(f"note: {note}")
+        self.summary["notes"] = [*filter(None, [locking]), *found]
 
     def _report_loads(self, problem: Problem) -> None:
         resultants = [found for term in problem.terms for found in term.resultants]
@@ -673,6 +698,7 @@ def _attempt(result: StepResult, unit: str) -> dict[str, Any]:
         "norms": result.norms,
         "reference": result.reference,
         "negative_pivots": result.negative_pivots,
+        **({"growth": result.growth} if result.growth else {}),
         f"{unit.lower()}_iterations": result.iterations,
         "linear_iterations": result.linear_iterations,
     }

@@ -25,6 +25,10 @@ class SoFar:
         Steps that ended at an unstable equilibrium.
     first_unstable : float
         Step time of the first of them [-].
+    branching : int
+        Steps that ended where other branches may lead away.
+    first_branching : float
+        Step time of the first of them [-].
     whole : bool
         Whether it is known of all steps: not where a checkpoint did not tell of those before it.
     """
@@ -34,6 +38,8 @@ class SoFar:
     last_force: float = 0.0
     unstable: int = 0
     first_unstable: float = 0.0
+    branching: int = 0
+    first_branching: float = 0.0
     whole: bool = True
 
     @classmethod
@@ -45,6 +51,7 @@ class SoFar:
         return cls(
             int(told.get("steps", 0)), told.get("largest_force", 0.0), told.get("last_force", 0.0),
             int(told.get("unstable", 0)), told.get("first_unstable", 0.0),
+            int(told.get("branching", 0)), told.get("first_branching", 0.0),
             bool(told.get("whole", 0.0)) or origin.start.step == 0,
         )  # fmt: skip
 
@@ -56,6 +63,9 @@ class SoFar:
         if step.result.negative_pivots:
             self.first_unstable = self.first_unstable if self.unstable else float(step.t)
             self.unstable += 1
+        if step.result.growth > 1.0:
+            self.first_branching = self.first_branching if self.branching else float(step.t)
+            self.branching += 1
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -74,7 +84,8 @@ def steps_before(origin: Origin | None) -> list[Mapping[str, Any]]:
         found = json.loads((origin.path.parent / "summary.json").read_text())
         steps = [step for step in found["steps"] if int(step["step"]) <= origin.start.step]
         numbers = [int(step["step"]) for step in steps]
-        known = found["run"] == origin.record.run and numbers == list(range(1, origin.start.step + 1))
+        known = found["run"] == origin.record.run and numbers == list(range(1, len(steps) + 1))
+        known = known and len(steps) == origin.start.step
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return []
     return steps if known else []

@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.communicator import largest, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
 from pdpetsc.petsc.stages import RESIDUAL, TANGENT, stage
@@ -20,9 +20,6 @@ from pdpetsc.solvers.protocol import StepResult
 
 # The residual cannot fall below about this multiple of the round-off of K u.
 FLOOR = 20.0
-# Beyond so many spacings of displacement a residual at that floor counts only where it is below so small a share of the
-# forces: a body that runs away has round-off as large as these, and is in no equilibrium.
-AWAY, SHARE = 1e6, 1e-6
 # A residual at the floor that an iteration did not lower by this factor has stagnated.
 STAGNATION = 0.5
 # Largest number of further solves, each with the springs of loose pieces moved along, until they have no force.
@@ -31,6 +28,12 @@ RESTS = 5
 SLACK = 1.0 + 1e-6
 # Why a piece on which a load acts is not in equilibrium.
 HELD_BY_NOTHING = "nothing holds a piece that has come free against its load"
+# A solve under loads that fails so many times further from its start than its first linear answer has run away.
+RUNAWAY = 100.0
+# What that means.
+BEYOND_LIMIT = "the displacement grew without bound, so that the load is likely above the limit load of the body"
+# Why a state in which forces balance does not count.
+TOO_FAR = "the load would move the body by more than its own size in one step"
 # Largest number of halvings of a Newton step to keep det F > 0.
 HALVINGS = 40
 # A step with no more iterations may be followed by a longer one.
@@ -61,8 +64,13 @@ class Equilibrium:
         The tangent at the displacement for which it was last updated.
     norms : list of float
         Residual norms of the present solve [force].
+    unbalanced : (n_rows, dim) float64 or None
+        Internal less external forces where the present solve begins [force]; None if they are undefined there.
+    resisted : (n_rows, dim) float64
+        Forces of the tangent there against the change of the prescribed unknowns, with all others held [force].
     reference : float
-        Larger norm of external forces and of reactions at the last check [force].
+        Larger norm of external forces and of reactions at the last check, at most that of the forces that the step
+        involves [force].
     reason : str
         Why the last check ended the solve.
 
@@ -78,16 +86,31 @@ class Equilibrium:
         spacing = nearest_distances(problem.body)[:, None]
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
+        x, comm = cloud.x[: cloud.n_owned], cloud.comm
+        sides = [
+            largest(comm, float(a.max(initial=-np.inf))) - smallest(comm, float(a.min(initial=np.inf))) for a in x.T
+        ]
+        least = smallest(comm, float(spacing.min(initial=np.inf)))
+        # The size of the body [length], and over the smallest distance of its particles [-].
+        self._size = float(np.linalg.norm(sides)) + least
+        self._slender = self._size / least
         self.scales = scales_of(problem.body, problem.matter)
         self.tangent = make_tangent(assembler, fixed, self.scales.stiffness)
         self.t = 0.0
         self.prescribed = np.zeros(fixed.shape)
         self.external = np.zeros(fixed.shape)
         self.norms: list[float] = []
+        self.unbalanced: Float | None = None
+        self.resisted = np.zeros(fixed.shape)
         self.reference = 0.0
         self.reason = ""
         self._reaction = np.zeros(fixed.shape)
         self._loads: Float | None = None
+        self._start = np.zeros(fixed.shape)
+        self._loads_at_start = np.zeros(fixed.shape)
+        # Root mean square of the displacement that iterates of the present solve have added: the first, the largest.
+        self._moved = 0.0, 0.0
+        self._lost = self._loaded = False
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -120,6 +143,35 @@ class Equilibrium:
         self._reaction = np.where(self.free, 0.0, residual)
         return np.where(self.free, residual, self.scales.stiffness * (values - self.prescribed))
 
+    def held_in_place(self, step: Float, x: Float, solve: Callable[[Float], Float], rtol: float) -> Float:
+        """Return a step of Newton's method without the motion that nothing but the springs of loose particles resists.
+
+        With their stiffness S the tangent is K + S, and ``z = (K + S)^-1 S step`` is the part of a step in the null
+        space of K: rigid motions of free pieces, and mechanisms of the bonds that are left. Forces ``S z`` caused it.
+        Where they count as zero they are round-off, which S is far too soft to resist, and z is removed. Where they do
+        not, a load acts on what has come free.
+
+        Parameters
+        ----------
+        step : (n,) float64
+            Displacements [length], and after them whatever else ``solve`` finds.
+        x : (n_rows, dim) float64
+            The unknowns to which the step is added [length].
+        solve : callable
+            Returns the step that the tangent answers forces (n_rows, dim) [force] with.
+        """
+        springs = self.problem.springs
+        if springs is None or not springs.active:
+            return step
+        shape, size = self.free.shape, self.free.size
+
+        def resistance(of: Float) -> Float:
+            return np.where(self.free, springs.resistance(of[:size].reshape(shape)), 0.0)
+
+        loose = solve(resistance(step))
+        force = float(np.sqrt(total(self.problem.body.cloud.comm, float((resistance(loose) ** 2).sum()))))
+        return step - loose if force <= max(self._tolerance(x, rtol)) else step
+
     def assemble(self, x: Float, effort: float | None = None) -> None:
         """Update the tangent to that at ``x`` after a linear solve of some ``effort`` (``PetscTangent.update``)."""
         with stage(TANGENT):
@@ -149,6 +201,8 @@ class Equilibrium:
         if not np.isfinite(residual):
             return int(reason.DIVERGED_FNORM_NAN)
         tolerance, floor = self._tolerance(x, rtol)
+        if self._lost:
+            return None
         if residual <= tolerance:
             self.reason = "residual below tolerance"
             return int(reason.CONVERGED_FNORM_RELATIVE)
@@ -169,27 +223,52 @@ class Equilibrium:
         norm = float(np.sqrt(total(self.problem.body.cloud.comm, (residual**2).sum())))
         if not self.norms:  # a solver of PETSc that calls no convergence test
             self.norms.append(norm)
-        return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol))
+        return np.isfinite(norm) and norm <= SLACK * max(self._tolerance(x, rtol)) and not self._lost
 
     def _tolerance(self, x: Float, rtol: float) -> tuple[float, float]:
-        """Return below which norm a residual counts as zero, and the norm of its round-off [force]."""
+        """Return below which norm a residual counts as zero, and the norm of its round-off [force].
+
+        The residual is compared with the loads and reactions at ``x``. In an iterate that runs away they are of any
+        size. In a nonlinear body they count therefore up to the sum of the forces that the step involves: loads,
+        unbalanced forces and reactions where it begins, and what resists the change of the prescribed unknowns. That
+        sum is one over the particles: a few supports may carry a load that is spread over many. Round-off grows with
+        the displacement, which ``_note_move`` bounds.
+        """
         values = self.at_prescribed(x)
-        diagonal = self.tangent.diagonal.reshape(values.shape)
-        at_rest = np.where(self.free, diagonal * self.spacing, 0.0)
-        round_off = np.where(self.free, diagonal * (np.abs(values) + self.spacing), 0.0)
+        change = values - self._start
+        diagonal = np.where(self.free, self.tangent.diagonal.reshape(values.shape), 0.0)
+        round_off = diagonal * (np.abs(values) + self.spacing)
         unstrained = self.problem.force_without_strain(self.t)
-        held = 0.0 if unstrained is None else float((unstrained**2).sum())
-        squares = total(
+        held = np.zeros(1) if unstrained is None else unstrained
+        loads = self._loads_at_start if self._loads is None else self._loads
+        begin = np.zeros(1) if self.unbalanced is None else self.unbalanced
+        resisted, jump = (np.where(self.free, 0.0, one) for one in (self.resisted, change))
+        squares = [self.external, self._reaction, held, round_off, change, jump]
+        sums = total(
             self.problem.body.cloud.comm,
-            [(self.external**2).sum(), (self._reaction**2).sum(), (round_off**2).sum(), held, (at_rest**2).sum()],
+            [float((one**2).sum()) for one in squares]
+            + [float(np.abs(force).sum()) for force in (loads, begin, resisted, held)],
         )
         # The undeformed body may be one in which a law has no stress.
-        held = float(squares[3]) if np.isfinite(squares[3]) else 0.0
-        self.reference = float(np.sqrt(max(squares[0], squares[1], held)))
-        floor = FLOOR * float(np.finfo(float).eps) * float(np.sqrt(squares[2]))
-        if squares[2] > AWAY**2 * squares[4]:
-            floor = min(floor, SHARE * self.reference)
-        return rtol * self.reference, floor
+        sums = np.where(np.isfinite(sums), sums, 0.0)
+        *forces, of_round_off, of_change, of_jump = np.sqrt(sums[: len(squares)]).tolist()
+        of_step = sums[len(squares) :]
+        self._loaded = bool(of_step[0] > 0.0)
+        bounded = self.unbalanced is not None and not self.problem.linear
+        self.reference = min(max(forces), float(of_step.sum()) if bounded else np.inf)
+        self._note_move(of_change / np.sqrt(self.problem.body.cloud.n_global), of_jump)
+        return rtol * self.reference, FLOOR * float(np.finfo(float).eps) * of_round_off
+
+    def _note_move(self, moved: float, jump: float) -> None:
+        """Note how far an iterate is from the start of its solve, and whether it is too far to be an equilibrium.
+
+        A nonlinear body that loads move by more than its own size in one step has run away; prescribed displacements
+        may turn it with a lever as long as its size over the distance of two supports. Where springs hold loose
+        particles ``at_rest`` tells.
+        """
+        first, most = self._moved
+        self._moved = first or moved, max(most, moved)
+        self._lost = moved > self._size + self._slender * jump and self.resting and not self.problem.linear
 
     def interrupted(self) -> int:
         """Return PETSc's reason to end for a solve that a signal stops (not collective)."""
@@ -198,14 +277,28 @@ class Equilibrium:
         return int(reason.DIVERGED_USER) if hasattr(reason, "DIVERGED_USER") else int(reason.DIVERGED_INNER)
 
     def begin(self, u: Float) -> bool:
-        """Start to record a solve from ``u``, and hold loose particles there.
+        """Start to record a solve from ``u``, compute the forces that it involves, and hold loose particles there.
 
         Return whether the preconditioner has a new ``Mat``, as it may after bonds have broken.
         """
-        self.norms, self.reason = [], ""
+        self.norms, self.reason, self._start, self._moved = [], "", u, (0.0, 0.0)
         if self.problem.springs is not None:
             self.problem.springs.hold(u)
-        return self.tangent.renew()
+        renewed = self.tangent.renew()
+        state = self.problem.state(u, self.t)
+        force = self.problem.internal_force(state)
+        self._loads_at_start = self.problem.external_force(state) if self._loads is None else self._loads
+        self.unbalanced = None if force is None else force - self._loads_at_start
+        # Until the residual is computed, forces are compared with those of the start, not of the solve before.
+        self.external = self._loads_at_start
+        self._reaction = np.where(self.free, 0.0, 0.0 if self.unbalanced is None else self.unbalanced)
+        return renewed
+
+    def resist(self, change: Float) -> None:
+        """Compute what resists a change of the prescribed unknowns (n_rows, dim) [length] where the solve begins."""
+        self.resisted = np.zeros_like(change)
+        if self.unbalanced is not None and int(total(self.problem.body.cloud.comm, np.count_nonzero(change))):
+            self.resisted += self.problem.linearised(self.problem.state(self._start, self.t))(change)
 
     def result(self, converged: bool, reason: int, linear_reason: int, linear_iterations: int) -> StepResult:
         """Return how the solve went, with PETSc's reasons to end of SNES and KSP (not collective).
@@ -216,6 +309,12 @@ class Equilibrium:
         words = self.reason or _words(reason, linear_reason)
         if reason > 0 and not converged and self.reason != HELD_BY_NOTHING:
             words = f"PETSc ended with {_words(reason, linear_reason)}, but the residual is above the tolerance"
+        first, most = self._moved
+        if not (converged or self.reason):
+            if self._loaded and most > RUNAWAY * first:
+                words = f"{words}, and {BEYOND_LIMIT}"
+            elif self._lost:
+                words = TOO_FAR
         return StepResult(
             converged=converged,
             reason=words,

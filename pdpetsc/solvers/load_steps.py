@@ -73,7 +73,7 @@ def load_steps(
     Raises
     ------
     SolveError
-        The smallest step failed; what was yielded before stands.
+        The smallest step failed, or the first equilibrium is one of infinitely many; what was yielded before stands.
     Interrupted
         A signal asked to stop.
 
@@ -85,6 +85,7 @@ def load_steps(
     dt = min(start.resume.get(LOAD_STEP, steps.first), steps.largest)
     stops = steps.stops()
     failures: list[StepResult] = []
+    converged_once = False
     while t < 1.0 - SAME_TIME:
         ahead = next(s for s in stops if s > t + SAME_TIME)
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
@@ -107,6 +108,9 @@ def load_steps(
         if stop():
             solver.problem.revert()
             raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
+        if result.converged and not converged_once:
+            solver.refuse_mechanism(attempt)
+            converged_once = True
         if result.converged:
             u, t = attempt, target
             solver.problem.commit(solver.state(u))
@@ -161,7 +165,9 @@ def equilibrium(
     if stop():
         return attempt, result, broken, 0
     damage_of(solver).revert()  # what went ahead of the equilibrium stays
-    return settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
+    found = settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
+    attempt, result, broken, sweeps = found
+    return attempt, replace(result, growth=solver.growth(attempt) if result.converged else 0.0), broken, sweeps
 
 
 def damage_of(solver: StepSolver) -> Damage:

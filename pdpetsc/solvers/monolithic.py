@@ -11,7 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.errors import CaseError
-from pdpetsc.petsc.library import effort, negative_pivots, set_domain_error
+from pdpetsc.petsc.library import effort, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
@@ -282,12 +282,11 @@ class MonolithicSolver(StaticSolver):
             return None
         return self._unless_forced(verdict, snes, iteration)
 
-    def _pivots(self) -> int | None:
-        """Return the negative pivots of the part of the displacement; that of the temperature has none."""
+    @property
+    def _tangent_solver(self) -> PETSc.KSP | None:
+        """Return the solver of the part of the displacement; that of the temperature has no negative pivots."""
         pc = self.snes.getKSP().getPC()
-        if pc.getType() != "fieldsplit":
-            return None
-        return negative_pivots(pc.getFieldSplitSubKSP()[1])
+        return pc.getFieldSplitSubKSP()[1] if pc.getType() == "fieldsplit" else None
 
 
 class _Coupling:

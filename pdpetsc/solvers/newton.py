@@ -25,8 +25,10 @@ from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
+from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
-from pdpetsc.solvers.protocol import Setting, Start, StepResult
+from pdpetsc.solvers.protocol import Setting, StepResult
+from pdpetsc.solvers.unique import refuse_mechanism
 
 # The line search for a zero of the residual along the step; where a loose piece rotates its steps get tiny, full steps
 # do not.
@@ -68,7 +70,6 @@ class StaticSolver(LoadStepSolver):
         self._fixed = problem.supports.fixed
         self.stop = stop
         self._filled_at: Float | None = None
-        self._resumed_from: Float | None = None
         self._equilibrium = Equilibrium(problem, assembler)
         self._scales = self._equilibrium.scales
         self._all_prescribed = int(total(self._comm, np.count_nonzero(~self._fixed))) == 0
@@ -94,11 +95,6 @@ class StaticSolver(LoadStepSolver):
         """Return the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
 
-    def resume(self, start: Start) -> None:
-        """Take over what a checkpoint keeps, so that the run goes on as if it had not stopped (collective)."""
-        super().resume(start)
-        self._resumed_from = self.problem.supports.prescribed(start.t)
-
     @property
     def matrix_bytes(self) -> int:
         """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
@@ -118,20 +114,20 @@ class StaticSolver(LoadStepSolver):
         result : StepResult
         """
         sought = self._equilibrium
-        old_prescribed = sought.prescribed if self._resumed_from is None else self._resumed_from
-        self._resumed_from = None
-        old_t, self.t = sought.t, t
+        self.t = t
         sought.impose(t)
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
             self._equip()
+        jump = np.where(self._fixed, sought.prescribed - u, 0.0)
+        sought.resist(jump)
         if self._all_prescribed:
             return self._without_solve()
         linear = self._as_before(u, t)
         if linear is None:
             start, linear = u, 0
-            if total(self._comm, np.count_nonzero(sought.prescribed != old_prescribed)):
-                start, linear = self._predict(u, sought.prescribed - np.where(self._fixed, u, 0.0))
+            if total(self._comm, np.count_nonzero(jump)):
+                start, linear = self._predict(u, jump)
             linear += self._iterate(start)
         resting = sought.resting
         for _ in range(RESTS):
@@ -154,10 +150,33 @@ class StaticSolver(LoadStepSolver):
             secant = damage is not None and damage.softens and damage.bonds.frozen
             result = replace(result, negative_pivots=None if secant else self._pivots())
         else:
-            sought.impose(old_t, old_prescribed)
             sought.tangent.forget()
         self.resumed = None
         return sought.at_prescribed(found), result
+
+    def refuse_mechanism(self, u: Float) -> None:
+        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` leaves a mechanism."""
+        sought, ksp = self._equilibrium, self._tangent_solver
+        if self._all_prescribed or ksp is None:
+            return
+        anew = not sought.tangent.holds()
+        if anew:
+            sought.tangent.update(self.state(u))
+        refuse_mechanism(self.problem, sought.tangent, ksp, self._scales.stiffness, self.t)
+        if anew:  # the next step begins as if nobody had looked
+            sought.tangent.forget()
+
+    @property
+    def _tangent_solver(self) -> PETSc.KSP | None:
+        """Return the linear solver of the tangent, None if options chose another way."""
+        return self.snes.getKSP()
+
+    def growth(self, u: Float) -> float:
+        """Return the factor by which a deviation grows from sweep to sweep (``growth_of_deviation``)."""
+        ksp = self._tangent_solver
+        if ksp is None or self._all_prescribed:
+            return 0.0
+        return growth_of_deviation(self.problem, self._equilibrium.tangent, ksp, self._scales.stiffness, u, self.t)
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Return what the tangent at an equilibrium answers forces with; None where the linear solve fails."""
@@ -227,7 +246,8 @@ class StaticSolver(LoadStepSolver):
 
     def _pivots(self) -> int | None:
         """Return the negative pivots of the tangent where it was factored."""
-        return negative_pivots(self.snes.getKSP())
+        ksp = self._tangent_solver
+        return None if ksp is None else negative_pivots(ksp)
 
     def _create(self) -> PETSc.Vec:
         """Return a vector of PETSc for the unknowns."""
@@ -261,20 +281,16 @@ class StaticSolver(LoadStepSolver):
         Setting them alone would strain the layer next to a support by the whole increment. The tangent is that of the
         last iteration before, whose factor is there already, unless bonds have failed since.
         """
-        sought, free = self._equilibrium, self._equilibrium.free
-        jump = np.where(free, 0.0, jump)
-        state = self.problem.state(u, sought.t)
-        force = self.problem.internal_force(state)
-        if force is None:
+        sought = self._equilibrium
+        if sought.unbalanced is None:
             return u, 0
-        external = self.problem.external_force(state)
         if not sought.tangent.holds():
             self._filled_at = u if self.resumed is None else self.resumed
             sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
-        b = external - force - self.problem.linearised(state)(jump)
-        more, iterations = self._linear_step(u, state, np.where(free, b, 0.0))
-        change = more + jump
+        b = -(sought.unbalanced + sought.resisted)
+        more, iterations = self._linear_step(u, self.problem.state(u, sought.t), np.where(sought.free, b, 0.0))
+        change = sought.held_in_place(more.ravel(), u, self._answer, self._rtol).reshape(u.shape) + jump
         finite = np.isfinite(float(total(self._comm, float(change.sum()))))
         return u + (change if finite else jump), iterations
 
@@ -287,6 +303,19 @@ class StaticSolver(LoadStepSolver):
         ksp.setOperators(tangent.mat, tangent.preconditioner)
         ksp.solve(self._r, self._x)
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
+
+    def _answer(self, b: Float) -> Float:
+        """Return the displacements (n,) that the tangent, which was solved with last, answers forces ``b`` with."""
+        forces, found = self._r.duplicate(), self._x.duplicate()
+        forces.array = b.ravel() / self._scales.force
+        ksp = self.snes.getKSP()
+        ksp.solve(forces, found)
+        if ksp.getConvergedReason() < 0:
+            found.set(0.0)
+        answer = self._displacement(found)
+        forces.destroy()
+        found.destroy()
+        return answer
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         residual = self._equilibrium.residual(self._displacement(x))
@@ -302,8 +331,11 @@ class StaticSolver(LoadStepSolver):
         self._equilibrium.assemble(values, effort(snes.getKSP()))
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
+        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0."""
         here, step = self._displacement(x), self._displacement(y)
+        if not self._equilibrium.resting:
+            step = self._equilibrium.held_in_place(step, here, self._answer, self._rtol)
+            y.array = step / self._scales.length
         part = self._equilibrium.admissible_part(lambda p: self._equilibrium.at_prescribed(here - p * step))
         if part < 1.0:
             y.scale(part)

@@ -27,7 +27,8 @@ class StepResult:
     norms : list of float
         Residual norms over the free degrees of freedom, at the start and after iterations [force].
     reference : float
-        Norm of external forces and reactions that the tolerance is relative to [force].
+        Norm of external forces and reactions that the tolerance is relative to, at most the sum of the forces that the
+        step involves [force].
     iterations : int
         Newton iterations or time steps.
     linear_iterations : int
@@ -37,6 +38,9 @@ class StepResult:
     negative_pivots : int or None
         Negative eigenvalues of the last tangent that was factored, 0 where equilibrium is stable under its loads; None
         where there is no factor that tells.
+    growth : float
+        After damage has settled in sweeps, the factor by which a deviation from the equilibrium grows from one sweep to
+        the next [-]. Above 1 other branches of equilibria lead away, and round-off may decide which one a run takes.
     """
 
     converged: bool
@@ -47,6 +51,7 @@ class StepResult:
     linear_iterations: int = 0
     easy: bool = True
     negative_pivots: int | None = None
+    growth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -223,6 +228,7 @@ class Solver(ABC):
             f"{f', UNSTABLE (negative pivots: {result.negative_pivots})' if result.negative_pivots else ''}"
             f"{f', {converged.broken} bonds broke' if converged.broken else ''}"
             f"{f', damage held in {converged.sweeps} sweeps' if converged.sweeps else ''}"
+            f"{f', BRANCHES (a deviation grows by {result.growth:.2f} a sweep)' if result.growth > 1.0 else ''}"
         )
 
     @property
@@ -259,6 +265,16 @@ class StepSolver(Solver):
     def state(self, u: Float) -> State:
         """Return the state at unknowns and the step time of the last solve (collective)."""
         return self.problem.state(u, self.t)
+
+    def refuse_mechanism(self, u: Float) -> None:
+        """Raise SolveError on all ranks if the equilibrium at ``u`` is one of infinitely many (collective).
+
+        Solvers without a tangent do not know.
+        """
+
+    def growth(self, u: Float) -> float:
+        """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if nothing tells (collective)."""
+        return 0.0
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:

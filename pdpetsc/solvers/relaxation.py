@@ -24,7 +24,8 @@ SAFETY = 0.9
 RENEWED = 2000
 # Time steps after which a norm is recorded and signals are looked for.
 KEPT = 100
-# An unloaded body has no forces to compare its residual with: it is compared with this share of the largest so far.
+# An unloaded body has no forces to compare its residual with: it is compared with this share of the largest of a state
+# at rest so far, or of the beginning of the step. Those of a motion that ends nowhere do not count.
 UNLOADED = 1e-3
 
 
@@ -102,9 +103,10 @@ class RelaxationSolver(LoadStepSolver):
         sums, size = np.zeros(SUMS + 1), norms[0]
         first_change, dt, damping = 0.0, self._time_step(moved), 0.0
         density = self._norm(residual / self._mass[:, None])
-        self._largest = max(self._largest, reference)
-        if norms[0] <= self._options.tolerance * max(reference, UNLOADED * self._largest):
+        least = UNLOADED * max(self._largest, reference)
+        if norms[0] <= self._options.tolerance * max(reference, least):
             # It is in equilibrium already: the first residual is too small to be the reference of the others.
+            self._largest = max(self._largest, reference)
             return moved, StepResult(True, "at rest", norms, reference, 0)
         for iteration in range(1, self._options.most + 1):
             if iteration % RENEWED == 0:
@@ -131,9 +133,9 @@ class RelaxationSolver(LoadStepSolver):
             if not math.isfinite(size):
                 return moved, StepResult(False, "the motion is unstable", norms, reference, iteration)
             tolerance = self._options.tolerance
-            self._largest = max(self._largest, reference)
-            balanced = size <= tolerance * max(reference, UNLOADED * self._largest)
+            balanced = size <= tolerance * max(reference, least)
             if balanced and dense <= tolerance * density and moving <= tolerance * first_change:
+                self._largest = max(self._largest, reference)
                 norms.append(size)
                 return moved, StepResult(True, "at rest", norms, reference, iteration)
         norms.append(size)

@@ -13,6 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from pdpetsc.bounds import whole_number
 from pdpetsc.errors import CaseError
 from pdpetsc.studies.asking import environment
 from pdpetsc.studies.used import WORD
@@ -127,7 +128,7 @@ def cores() -> int:
 def too_many(jobs: int, ranks: int) -> str:
     """Return a warning where runs side by side take more cores than there are; empty otherwise."""
     text = os.environ.get("OMP_NUM_THREADS", "1")
-    threads = int(text) if text.isdigit() and int(text) > 0 else 1
+    threads = whole_number(text) or 1
     wanted, there = jobs * ranks * threads, cores()
     if wanted <= there:
         return ""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.bounds import text_in
 from pdpetsc.errors import CaseError
-from pdpetsc.studies.sets import text_in
 
 # How far a measured place may lie beyond the history of a run, over the length of that [-]: what adding steps leaves.
 SLACK = 1e-9
@@ -90,7 +90,8 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
     wanted = [*there, *([sigma] if sigma is not None else [])]
     for name in wanted:
         if header.count(name) != 1:
-            raise CaseError(f"{path} must have one column {name!r}; it has {', '.join(header) or 'none'}.")
+            have = " ".join(", ".join(header).split())
+            raise CaseError(f"{path} must have one column {name!r}; it has {have or 'none'}.")
     at = [header.index(name) for name in wanted]
     found = []
     for number, row in enumerate(rows[1:], 2):

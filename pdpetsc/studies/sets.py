@@ -10,10 +10,13 @@ import io
 import itertools
 import json
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pdpetsc.bounds import MOST_SETS, refuse_deep, text_in
+from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError
 
 Set: TypeAlias = dict[str, str]
@@ -23,14 +26,7 @@ TABLES = ("sets", "grids", "samples")
 OF_SAMPLES = ("method", "n", "seed", "ranges")
 METHODS = ("latin_hypercube", "sobol")
 SCALES = ("linear", "log", "integer")
-
-
-def text_in(path: Path, what: str) -> str:
-    """Return the text of a file that a user has written; raises CaseError where it cannot be read."""
-    try:
-        return path.read_text()
-    except (OSError, ValueError) as error:
-        raise CaseError(f"Cannot read the {what} {path}: {getattr(error, 'strerror', None) or error}.") from None
+_LARGEST = sys.float_info.max
 
 
 def text_of(value: Any) -> str:
@@ -67,11 +63,12 @@ def grid(choices: Mapping[str, Sequence[Any]]) -> list[Set]:
     Raises
     ------
     CaseError
-        A parameter has no value.
+        A parameter has no value, or there are more than ``MOST_SETS`` combinations.
     """
     for name, values in choices.items():
         if not len(values):
             raise CaseError(f"Parameter {name} has no value.")
+    _refuse_many(math.prod(len(values) for values in choices.values()))
     combinations = itertools.product(*choices.values())
     return [dict(zip(choices, map(text_of, values), strict=True)) for values in combinations]
 
@@ -82,10 +79,11 @@ def combined(first: Iterable[Set], second: Iterable[Set]) -> list[Set]:
     Raises
     ------
     CaseError
-        A parameter is in both.
+        A parameter is in both, or there are more than ``MOST_SETS`` sets.
     """
     found = []
-    second = list(second)
+    first, second = list(first), list(second)
+    _refuse_many(len(first) * len(second))
     for one in first:
         for other in second:
             if both := one.keys() & other.keys():
@@ -113,9 +111,10 @@ def read_sets(path: Path) -> list[Set]:
     text = text_in(path, "parameter sets")
     try:
         found = kinds[path.suffix](text)
+        _refuse_many(len(found))
     except CaseError as error:
         raise CaseError(f"{path}: {error}") from None
-    except (ValueError, csv.Error) as error:
+    except (ValueError, ArithmeticError, RecursionError, csv.Error) as error:
         raise CaseError(f"{path} is no {path.suffix[1:].upper()} file: {error}.") from None
     if not found:
         raise CaseError(f"{path} holds no parameter set.")
@@ -139,12 +138,19 @@ def _from_csv(text: str) -> list[Set]:
     return found
 
 
+def _refuse_many(count: int) -> None:
+    if count > MOST_SETS:
+        raise CaseError(f"{count} parameter sets are more than {MOST_SETS}.")
+
+
 def _from_json(text: str) -> list[Set]:
+    refuse_deep(text)
     found = json.loads(text)
     return _from_tables({"sets": found} if isinstance(found, list) else found)
 
 
 def _from_toml(text: str) -> list[Set]:
+    refuse_deep(text)
     for name in ("tomllib", "tomli"):  # the second one for Python 3.10
         with contextlib.suppress(ImportError):
             return _from_tables(importlib.import_module(name).loads(text))
@@ -160,8 +166,10 @@ def _from_tables(tables: Any) -> list[Set]:
         found.append({name: _single(name, value) for name, value in one.items()})
     for one in _tables(tables, "grids"):
         found += grid({n: v if isinstance(v, list) else [v] for n, v in one.items()})
+        _refuse_many(len(found))
     for one in _tables(tables, "samples"):
         found += _sampled(one)
+        _refuse_many(len(found))
     return found
 
 
@@ -196,9 +204,10 @@ def _sampled(table: Mapping[str, Any]) -> list[Set]:
     if method not in METHODS:
         raise CaseError(f"the method of samples is {' or '.join(METHODS)}, not {method!r}.")
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise CaseError(f"n of samples is a positive whole number, not {n!r}.")
+        raise CaseError(f"n of samples is a positive whole number, not {shown(n)}.")
+    _refuse_many(n)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise CaseError(f"the seed of samples is a whole number >= 0, not {seed!r}.")
+        raise CaseError(f"the seed of samples is a whole number >= 0, not {shown(seed)}.")
     if method == "sobol" and n & (n - 1):
         raise CaseError(f"Sobol's points fill their ranges evenly where n is a power of two, not {n}.")
     if not isinstance(ranges, Mapping) or not ranges:
@@ -216,9 +225,9 @@ def _of_range(name: str, table: Any, shares: Sequence[float]) -> list[str]:
         raise CaseError(f"the range of {name} has low and high, not {table!r}.")
     _refuse_unknown(table, ("low", "high", "scale"), f"a word of the range of {name}")
     low, high, scale = table.get("low"), table.get("high"), table.get("scale", "linear")
-    numbers = [v for v in (low, high) if isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)]
-    if len(numbers) < 2 or not numbers[0] < numbers[1]:
-        raise CaseError(f"the range of {name} needs numbers low < high, not {low!r} and {high!r}.")
+    numbers = [v for v in (low, high) if isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST]
+    if len(numbers) < 2 or not numbers[0] < numbers[1] or not math.isfinite(numbers[1] - numbers[0]):
+        raise CaseError(f"the range of {name} needs numbers low < high, not {shown(low)} and {shown(high)}.")
     if scale not in SCALES:
         raise CaseError(f"the scale of {name} is {', '.join(SCALES)}, not {scale!r}.")
     if scale == "log":

@@ -39,6 +39,8 @@ class Applied:
     ----------
     body, matter, particles
         As for ``DeadLoads``.
+    times : sequence of float
+        Step times that the run meets exactly [-].
 
     Attributes
     ----------
@@ -48,8 +50,11 @@ class Applied:
         External forces.
     """
 
-    def __init__(self, body: Body, matter: Matter, particles: Particles) -> None:
+    def __init__(
+        self, body: Body, matter: Matter, particles: Particles, times: Sequence[float] = (1.0,)
+    ) -> None:  # fmt: skip
         self.body = body
+        self.times = times
         self.cell = None if body.cloud.images is None else CellRows(body.cloud, particles.thickness)
         self.supports = Supports(body, self.cell)
         self.loads = DeadLoads(body, matter, particles, self.cell)
@@ -148,21 +153,32 @@ class Applied:
 
 
 def apply(
-    body: Body, matter: Matter, conditions: Sequence[Condition | ThermalCondition], particles: Particles
-) -> Applied:
+    body: Body, matter: Matter, conditions: Sequence[Condition | ThermalCondition], particles: Particles,
+    times: Sequence[float] = (1.0,),
+) -> Applied:  # fmt: skip
     """Return supports, loads and what else conditions prescribe (collective).
+
+    Parameters
+    ----------
+    body, matter, particles
+        As for ``Applied``.
+    conditions : sequence of Condition
+        What the case declares.
+    times : sequence of float
+        Step times at which conditions that hold the same particle must agree [-].
 
     Raises
     ------
     CaseError
-        A region selects nothing, a degree of freedom is prescribed twice, a component is wrong, or a traction acts on a
-        face whose area is not known.
+        A region selects nothing, two conditions prescribe different values of the same particle, a component is wrong,
+        or a traction acts on a face whose area is not known.
     """
-    onto = Applied(body, matter, particles)
+    onto = Applied(body, matter, particles, times)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, f"{type(condition).__name__} condition {number}")
     try:
-        onto.supports.prescribed(1.0)
+        for t in times if onto.supports.given.shared else (1.0,):
+            onto.supports.prescribed(t)
         onto.loads.forces(1.0)
         if body.surface is not None:
             onto.surface_loads.forces(1.0)

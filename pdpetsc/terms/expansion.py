@@ -17,10 +17,21 @@ from pdpetsc.terms.conditions import Applied
 
 
 def prescribed_temperature(body: Body, applied: Applied, start: Float) -> PrescribedTemperature:
-    """Return the temperature that conditions give, ``start`` (n_owned,) elsewhere (collective)."""
+    """Return the temperature that conditions give, ``start`` (n_owned,) elsewhere (collective).
+
+    Raises
+    ------
+    CaseError
+        Two conditions prescribe different temperatures of the same particle.
+    """
     found = PrescribedTemperature(body.cloud, start)
     for name, condition, mask in applied.temperatures:
         found.prescribe(condition, mask, name)
+    try:
+        for t in applied.times if found.given.shared else ():
+            found.at(t)
+    except SolveError as error:
+        raise CaseError(str(error)) from error
     return found
 
 
@@ -40,7 +51,7 @@ def stress_free(
     ------
     CaseError
         A material expands and has no temperature, or a temperature acts on no such material; two conditions prescribe
-        the temperature of one particle; or a function fails at the beginning or the end of the load.
+        different temperatures of one particle; or a function fails at the beginning or the end of the load.
     """
     thermal = any(one is not None for one in thermals)
     if field is None and applied.heat:

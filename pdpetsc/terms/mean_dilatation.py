@@ -17,6 +17,7 @@ from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
+from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, ListedProduct, Moduli, Patches, Scheme
 from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.kernels.assembly import assemble_kernel
@@ -121,7 +122,8 @@ class PatchPoints(MaterialPoints):
             twice = twice_shear(one.material.moduli(dim))
             self.twice_shear[one.points] = twice if one.factor is None else twice * one.factor
         self._rest = patches.share * self.twice_shear
-        grid = boxes(cloud.comm, cloud.x[: cloud.n_owned], patches.edge)
+        axes, _ = body_axes(cloud, body.families, body.families.bonds(cloud.x))
+        grid = boxes(cloud.comm, cloud.x[: cloud.n_owned] @ axes.T, patches.edge)
         keys = np.column_stack([grid, material_of])
         if factor is not None:
             keys = np.column_stack([keys, _apart(keys, factor)])

@@ -3,8 +3,8 @@
 Length 46, height 20, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, Poisson's ratio 0.25 (1/3 of bonds), a
 crack of length 12 from the left side. Both long sides are held one horizon deep and moved apart, less and less towards
 the right, so that the crack grows steadily as they are: at ``x`` by ``1 - x / 60`` of what they are at the left end. By
-default bonds have the share of the fracture energy that the program has measured on another body, under another load:
-the field of a crack tip in ``surfing.py``; or ``share``.
+default bonds have the energy of a plane; of models whose cracks take another one ``share`` is that measured on another
+body, under another load: the field of a crack tip in ``surfing.py``.
 Results, for the tip between 16 and 26: ``taken_over_Gc``, by how much work less stored energy grows with the length of
 the crack; ``taken_over_ends``, the same between the first and the last step at which the tip was ahead of where it had
 been; ``J_over_Gc``; ``tip`` at the end.
@@ -18,13 +18,13 @@ import pdpetsc as pd
 LENGTH, HEIGHT, CRACK, TAPER = 46.0, 20.0, 12.0, 60.0
 
 
-def case(n=20, horizon=3.015, steps=90, opening=2.0, law="linear", model="bonds", share=0.0, nu=0.25):
+def case(n=20, horizon=3.015, steps=90, opening=2.0, law="linear", model="bonds", share=1.0, nu=0.25):
     dx = HEIGHT / n
     delta = horizon * dx
     low, high = pd.region.Slab("y", high=delta), pd.region.Slab("y", low=HEIGHT - delta)
     near = pd.region.Slab("y", low=0.5 * HEIGHT - delta, high=0.5 * HEIGHT + delta)
     far = pd.region.Slab("x", low=LENGTH - delta)
-    energy, protected = pd.FractureEnergy(GC, share or None), ~near | far
+    energy, protected = pd.FractureEnergy(GC, share), ~near | far
     _, material, scheme, control = parts(pd.choose("model", model, {name: name for name in MODELS}), nu, 0.5)
     # Of a strip of this height, clamped and much longer, the energy far ahead of the tip is Gc at this displacement.
     grows = 0.5 * np.sqrt(2.0 * (HEIGHT - 2.0 * delta) * GC / E)

@@ -2,7 +2,7 @@
 
 Two arms of depth ``h`` = 10 over a length of 90, a crack of length 30 between them, bond-based, plane stress,
 E = 1000 MPa, fracture energy 0.1 N / mm, followed event by event. Bonds far from the plane of the crack do not fail.
-Bonds are given the energy of one plane of them over ``share``, 0 for the share that a crack takes as far as measured.
+Bonds are given the energy of one plane of them over ``share``.
 Beam theory with the turning of the root as a longer crack, ``a' = a + 0.64 h``: opening ``d = 8 P a'^3 / (E h^3)`` and
 growth at ``P = sqrt(E Gc h^3 / 12) / a'`` (Williams).
 Results, all over beam theory: ``stiffness``, P / d before growth; ``J``, the J-integral of the first step over
@@ -77,7 +77,7 @@ def case(n=20, horizon=3.015, opening=6.0, solver="events", law="brittle", schem
         else pd.BondBased(E=E, plane="stress", calibration="family"),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES) if intact else None,
         cracks=[pd.Segment((-1.0, H), (CRACK, H))],
-        damage=None if intact else pd.Brittle(pd.FractureEnergy(GC, share or None), protected=~near),
+        damage=None if intact else pd.Brittle(pd.FractureEnergy(GC, share), protected=~near),
         conditions=[
             pd.Displacement(far, x=0.0),
             pd.Displacement(up, y=0.5 * opening),

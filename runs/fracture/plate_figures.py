@@ -282,7 +282,7 @@ def figure_31():
     numbers = {f"{name}_{key}": value for name, one in found.items() for key, value in crack(one).items()}
     both = found["published"], found["load_steps"]
     numbers["force_of_load_steps_over_newton"] = both[1].force[-1] / both[0].force[-1]
-    # With a control of ordinary strength Newton alone stops where the plate snaps back.
+    # With a control of ordinary strength Newton alone jumps to another branch where the plate snaps back.
     for steps in (STEPS, 4 * STEPS):
         alone = by_newton(30, 0.5, steps=steps, unit=0.0)
         numbers[f"silling_newton_ends_of_{steps}"] = len(alone.damage) / steps

@@ -2,11 +2,11 @@
 
 Length 36, height 20, plane stress, E = 1000 MPa, fracture energy 0.1 N / mm, a crack of length 10 from the left side;
 bond-based, or with ``model=`` bonds with a dilatation or deformation gradients, Poisson's ratio 0.25, whose bonds are
-given a ``share``: with the one for which ``taken_over_Gc`` is 1 a running crack takes the fracture energy (0 for the
-one that the program has measured). On the rim, one horizon deep, the displacements of the field with
-``K = surplus sqrt(E Gc)`` are prescribed about a tip that moves from 10 to ``end``, after a tenth of the load in which
-the field rises. Bonds soften linearly to ``final`` times their critical stretch, or by another ``law``. J is taken on
-two contours that follow the tip. Means are over the steps in which the tip goes from 13 to two before ``end``.
+given a ``share``: with the one for which ``taken_over_Gc`` is 1 a running crack takes the fracture energy. On the rim,
+one horizon deep, the displacements of the field with ``K = surplus sqrt(E Gc)`` are prescribed about a tip that moves
+from 10 to ``end``, after a tenth of the load in which the field rises. Bonds soften linearly to ``final`` times their
+critical stretch, or by another ``law``. J is taken on two contours that follow the tip. Means are over the steps in
+which the tip goes from 13 to two before ``end``.
 Results: ``taken_over_Gc``, work less what is stored over the last third of the way of the field, by whole spacings,
 and ``steady``, by how much this differs between its halves; ``J_over_Gc``, ``J_far_over_Gc``, which miss what long
 tails of softening bonds behind the contours have yet to take; ``spread``, the standard deviation of J over its mean;
@@ -98,7 +98,7 @@ def case(
     delta = horizon * dx
     rim = ~pd.region.Box((delta, delta), (LENGTH - delta, HEIGHT - delta))
     near = pd.region.Slab("y", low=0.5 * HEIGHT - delta, high=0.5 * HEIGHT + delta)
-    energy, protected = pd.FractureEnergy(GC, share or None), rim | ~near
+    energy, protected = pd.FractureEnergy(GC, share), rim | ~near
     nu, material, scheme, control = parts(pd.choose("model", model, {name: name for name in MODELS}), nu, G)
     tip, ahead = (START, 0.5 * HEIGHT), (1.0, 0.0)
     follows = pd.CrackTip(ahead, 0.3, near)

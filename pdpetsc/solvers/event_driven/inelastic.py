@@ -14,6 +14,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import scales_of
 from pdpetsc.solvers.equilibrium import read_options
 from pdpetsc.solvers.event_driven.pairs import Key, Pairs
+from pdpetsc.solvers.unique import refuse_mechanism
 
 # A linear solve whose residual is above this share of its right-hand side has failed, whatever the solver says.
 SOLVED = 1e-6
@@ -81,6 +82,10 @@ class InelasticForces:
         self.elastic = self._solve(load) + self._prescribed
         if self._pairs is not None:
             self._elongated = self._pairs.elongation(self._body.with_ghosts(self.elastic))
+
+    def refuse_mechanism(self) -> None:
+        """Raise SolveError on all ranks if the factored stiffness leaves a mechanism."""
+        refuse_mechanism(self._problem, self.matrix, self.ksp, self._scales.stiffness, 0.0)
 
     def add(self, key: Key) -> tuple[Float, float]:
         """Take in a bond, with one solve; return its row of ``S`` (r + 1,) and its elongation under the whole load."""

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import exchange
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.bonds import first_failure, first_of_tied, pair_elongation_kernel
@@ -35,6 +36,9 @@ class Pairs:
         Stiffness from both ends [force / length].
     limit : (n,) float64
         Elongation at which each first fails [length].
+    order : (n,) float64
+        Number by which equal bonds fail one after the other: it follows from the places of both ends in units of the
+        horizon, and not from the numbers of the particles [-].
     reported : (n,) bool
         Whether this rank reports the pair to the others; exactly one does.
     """
@@ -45,6 +49,7 @@ class Pairs:
     n: Float
     k: Float
     limit: Float
+    order: Float
     reported: Mask
 
     def elongation(self, u_local: Float) -> Float:
@@ -92,7 +97,17 @@ def make_pairs(term: BondForces) -> Pairs:
     n = xi / np.linalg.norm(xi, axis=1)[:, None]
     last = np.empty(len(keys), dtype=np.int64)
     last[of_bond] = np.arange(len(of_bond))
-    return Pairs(keys, np.stack([first, last], axis=1), ends, n, np.asarray(k, dtype=float), limit[first], reported)
+    stiffness: Float = np.asarray(k, dtype=float)
+    order = _by_place(cloud, ends, xi)
+    return Pairs(keys, np.stack([first, last], axis=1), ends, n, stiffness, limit[first], order, reported)
+
+
+def _by_place(cloud: Cloud, ends: LocalIndex, xi: Float) -> Float:
+    """Return a number for every pair that is the same from both ends, and different for pairs in different places."""
+    # Along a line of irrational slope no two nodes of a lattice are at the same place.
+    line = np.array([1.0, np.sqrt(2.0), np.sqrt(5.0)])[: cloud.dim] / cloud.horizon
+    first, second = (cloud.places.at_home(cloud.place[end], cloud.x[end]) @ line for end in ends.T)
+    return np.asarray(first + second + np.sqrt(3.0) * (first - second) ** 2 + np.abs(xi @ line))
 
 
 def rehearse_pairs(bonds: BondForces) -> None:
@@ -101,4 +116,4 @@ def rehearse_pairs(bonds: BondForces) -> None:
     e = pairs.elongation(np.zeros_like(bonds.body.cloud.x))
     able = np.ones(len(e), dtype=bool)
     first_failure(e, e, pairs.limit, able)
-    first_of_tied(e, e, pairs.limit, able, 0.0, 0.0)
+    first_of_tied(e, e, pairs.limit, able, 0.0, 0.0, pairs.order)

@@ -23,7 +23,7 @@ from pdpetsc.solvers.event_driven.pairs import Key, Pairs, make_pairs, rehearse_
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Solver, Start, StepResult
 from pdpetsc.terms.bond_forces import BondForces
 
-# Bonds this close to their limit fail at the same load, one after the other in the order of their keys.
+# Bonds this close to their limit fail at the same load, one after the other in the order of their places.
 TIED = 1e-10
 # An event this much nearer than another, relatively, comes first.
 NEARER = 1e-12
@@ -148,6 +148,7 @@ class EventSolver(Solver):
         problem = self._problem
         u, t, highest, still = np.zeros((problem.body.cloud.n_rows, problem.dim)), 0.0, 0.0, 0
         self._factor()
+        self.solver.refuse_mechanism()
         for event in range(self._options.most):
             if self._stop():
                 raise Interrupted(f"Stopped by a signal; results are complete up to step time {t:.6g}.")
@@ -225,17 +226,17 @@ class EventSolver(Solver):
         return float(step), None, None if step == end else breaks
 
     def _candidate(self, de: Float, step: float) -> _Candidate:
-        """Return the first, by its key, of the bonds that reach their limit after a step."""
+        """Return the first, by its place, of the bonds that reach their limit after a step."""
         pairs = self._pairs
         assert pairs is not None
-        found = int(first_of_tied(self._e, de, self._reach, self._able, step, TIED))
+        found = int(first_of_tied(self._e, de, self._reach, self._able, step, TIED, pairs.order))
         mine = None
         if found >= 0:
             key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
-            state = float(self._reach[found]), float(self._integrity[found])
+            state = float(self._reach[found]), float(self._integrity[found]), float(pairs.order[found])
             mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), *state)
         found_by = [c for c in self._comm.allgather(mine) if c is not None]
-        first: _Candidate = min(found_by, key=lambda c: c.key)
+        first: _Candidate = min(found_by, key=lambda c: c.order)
         return first
 
     def _move(self, ahead: Direction, step: float) -> None:
@@ -295,13 +296,14 @@ class EventSolver(Solver):
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A bond at its limit: ``reach`` is the present limit of its elongation."""
+    """A bond at its limit: ``reach`` is the present limit of its elongation, ``order`` that of ``Pairs``."""
 
     key: Key
     k: float
     limit: float
     reach: float
     integrity: float
+    order: float
 
 
 def _law_of(damage: Damage) -> PiecewiseLinear:

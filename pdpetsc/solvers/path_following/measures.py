@@ -69,6 +69,12 @@ class StretchMeasure(Measure):
             raise CaseError("Path following by bond stretches needs bonds that can fail; give damage, or an Opening.")
         self._problem = problem
         self._damage = problem.damage
+        bonds = problem.damage.bonds
+        if not int(total(problem.body.cloud.comm, len(bonds.length) - len(bonds.protected))):
+            raise CaseError(
+                "Path following by bond stretches needs bonds that can fail, and all of them are protected; protect a "
+                "smaller region, or take an Opening."
+            )
 
     def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
         """Return the mean drive of the bonds that are driven most, or the load factor where none is driven yet."""

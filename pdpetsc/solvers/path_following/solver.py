@@ -22,6 +22,7 @@ from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.constraint import Constraint
 from pdpetsc.solvers.path_following.measures import BAND, measure_of
 from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult, StepSolver
+from pdpetsc.solvers.unique import refuse_mechanism
 
 # A load factor this many times the highest one so far is that of a body which carries nothing any more.
 LEAP = 10.0
@@ -86,6 +87,8 @@ class PathSolver(StepSolver):
         self._force = 1.0
         self._highest = 0.0
         self._target = 0.0
+        # Load factor where a solve begins, and what resists the prescribed unknowns of load factor 1 there.
+        self._begun = 0.0, np.zeros(fixed.shape)
         self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
         self._bordered = Bordered(self._equilibrium.tangent)
         self._r, self._x = self._bordered.vector(), self._bordered.vector()
@@ -175,6 +178,8 @@ class PathSolver(StepSolver):
                         f"{result.reason}; {self.advice}."
                     )
                 continue
+            if not converged:
+                self.refuse_mechanism(attempt)
             u, load, converged = attempt, self.load, converged + 1
             self.t = load
             self.problem.commit(self.state(u))
@@ -203,8 +208,11 @@ class PathSolver(StepSolver):
         self._force = (
             max(sought.reference, self._scales.force * float(np.finfo(float).eps)) / self._options.measure.step
         )
+        sought.impose(self.load, *(self.load * one for one in self._whole))
         if sought.begin(u):
             self._bordered.renew()
+        sought.resist(np.where(sought.free, 0.0, self._whole[0]))
+        self._begun = self.load, sought.resisted
         self._bordered.iterations = 0
         self._bordered.put(self._x, u / self._scales.length, self.load)
         self.snes.solve(None, self._x)
@@ -226,6 +234,13 @@ class PathSolver(StepSolver):
         if converged:
             result = replace(result, negative_pivots=negative_pivots(self._bordered.ksp))
         return sought.at_prescribed(values), result
+
+    def refuse_mechanism(self, u: Float) -> None:
+        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` leaves a mechanism."""
+        sought = self._equilibrium
+        if not sought.tangent.holds():
+            sought.tangent.update(self.state(u))
+        refuse_mechanism(self.problem, sought.tangent, self._bordered.ksp, self._scales.stiffness, self.t)
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
         """Let the measure grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
@@ -310,6 +325,8 @@ class PathSolver(StepSolver):
         sought = self._equilibrium
         values, load = self._bordered.split(x)
         sought.impose(load, load * self._whole[0], load * self._whole[1])
+        at, resisted = self._begun
+        sought.resisted = (load - at) * resisted
         return values * self._scales.length, load
 
     @property
@@ -348,7 +365,11 @@ class PathSolver(StepSolver):
         )
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Halve a Newton step until the whole of it keeps det F > 0, whatever the line search."""
+        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0."""
+        if not self._equilibrium.resting:
+            step = np.append(*self._bordered.split(y)) * self._scales.length
+            step = self._equilibrium.held_in_place(step, self._displacement(x), self._answer, self._rtol)
+            self._bordered.put(y, step[:-1] / self._scales.length, step[-1] / self._scales.length)
         moved = x.duplicate()
 
         def after(part: float) -> Float:
@@ -359,6 +380,19 @@ class PathSolver(StepSolver):
         moved.destroy()
         if part < 1.0:
             y.scale(part)
+
+    def _answer(self, b: Float) -> Float:
+        """Return displacements and load factor (n + 1,), both times the length scale, that forces ``b`` lead to."""
+        forces, found = self._bordered.vector(), self._bordered.vector()
+        self._bordered.put(forces, b / self._scales.force, 0.0)
+        ksp = self.snes.getKSP()
+        ksp.solve(forces, found)
+        if ksp.getConvergedReason() < 0:
+            found.set(0.0)
+        answer = np.append(*self._bordered.split(found)) * self._scales.length
+        forces.destroy()
+        found.destroy()
+        return answer
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
         if self._stop():

@@ -1,0 +1,134 @@
+"""Particles further than a horizon from the surface of the body, from the families alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.families import Families
+from pdpetsc.kernels.sparsity import sum_by
+
+# Particles of the surface are about this far inside the body [spacings].
+BESIDE = 0.5
+# Thin bodies whose families have second moments with a larger relative part off the coordinate axes lie across these,
+# in the mean where they are straight and in the root mean square where they are curved.
+INCLINED = 0.03
+CURVED = 0.15
+# Fewer particles than this share of those that are inside along the longest axis represent nothing.
+FEW = 0.05
+UNIT_BALL = {1: 2.0, 2: np.pi, 3: 4.0 / 3.0 * np.pi}
+
+
+@dataclass(frozen=True)
+class Interior:
+    """Own particles whose families represent the planes on which a body can come apart.
+
+    Attributes
+    ----------
+    along : (n_owned, dim) bool
+        Particles for planes normal to each coordinate axis: those further than a horizon from the surface. In a thin
+        body, in which next to none are, those further than a horizon from its ends along the axis; none along axes on
+        which the body is shorter than two horizons.
+    axes : list of int
+        Axes along which there are such particles on any rank.
+    thin : bool
+        Whether the body is thin.
+    aligned : bool
+        False for a thin body inclined against the coordinate axes.
+    """
+
+    along: Mask
+    axes: list[int]
+    thin: bool
+    aligned: bool
+
+
+def interior(cloud: Cloud, families: Families) -> Interior:
+    """Find the particles further than a horizon from the surface, or in a thin body from its ends.
+
+    A particle is at the surface if its family lies on one side of it: opposite to the first moment of the family, or
+    along the direction in which the family is flattest. It is at an end if its family lies on one side along the axis.
+    A particle is inside if none of these is nearer than the horizon less half a spacing, their own distance from the
+    surface. Of a body with enough of them those are taken from which all particles within a horizon are inside: bonds
+    that a crack cuts near its tip leave families with members on all sides. Images beyond mirror planes and in periodic
+    cells are members as any other.
+
+    Notes
+    -----
+    Collective.
+    """
+    surface = _Surface(cloud, families)
+    dim, comm = cloud.dim, cloud.comm
+    inside = surface.beyond(surface.lacks_a_side())
+    deep = surface.beyond(~inside)
+    along = np.stack([surface.beyond(surface.lacks_along(unit)) for unit in np.eye(dim)], axis=1)
+    count = total(comm, np.count_nonzero(np.column_stack([deep, inside, along]), axis=0))
+    enough = count > FEW * count[2:].max()
+    if enough[:2].any():
+        chosen = deep if enough[0] else inside
+        return Interior(np.repeat(chosen[:, None], dim, axis=1), list(range(dim)), thin=False, aligned=True)
+    enough = enough[2:]
+    along &= enough
+    second = surface.second[along.any(axis=1)]
+    a, b = np.triu_indices(dim, 1)
+    off, on = 2.0 * second[:, a, b], second[:, a, a] + second[:, b, b]
+    sums = total(comm, np.stack([one.sum(axis=0) for one in (off, on, off**2, on**2)]))
+    inclined = (np.abs(sums[0]) > INCLINED * sums[1]) | (sums[2] > CURVED**2 * sums[3])
+    # How a body lies across its long axes, within its cross-section, does not matter.
+    aligned = not (inclined & (enough[a] | enough[b])).any()
+    return Interior(along, [int(axis) for axis in np.flatnonzero(enough)], thin=True, aligned=aligned)
+
+
+class _Surface:
+    """Families as the search for the surface reads them."""
+
+    def __init__(self, cloud: Cloud, families: Families) -> None:
+        xi = families.bonds(cloud.x)
+        length = np.linalg.norm(xi, axis=1)
+        members = length <= cloud.reach[families.centres] * (1.0 + 2.0 * HORIZON_TOLERANCE)
+        self.cloud, self.xi, self.length = cloud, xi[members], length[members]
+        self.centres, self.neighbours = families.centres[members], families.neighbours[members]
+        n, dim = cloud.n_owned, cloud.dim
+        # The particles of the largest family around have equal parts of the ball.
+        count = np.zeros(cloud.n_local)
+        count[:n] = 1.0 + np.bincount(self.centres, minlength=n)
+        cloud.halo.forward(count)
+        most = count[:n].copy()
+        np.maximum.at(most, self.centres, count[self.neighbours])
+        self.beside = BESIDE * cloud.reach[:n] * (UNIT_BALL[dim] / most) ** (1.0 / dim)
+        self.moments = cloud.volume[self.neighbours, None] * self.xi
+        self.second = np.empty((n, dim, dim))
+        for a, b in np.ndindex(dim, dim):  # one component at a time: there are many bonds
+            self.second[:, a, b] = np.bincount(self.centres, self.moments[:, a] * self.xi[:, b], n)
+
+    def lacks_a_side(self) -> Mask:
+        """Return which families lie on one side of their particle (n_owned,)."""
+        first = sum_by(self.centres, self.moments, self.cloud.n_owned)
+        size = np.linalg.norm(first, axis=1, keepdims=True)
+        outward = np.divide(-first, size, out=np.zeros_like(first), where=size > 0.0)
+        flattest = np.linalg.eigh(self.second)[1][:, :, 0]
+        return np.asarray((self._lacks(outward) & (size[:, 0] > 0.0)) | self._lacks(flattest) | self._lacks(-flattest))
+
+    def lacks_along(self, unit: Float) -> Mask:
+        """Return which families lie on one side of their particle along a direction (n_owned,)."""
+        along = np.broadcast_to(unit, (self.cloud.n_owned, self.cloud.dim))
+        return np.asarray(self._lacks(along) | self._lacks(-along))
+
+    def _lacks(self, direction: Float) -> Mask:
+        """Return which families have no member along a direction of each (n_owned, dim)."""
+        far = np.zeros(self.cloud.n_owned)
+        np.maximum.at(far, self.centres, (self.xi * direction[self.centres]).sum(axis=1))
+        return np.asarray(far < self.beside)
+
+    def beyond(self, surface: Mask) -> Mask:
+        """Return which own particles are further than a horizon from what the marked ones are beside (collective)."""
+        cloud, n = self.cloud, self.cloud.n_owned
+        marked = np.zeros(cloud.n_local)
+        marked[:n] = surface
+        cloud.halo.forward(marked)
+        near = (marked[self.neighbours] > 0.0) & (self.length <= (cloud.reach[:n] - self.beside)[self.centres])
+        return np.asarray(~surface & (np.bincount(self.centres[near], minlength=n) == 0))

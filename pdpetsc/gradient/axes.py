@@ -1,0 +1,152 @@
+"""Axes that turn with the body, for schemes that divide families by direction."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.communicator import total
+from pdpetsc.discrete.families import Families
+
+# A bond of length s counts (1 / s - 1 / LONGEST)^4, with s over the length of the shortest bond of its family.
+LONGEST = 3.0
+# Bonds with a larger cosine of their angle to an axis lie along it; the others of a lattice have 19 degrees and more.
+ALONG = np.cos(np.radians(10.0))
+# Least order of the bonds of a lattice. Square and cubic ones have 0.8 to 1, with positions shaken by 0.2 spacings 0.6
+# to 0.7, body- and face-centred ones 0.17 to 0.25, irregular meshes of triangles less than 0.05.
+ORDERED = 0.1
+# Axes are unique if no others have the same order, or principal values are different, up to this.
+DISTINCT = 1e-6
+# Starts and sweeps of the search for axes in space, and the angle [rad] at which it ends.
+STARTS, SWEEPS, CONVERGED = 24, 100, 1e-13
+
+
+def body_axes(cloud: Cloud, families: Families, xi: Float) -> tuple[Float, str]:
+    """Return axes that turn with the body, and a note for the log if it has none (collective).
+
+    The axes of a lattice are those along which its shortest bonds lie: ``e_a`` with the largest ``|order|``,
+
+        order = ((dim + 2) <sum_a (n . e_a)^4> - 3) / (dim - 1),
+
+    the weighted mean over unit bonds ``n``. The order is 1 if all of them lie along the axes, and 0 for bonds of all
+    directions. The mean of the bonds within 10 degrees of each axis replaces it: on a lattice those lie along the axes,
+    and bonds across them, which a slanting face cuts, do not count. A cloud of an order below ``ORDERED``, which is no
+    lattice, has the principal axes of the body. If two principal values are equal, as those of a disc, or the body is
+    in a periodic cell, it has the axes of space.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Particles of this rank.
+    families : Families
+        Their bonds.
+    xi : (n_bonds, dim) float64
+        The bonds [length].
+
+    Returns
+    -------
+    axes : (dim, dim) float64
+        One axis a row; their order and signs are those nearest to the axes of space.
+    note : str
+        Not empty if the axes of space replace missing ones; the same on all ranks.
+    """
+    dim = cloud.dim
+    if dim == 1:
+        return np.eye(1), ""
+    axes = _lattice_axes(cloud, families, xi)
+    if axes is None:
+        axes = _principal_axes(cloud.spread)
+    if axes is None:
+        return np.eye(dim), "directions along the axes of space: neither the bonds nor the shape of the body has axes"
+    return _nearest_to_space(axes), ""
+
+
+def _lattice_axes(cloud: Cloud, families: Families, xi: Float) -> Float | None:
+    """Return the axes along which the shortest bonds lie, None if they lie along none (collective)."""
+    dim, centres = cloud.dim, families.centres
+    length = np.sqrt(np.einsum("bd,bd->b", xi, xi))
+    shortest = np.full(cloud.n_owned, np.inf)
+    np.minimum.at(shortest, centres, length)
+    near = np.flatnonzero(length < LONGEST * shortest[centres])
+    length, centres = length[near], centres[near]
+    n, weight = xi[near] / length[:, None], (shortest[centres] / length - 1.0 / LONGEST) ** 4
+    if cloud.stands_for is not None:
+        weight *= cloud.stands_for[centres]
+    squares = np.einsum("bi,bj->bij", n, n).reshape(len(n), dim * dim)
+    T = _with_images(cloud, ((weight[:, None] * squares).T @ squares).reshape((dim,) * 4))
+    all_weights = float(np.einsum("iijj", T)) or 1.0
+    # Found once: processors that round in different ways may differ about axes that are nearly unique.
+    e: Float | None = cloud.comm.bcast(_axes_of_moments(T / all_weights) if cloud.comm.rank == 0 else None)
+    if e is None:
+        return None
+    cosines = n @ e.T
+    along = weight[:, None] * np.sign(cosines) * np.maximum(np.abs(cosines) - ALONG, 0.0) / (1.0 - ALONG)
+    mean = e @ _with_images(cloud, e.T @ (along.T @ n)) / all_weights
+    few = np.linalg.norm(mean, axis=1) < DISTINCT
+    mean[few] = e[few]
+    left, _, right = np.linalg.svd(mean / np.linalg.norm(mean, axis=1, keepdims=True))
+    return np.asarray(left @ right)
+
+
+def _with_images(cloud: Cloud, tensor: Float) -> Float:
+    """Return the sum of tensors over the ranks, averaged over the body and its mirror images (collective)."""
+    tensor = total(cloud.comm, tensor)
+    for plane in cloud.places.planes:
+        flipped = tensor.copy()
+        for axis in range(tensor.ndim):
+            np.moveaxis(flipped, axis, 0)[plane] *= -1.0
+        tensor = 0.5 * (tensor + flipped)
+    return tensor
+
+
+def _principal_axes(moment: Float) -> Float | None:
+    """Return the principal axes of a second moment (dim, dim), None if two principal values are equal."""
+    values, vectors = np.linalg.eigh(moment)
+    return np.asarray(vectors.T) if np.diff(values).min() > DISTINCT * values[-1] else None
+
+
+def _axes_of_moments(T: Float) -> Float | None:
+    """Return the axes of a lattice with moments (dim, dim, dim, dim), None if others are as good or there are none."""
+    dim = len(T)
+    # In the plane the least sum has the axes of the largest one turned by 45 degrees.
+    e = np.concatenate([_local_maxima(sign * T) for sign in ((1.0,) if dim == 2 else (1.0, -1.0))])
+    order = np.abs(np.einsum("ijkl,sai,saj,sak,sal->s", T, e, e, e, e) * (dim + 2) - 3.0) / (dim - 1)
+    best = int(np.argmax(order))
+    cosines = np.abs(e[order > order[best] - DISTINCT] @ e[best].T).max(axis=2)
+    return e[best] if order[best] > ORDERED and cosines.min() > 1.0 - DISTINCT else None
+
+
+def _local_maxima(T: Float) -> Float:
+    """Return axes (n, dim, dim) at local maxima of ``sum_a T e_a e_a e_a e_a``, one for each of ``STARTS``.
+
+    Each turn in the plane of two axes takes the maximum there, which is known in closed form (Jacobi's method).
+    """
+    dim = len(T)
+    e = np.linalg.qr(np.random.default_rng(1).standard_normal((STARTS, dim, dim)))[0]
+    for _ in range(SWEEPS):
+        largest = 0.0
+        for p, q in itertools.combinations(range(dim), 2):
+            a, b = e[:, p].copy(), e[:, q].copy()
+            aa, bb = (np.einsum("ijkl,sk,sl->sij", T, one, one) for one in (a, b))
+            aaaa, aaab, aabb = (np.einsum("sij,si,sj->s", aa, one, two) for one, two in ((a, a), (a, b), (b, b)))
+            abbb, bbbb = (np.einsum("sij,si,sj->s", bb, one, b) for one in (a, b))
+            angle = 0.25 * np.arctan2(4.0 * (aaab - abbb), aaaa + bbbb - 6.0 * aabb)
+            c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            e[:, p], e[:, q] = c * a + s * b, c * b - s * a
+            largest = max(largest, float(np.abs(angle).max()))
+        if largest < CONVERGED:
+            break
+    return np.asarray(e)
+
+
+def _nearest_to_space(e: Float) -> Float:
+    """Return the axes (dim, dim) in the order and with the signs nearest to the axes of space."""
+    dim = len(e)
+    # Not quite the axes of space, to which two axes of a lattice turned by 45 degrees are equally near.
+    near = np.eye(dim) + 1e-3 * np.arange(dim * dim).reshape(dim, dim)
+    cosines = e @ near.T
+    best = max(itertools.permutations(range(dim)), key=lambda order: np.abs(cosines[order, range(dim)]).sum())
+    return np.asarray(e[list(best)] * np.sign(cosines[best, range(dim)])[:, None])

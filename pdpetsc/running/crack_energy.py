@@ -1,0 +1,38 @@
+"""Warning about models whose running cracks take another energy than the declared fracture energy."""
+
+from __future__ import annotations
+
+from pdpetsc.bond_based import BondBased
+from pdpetsc.case import Case, ungraded
+from pdpetsc.damage import DamageOf
+
+# Bonds that lose their force before this multiple of the stretch of onset behave as bonds that snap.
+STEEP = 2.0
+PAGE = "docs/reference/measured/fracture.md"
+
+
+def missed_fracture_energy(case: Case) -> str | None:
+    """Return a sentence about the energy of running cracks if it differs from Gc, else None (not collective).
+
+    A fracture energy is that of breaking all bonds across a plane. Cracks through bond-based materials that soften take
+    it. Laws with a ``share`` and critical stretches are not judged, and along a line there is no crack.
+    """
+    if case.damage is None or getattr(case.particles, "dim", 2) == 1:
+        return None
+    declared = case.damage.laws.values() if isinstance(case.damage, DamageOf) else [case.damage]
+    laws = [law for law in declared if law is not None and law.assumes_share]
+    steep = any(law.final < STEEP * law.onset for law in laws)
+    if not laws:
+        return None
+    if not case.of_bonds:
+        model, size = "deformation gradients", "0.3 to 0.8"
+    elif steep:
+        model, size = "bonds that snap", "1.2 to 2"
+    elif any(not isinstance(ungraded(material), BondBased) for _, material in case.materials):
+        model, size = "bonds with a dilatation", "1.05 to 1.1"
+    else:
+        return None
+    return (
+        f"A running crack through {model} takes {size} times the fracture energy Gc: give the measured share of the "
+        f"model with share=..., from the table in {PAGE}, or share=1.0 to keep Gc for one plane of bonds."
+    )

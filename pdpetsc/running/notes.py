@@ -1,0 +1,129 @@
+"""What a run says of defaults that mislead: surfaces, interfaces and jumps that a case does not resolve."""
+
+from __future__ import annotations
+
+import itertools
+from typing import cast
+
+import numpy as np
+
+from pdpetsc.arrays import Float
+from pdpetsc.case import Case, ungraded
+from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.declare.steps import Steps
+from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.errors import SolveError
+from pdpetsc.material import Material
+from pdpetsc.post.quantities import dimension_of
+from pdpetsc.problem.problem import Problem
+from pdpetsc.running.build import materials_of
+
+# At this quotient of shear moduli the stress within a horizon of an interface is off by 25 %, whatever the spacing; at
+# 1.5 by 14 %: docs/reference/measured/defaults.md.
+STIFFER = 2.0
+# Steps of one cell that a notch along the planes of a lattice may have.
+FEW = 2
+# Share of the stress that may be lost where a jump is spread over the first step.
+SPREAD = 0.01
+# A load jumps if it has this share of its value at the end of the first step after this share of the step.
+JUMPED, AFTER = 0.5, 0.01
+
+
+def notes(case: Case, problem: Problem) -> list[str]:
+    """Return the notes for a user of the numbers of a run.
+
+    Parameters
+    ----------
+    case : Case
+        What is declared.
+    problem : Problem
+        The problem of that case.
+
+    Notes
+    -----
+    Collective.
+    """
+    found = [staircase_note(case, problem), interface_note(case, problem), jump_note(case, problem)]
+    return [note for note in found if note]
+
+
+def _reads_stress(case: Case) -> bool:
+    """Return True if the fields, the picture or the history of a case have a stress (not collective)."""
+    fields = [*case.written, *([] if case.picture is None else [case.picture.field])]
+    return "stress" in {*map(dimension_of, fields), *(quantity.dimension for quantity in case.history.values())}
+
+
+def staircase_note(case: Case, problem: Problem) -> str:
+    """Return the note on a stress beside a lattice whose cut surface is a staircase; else nothing (collective)."""
+    comm = problem.body.cloud.comm
+    with agreed(comm):
+        stairs = case.particles.stairs(comm.rank, comm.size) if _reads_stress(case) else 0
+    stairs = int(total(comm, stairs))
+    if stairs <= FEW:
+        return ""
+    return (
+        f"The surface of the lattice is a staircase of {stairs} steps of one cell beside what was cut out: the stress "
+        f"there does not converge. Take a Mesh or MeshNodes that follow the surface, or read the stress two horizons "
+        f"away from it."
+    )
+
+
+def interface_note(case: Case, problem: Problem) -> str:
+    """Return the note on bonds between materials of very different stiffness; else nothing (collective)."""
+    if case.of_bonds or len(case.materials) == 1:
+        return ""
+    cloud, families, dim = problem.body.cloud, problem.body.families, problem.dim
+    _, material_of, _ = materials_of(case, cloud)
+    with agreed(cloud.comm):
+        shear = [twice_shear(cast(Material, ungraded(material)).moduli(dim)) for _, material in case.materials]
+    highest, between = STIFFER, (0, 0)
+    for soft, stiff in itertools.permutations(range(len(shear)), 2):
+        if not shear[stiff] > highest * shear[soft] * (1.0 + 1e-9):
+            continue
+        of_stiff = np.zeros(cloud.n_local)
+        of_stiff[: cloud.n_owned] = material_of == stiff
+        cloud.halo.forward(of_stiff)
+        if int(total(cloud.comm, np.count_nonzero(families.with_any(of_stiff > 0.0) & (material_of == soft)))):
+            highest, between = shear[stiff] / shear[soft], (soft, stiff)
+    if highest == STIFFER:
+        return ""
+    return (
+        f"Materials {between[0] + 1} and {between[1] + 1} share bonds, and the shear modulus of one is "
+        f"{highest:.4g} times that of the other: the stress within a horizon of their interface is off by a quarter "
+        f"or more at any spacing. Read it two horizons away, and take a smaller spacing there until displacements "
+        f"settle."
+    )
+
+
+def jump_note(case: Case, problem: Problem) -> str:
+    """Return the note on a load that jumps at the start of a body that relaxes in the first step; else nothing.
+
+    Notes
+    -----
+    Collective.
+    """
+    comm = problem.body.cloud.comm
+    steps = case.steps
+    first = steps.stops()[0] if isinstance(steps, Steps) else min(steps.first, steps.stops()[0])
+    with agreed(comm):
+        laws = [ungraded(material) for _, material in case.materials]
+        lost = max(law.spread(first) for law in laws if isinstance(law, Material)) if not case.of_bonds else 0.0
+    if lost <= SPREAD:
+        return ""
+    zero = np.zeros(problem.supports.fixed.shape)
+
+    def sizes(t: float) -> Float:
+        given = problem.supports.prescribed(t), problem.external_force(problem.state(zero, t))
+        return np.asarray(np.sqrt(total(comm, np.array([(values**2).sum() for values in given]))))
+
+    try:
+        early, late = sizes(AFTER * first), sizes(first)
+    except SolveError:  # a function of the case, which the run will name
+        return ""
+    if not np.any((late > 0.0) & (early > JUMPED * late)):
+        return ""
+    return (
+        f"A load or a displacement jumps at the start, and is spread over the first step of {first:.4g}, in which the "
+        f"material relaxes: its stress is off by {100.0 * lost:.2g} %. Take short first steps, as "
+        f"steps=pd.Steps(times=({0.01 * first:.3g}, {0.1 * first:.3g}, {first:.3g}, ..., 1.0))."
+    )

@@ -1,0 +1,128 @@
+"""The scheme and the control of nearly incompressible bodies for which a case declares neither."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+from pdpetsc.case import Case, ungraded
+from pdpetsc.control import CONTROLS, ByShear, Following, Silling, ZeroEnergyControl
+from pdpetsc.control.by_shear import twice_shear
+from pdpetsc.declare.horizon import spacings
+from pdpetsc.declare.particles import Chunk
+from pdpetsc.discrete.communicator import Comm, agreed, total
+from pdpetsc.gradient import Correspondence, MeanDilatation
+from pdpetsc.material import Material
+from pdpetsc.problem.problem import Problem
+
+# Gradients lock above this lambda / mu at F = I: nu = 0.45 in space and in plane strain.
+LOCKING = 9.0
+# Edge of a patch in spacings.
+PATCH = 2.0
+# Controls in proportion to the stiffness of the material, which ``ByShear`` scales with the shear modulus.
+BY_BULK = tuple(type(control) for control in CONTROLS.values() if control is not None)
+
+
+def lame_ratio(case: Case, dim: int) -> float:
+    """Return the largest ``lambda / mu`` at F = I that the gradients of a body see [-] (not collective).
+
+    ``kappa = lambda + 2 mu / dim``; for plane stress lambda is that of the plane, so that no Poisson's ratio locks.
+    0 for a bar and for materials of bonds.
+    """
+    if case.of_bonds or dim == 1:
+        return 0.0
+    laws = [cast(Material, ungraded(material)) for _, material in case.materials]
+    return max(2.0 * (law.bulk_like_modulus(dim) / twice_shear(law.moduli(dim)) - 1.0 / dim) for law in laws)
+
+
+def poisson_ratio(lame: float) -> float:
+    """Return Poisson's ratio of an isotropic solid with this ``lambda / mu`` [-]."""
+    return 0.5 * lame / (1.0 + lame)
+
+
+def takes_patches(case: Case, dim: int) -> bool:
+    """Return True if a body can have ``MeanDilatation`` (not collective)."""
+    laws = [cast(Material, ungraded(material)) for _, material in case.materials]
+    flat = dim == 1 or (dim == 2 and any(law.plane == "stress" for law in laws))
+    return not (flat or case.of_bonds or case.expands or case.damage is not None)
+
+
+def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
+    """Return the case, with ``MeanDilatation`` and ``ByShear`` if it declares no scheme and no control and would lock.
+
+    The patches have edges of two spacings, means over the volume of the body. A body whose bonds fail, that expands or
+    that has a part in plane stress keeps its scheme: ``locking_note`` says what to declare.
+
+    Parameters
+    ----------
+    comm : Comm
+        The ranks.
+    case : Case
+        What is declared.
+    chunk : Chunk
+        The particles that this rank has made.
+
+    Notes
+    -----
+    Collective.
+    """
+    if case.scheme is not None or case.control is not None:
+        return case
+    dim = chunk.x.shape[1]
+    with agreed(comm):
+        suits = takes_patches(case, dim) and locks(lame_ratio(case, dim))
+        weighted = chunk.volume @ spacings(chunk, case.particles.thickness) if suits else 0.0
+    if not suits:
+        return case
+    # Sums over ranks differ in their last digits, patches must not.
+    spacing = float(total(comm, weighted) / total(comm, chunk.volume.sum()))
+    patch = float(f"{PATCH * spacing:.9g}")
+    control: ZeroEnergyControl = ByShear(Silling(0.5))
+    if any(cast(Material, ungraded(material)).has_history for _, material in case.materials):
+        control = Following(control)
+    return replace(case, scheme=MeanDilatation(Correspondence(), patch), control=control)
+
+
+def locks(lame: float) -> bool:
+    """Return True if gradients with several points a particle lock at this ``lambda / mu``; nu = 0.45 does not."""
+    return lame > LOCKING * (1.0 + 1e-9)
+
+
+def words(case: Case, lame: float) -> str:
+    """Return the line of the log that says which scheme and control were chosen, and why."""
+    return (
+        f"nu = {poisson_ratio(lame):.5g} at F = I locks the default scheme: chosen are scheme={case.scheme} and "
+        f"control={case.control}"
+    )
+
+
+def locking_note(case: Case, problem: Problem) -> str:
+    """Return the advice for a nearly incompressible body whose scheme or control locks; empty if none locks.
+
+    A scheme locks if it has several gradient points a particle and no patches, a control if its strength grows with the
+    bulk modulus.
+
+    Notes
+    -----
+    Collective.
+    """
+    dim, comm = problem.dim, problem.body.cloud.comm
+    with agreed(comm):
+        lame = lame_ratio(case, dim)
+        patches = locks(lame) and takes_patches(case, dim)
+    if not locks(lame):
+        return ""
+    locking = []
+    points = int(total(comm, problem.matter.n_points))
+    if case.gradients.patches is None and points > problem.body.cloud.n_global:
+        locking.append(type(case.gradients).__name__)
+    if case.control is not None and isinstance(case.control.elastic, BY_BULK):
+        locking.append(type(case.control.elastic).__name__)
+    if not locking:
+        return ""
+    which = f"{' and '.join(locking)} {'lock' if len(locking) > 1 else 'locks'}"
+    scheme = "pd.MeanDilatation(pd.Correspondence(), patch=2 * spacing)" if patches else "pd.Correspondence()"
+    return (
+        f"nu = {poisson_ratio(lame):.5g} at F = I, and {which}: displacements are too small and the pressure "
+        f"oscillates; write scheme={scheme}, control=pd.ByShear(pd.Silling(0.5))."
+    )

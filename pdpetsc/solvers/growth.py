@@ -1,0 +1,72 @@
+"""How a deviation from an equilibrium grows while damage settles."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+from pdpetsc.discrete.communicator import total
+from pdpetsc.petsc.library import put_irregular
+from pdpetsc.petsc.tangent import PetscTangent
+from pdpetsc.problem.problem import Problem
+
+# Number of power iterations, and the tolerance of their linear solves.
+POWERS, RTOL = 20, 1e-3
+
+
+def growth_of_deviation(
+    problem: Problem, tangent: PetscTangent, ksp: PETSc.KSP, scale: float, u: Float, t: float
+) -> float:
+    """Return the factor by which a deviation grows from sweep to sweep at an equilibrium with settled damage [-].
+
+    A sweep maps a deviation v of the displacement to ``v - K^-1 L v``, with the tangent K for damage that is held and
+    the tangent L for which all bonds at their largest drive go on losing force. Power iterations give the largest
+    factor of that map. It is above 1 if and only if a symmetric L has a negative eigenvalue.
+
+    Parameters
+    ----------
+    problem : Problem
+        A problem whose bonds soften.
+    tangent : PetscTangent
+        Becomes K.
+    ksp : KSP
+        The linear solver of the tangent.
+    scale : float
+        The stiffness that is 1 in the tangent [force / length].
+    u : (n_rows, dim) float64
+        Unknowns [length].
+    t : float
+        Step time [-].
+
+    Notes
+    -----
+    Collective. The number is a lower bound, which factors close to the largest one lower by a few per cent.
+    """
+    damage, free = problem.damage, ~problem.supports.fixed
+    assert damage is not None
+    frozen = damage.bonds.frozen
+    damage.freeze(True)
+    tangent.update(problem.state(u, t))
+    with damage.loading():
+        loading = problem.linearised(problem.state(u, t))
+    damage.freeze(frozen)
+    ksp.setOperators(tangent.mat, tangent.preconditioner)
+    x, b = tangent.preconditioner.createVecs()
+    put_irregular(x)
+    v = np.where(free, x.array_r.reshape(u.shape), 0.0)
+    norms = []
+    tolerance = ksp.getTolerances()[0]
+    ksp.setTolerances(rtol=RTOL)
+    for _ in range(POWERS):
+        b.array = np.where(free, loading(v), 0.0).ravel() / scale
+        ksp.solve(b, x)
+        v = v - x.array_r.reshape(u.shape)
+        norms.append(float(np.sqrt(total(problem.body.cloud.comm, float((v**2).sum())))))
+    ksp.setTolerances(rtol=tolerance)
+    x.destroy()
+    b.destroy()
+    tangent.forget()
+    before, after = norms[POWERS // 2 - 1], norms[-1]
+    factor = (after / before) ** (2.0 / POWERS) if before > 0.0 else 0.0
+    return factor if np.isfinite(factor) else 0.0

@@ -429,7 +429,9 @@ def hot_plate(folder, steps, force=1.0, length=1.0, restart=None, **changes):
         "fields": [pd.displacement, pd.stress, pd.plastic_strain, pd.temperature],
         "history": {"R": pd.Reaction("x", pd.region.Slab("x", high=length))},
     }
-    return pd.run(pd.Case(**{**given, **changes}), output=folder, restart=restart)
+    # Points that yield begin a step on the yield surface, where rounding chooses their first tangent: Newton's way differs,
+    # and its ends within its tolerance.
+    return pd.run(pd.Case(**{**given, **changes}), output=folder, restart=restart, options={"snes_rtol": 1e-13})
 
 
 def test_a_hot_plate_in_other_units_and_after_a_restart(tmp_path):

@@ -98,15 +98,16 @@ from pdpetsc.post.solution import (
     first_piola_stress,
     heat_flux,
     local_damage,
+    local_horizon,
     lost_bonds,
     plastic_strain,
-    reach,
     reaction,
     stress,
     temperature,
 )
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTangent, Term
+from pdpetsc.renamed import warn
 
 if TYPE_CHECKING:
     from pdpetsc.case import Case
@@ -240,13 +241,13 @@ __all__ = [
     "influence",
     "line",
     "local_damage",
+    "local_horizon",
     "lost_bonds",
     "open",
     "plastic_strain",
     "prepare",
     "principal_strains",
     "principal_stresses",
-    "reach",
     "reaction",
     "region",
     "run",
@@ -278,9 +279,16 @@ _LAZY = {
 }
 
 
+# New name of each old one.
+_RENAMED = {"Following": "TangentScaled", "reach": "local_horizon"}
+
+
 def __getattr__(name: str) -> Any:
-    """Import what loads PETSc on first use."""
+    """Import on first use, and return a renamed object with a warning."""
     if name in _LAZY:
         module, of_module = _LAZY[name]
         return getattr(import_module(module), of_module)
+    if name in _RENAMED:
+        warn(f"pd.{name}", f"pd.{_RENAMED[name]}")
+        return globals()[_RENAMED[name]]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

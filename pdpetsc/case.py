@@ -320,7 +320,7 @@ class Case(Declared):
             for name, given in (("scheme", self.scheme), ("control", self.control), ("weights", weights)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
-            if self.damage is not None and self.damage.effect.heals:
+            if self.damage is not None and self.damage.effect.reversible:
                 effect = type(self.damage.effect).__name__
                 raise CaseError(f"{effect} is for deformation gradients; bonds of a body of bonds do not heal.")
 

@@ -49,7 +49,7 @@ def silling_energy(x, volume, neighbours, G, kappa, u):
 
 def bond_forces(model, u):
     """Return the internal forces of a free body of bonds, bond by bond."""
-    x, family, term = model.cloud.x, model.families, model.matter
+    x, family, term = model.cloud.x, model.families, model.material_term
     f = np.zeros_like(u)
     for i in range(len(u)):
         bonds = range(family.indptr[i], family.indptr[i + 1])

@@ -20,8 +20,8 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.following import control_forces
 from pdpetsc.terms.mean_dilatation import material_points
+from pdpetsc.terms.tangent_scaled import control_forces
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 import study
@@ -111,15 +111,15 @@ class Small:
     def __init__(self, problem):
         self.problem = problem
         self.cloud, self.families, self.dim = problem.body.cloud, problem.body.families, problem.dim
-        self.matter = problem.matter
+        self.material_term = problem.material_term
 
     @property
     def operator(self):
-        return self.matter.operator
+        return self.material_term.operator
 
     @property
     def materials(self):
-        return self.matter.materials
+        return self.material_term.materials
 
     @property
     def failure(self):
@@ -164,10 +164,12 @@ class Small:
         return self.problem.damage.soften(self.at(u))
 
     def elongation(self, u):
-        return self.problem.body.elongated(self.problem.body.with_ghosts(u), getattr(self.matter, "finite", True))[0]
+        return self.problem.body.elongated(
+            self.problem.body.with_ghosts(u), getattr(self.material_term, "finite", True)
+        )[0]
 
-    def driven(self, u):
-        return self.problem.damage.driven(self.at(u))
+    def driving_values(self, u):
+        return self.problem.damage.driving_values(self.at(u))
 
     def take_failure(self):
         self.problem.damage.restored()
@@ -189,15 +191,15 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         k = combine(bonds, [alike], material_of, np.ones(cloud.n_owned)).k
         damage = make_damage(law, whole, omega, k, True, mark=marking(cloud))
     if damage is None:
-        matter = material_points(scheme, whole, scheme.build(cloud, families, omega), materials, material_of)
+        material_term = material_points(scheme, whole, scheme.build(cloud, families, omega), materials, material_of)
     else:
-        matter = DamagedPoints(whole, omega, scheme, materials, material_of, None, damage)
+        material_term = DamagedPoints(whole, omega, scheme, materials, material_of, None, damage)
     terms = []
     if control is not None:
         stiffness = control.sees(stiffness_of(whole, materials, material_of, None))
         built = control.build(cloud, families, omega, stiffness)
-        terms = [control_forces(control, whole, built, matter, damage)]
-    return Small(Problem(whole, matter, terms, Supports(whole), damage))
+        terms = [control_forces(control, whole, built, material_term, damage)]
+    return Small(Problem(whole, material_term, terms, Supports(whole), damage))
 
 
 def body(dim, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], horizon=2.015, rng=None):
@@ -242,12 +244,12 @@ def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):
     influence = pd.influence.Gaussian()
     bonds = Neighbourhood(cloud, families, influence(length / horizon), length, influence, 1.0)
     around = Body(cloud, families)
-    matter = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
+    material_term = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
-        failing = make_damage(damage, around, bonds.omega, matter.k, matter.finite, mark=marking(cloud))
-        matter.take_damage(failing)
-    return Small(Problem(around, matter, [], Supports(around), failing))
+        failing = make_damage(damage, around, bonds.omega, material_term.k, material_term.finite, mark=marking(cloud))
+        material_term.take_damage(failing)
+    return Small(Problem(around, material_term, [], Supports(around), failing))
 
 
 def bond_bodies(rng):

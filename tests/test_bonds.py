@@ -51,7 +51,7 @@ def test_forces_and_moments_balance(rng):
         size = np.abs(f).sum()
         assert np.abs(f.sum(axis=0)).max() < 1e-13 * size, label
         if model.cloud.images is None:
-            moment = (model.cloud.x + model.matter.finite * u).T @ f
+            moment = (model.cloud.x + model.material_term.finite * u).T @ f
             assert np.abs(moment - moment.T).max() < 1e-12 * size * len(u), label
 
 
@@ -97,7 +97,7 @@ def test_the_micromodulus_of_a_whole_ball_is_that_of_the_literature(dim):
         cloud, families = problem.body.cloud, problem.body.families
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
         # Of the pair; each end has half of it.
-        c = 2.0 * problem.matter.k * length / 0.5 ** (2 * dim)
+        c = 2.0 * problem.material_term.k * length / 0.5 ** (2 * dim)
         assert np.allclose(c, published[dim, plane] * E, rtol=1e-9)
 
 
@@ -121,9 +121,9 @@ def test_uniform_strain_of_a_lattice_has_the_energy_of_its_calibration(dim, rng)
         values[at] = 0.01 * solid.cloud.images.sizes[at] if a == b else 0.0
     u[solid.cloud.n_owned :] = values.reshape(-1, dim)
     u[: solid.cloud.n_owned] = 0.01 * solid.cloud.x[: solid.cloud.n_owned]
-    kappa = solid.matter.kappa
-    assert np.allclose(solid.matter.energy_density(solid.at(u)), 0.5 * kappa * (0.01 * dim) ** 2, rtol=1e-12)
-    P = solid.matter.first_piola_stress(solid.at(u))
+    kappa = solid.material_term.kappa
+    assert np.allclose(solid.material_term.energy_density(solid.at(u)), 0.5 * kappa * (0.01 * dim) ** 2, rtol=1e-12)
+    P = solid.material_term.first_piola_stress(solid.at(u))
     assert np.allclose(P, kappa * 0.01 * dim * np.eye(dim), atol=1e-12)
 
 
@@ -132,9 +132,9 @@ def test_dilation_of_cut_families_has_the_energy_of_whole_ones_with_surface_corr
         corrected, plain = (
             bond_body(dim, pd.BondBased(E=1.0, calibration=name), horizon=1.1) for name in ("family", "lattice")
         )
-        psi = corrected.matter.energy_density(corrected.at(0.01 * corrected.cloud.x))
+        psi = corrected.material_term.energy_density(corrected.at(0.01 * corrected.cloud.x))
         assert np.allclose(psi, psi[0], rtol=1e-12)
-        uncorrected = plain.matter.energy_density(plain.at(0.01 * plain.cloud.x))
+        uncorrected = plain.material_term.energy_density(plain.at(0.01 * plain.cloud.x))
         assert uncorrected.max() == pytest.approx(psi[0], rel=1e-12)
         assert uncorrected.min() < 0.8 * psi[0]
 
@@ -143,7 +143,9 @@ def test_a_linear_solid_with_the_ratio_of_bonds_is_bond_based(rng):
     """With omega = 1 / |xi| there, nothing is left of the dilatation and the forces are those of bonds."""
     for dim, nu, plane in ((2, 0.25, "strain"), (2, 1.0 / 3.0, "stress"), (3, 0.25, "strain")):
         solid = bond_body(dim, pd.LinearSolid(E=10.0, nu=nu, plane=plane), rng=rng)
-        assert np.abs(solid.matter.B).max() < 1e-12 * np.abs(solid.matter.kappa * solid.cloud.volume).max()
+        assert (
+            np.abs(solid.material_term.B).max() < 1e-12 * np.abs(solid.material_term.kappa * solid.cloud.volume).max()
+        )
 
 
 @pytest.mark.parametrize(
@@ -158,7 +160,7 @@ def test_another_poisson_ratio_is_refused(material, dim, message):
     with pytest.raises(pd.CaseError, match=message):
         bond_body(dim, material)
     fixed = dataclasses.replace(material, nu=1.0 / 3.0 if material.plane == "stress" else 0.25)
-    assert bond_body(dim, fixed).matter.kappa > 0.0
+    assert bond_body(dim, fixed).material_term.kappa > 0.0
 
 
 @pytest.mark.parametrize(
@@ -189,4 +191,4 @@ def test_inadmissible_deformation_gives_no_force():
 def test_every_plane_stress_material_differs_from_plane_strain():
     for name, material in PLANE_STRESS_BONDS.items():
         plane_strain = BONDS[name.removesuffix("_plane_stress")]
-        assert bond_body(2, material).matter.kappa != bond_body(2, plane_strain).matter.kappa
+        assert bond_body(2, material).material_term.kappa != bond_body(2, plane_strain).material_term.kappa

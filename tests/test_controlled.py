@@ -7,7 +7,7 @@ import math
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.running.controlled import largest_share
+from pdpetsc.running.stabilisation_energy import largest_share
 from tests.test_plastic_laws import runaway
 
 PERFECT = pd.KinematicJ2(100.0, 0.3, plane="stress", yield_stress=1.0)
@@ -18,9 +18,9 @@ def step(t, strain, control):
 
 
 def test_the_largest_share_is_that_of_steps_that_store_energy():
-    torn = [step(0.5, 0.9, 0.1), step(1.0, 1e-30, 5e-30)]
-    assert largest_share(torn) == {"share": pytest.approx(0.1), "t": 0.5, "note": ""}
-    much = largest_share([*torn, step(0.7, 0.6, 0.3), {"t": 0.8}, step(0.9, math.nan, 1.0)])
+    family_strain = [step(0.5, 0.9, 0.1), step(1.0, 1e-30, 5e-30)]
+    assert largest_share(family_strain) == {"share": pytest.approx(0.1), "t": 0.5, "note": ""}
+    much = largest_share([*family_strain, step(0.7, 0.6, 0.3), {"t": 0.8}, step(0.9, math.nan, 1.0)])
     assert (much["share"], much["t"]) == (pytest.approx(1.0 / 3.0), 0.7)
     assert "stores 33 % of the energy at step time 0.7" in much["note"]
     assert largest_share([]) == {"share": 0.0, "t": 0.0, "note": ""}
@@ -46,7 +46,7 @@ def test_a_strip_whose_control_bends_with_it_is_said_to_hang_on_it(size, tmp_pat
 
 @pytest.mark.processors
 def test_a_control_that_follows_the_material_carries_nothing_in_its_place(tmp_path):
-    case = dataclasses.replace(runaway(PERFECT, 1.2), control=pd.Following(pd.Silling(0.5)))
+    case = dataclasses.replace(runaway(PERFECT, 1.2), control=pd.TangentScaled(pd.Silling(0.5)))
     with pytest.raises(pd.SolveError, match="above the limit load of the body"):
         pd.run(case, tmp_path)
 

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.damage import Beyond, Criterion, Drive, Gradient, LinearDrive, LocalDrive
+from pdpetsc.damage import (
+    Criterion,
+    DrivingVariable,
+    Gradient,
+    LinearDrivingVariable,
+    LocalDrivingVariable,
+    NonlocalPart,
+)
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -29,7 +36,7 @@ from tests.test_events import history
 from tests.test_fracture import broken, strip
 
 
-class _EnergyDrive(LocalDrive):
+class _EnergyDrive(LocalDrivingVariable):
     """``x = 1/2 k <e>^2 / W``."""
 
     def __init__(self, bonds, W):
@@ -57,7 +64,7 @@ class BondEnergy(Criterion):
         return _EnergyDrive(bonds, self.W)
 
 
-class _BothWaysDrive(LocalDrive):
+class _BothWaysDrive(LocalDrivingVariable):
     """``x = max(e, -e / 2) / limit``."""
 
     def __init__(self, bonds, limit):
@@ -88,13 +95,13 @@ class Elongation(Criterion):
     limit: float
 
     def build(self, bonds):
-        return LinearDrive(bonds, np.full(len(bonds.length), self.limit))
+        return LinearDrivingVariable(bonds, np.full(len(bonds.length), self.limit))
 
 
-class _FamilyDrive(Drive):
+class _FamilyDrive(DrivingVariable):
     """``x_ij = (theta_i + theta_j) / 2``, or ``theta_i``, with the mean stretch of families over the critical one."""
 
-    reaches = True
+    is_nonlocal = True
 
     def __init__(self, bonds, s, mean):
         self._bonds, self._mean = bonds, mean
@@ -123,7 +130,7 @@ class _FamilyDrive(Drive):
             ptr.append(ptr[-1] + len(particles[-1]))
         members = np.concatenate([np.empty(0, np.int32), *particles]).astype(np.int32)
         values = np.concatenate([np.empty((0, x.shape[1])), *each])
-        return Gradient(bonds, np.zeros(len(bonds)), Beyond(np.array(ptr, dtype=np.int64), members, values))
+        return Gradient(bonds, np.zeros(len(bonds)), NonlocalPart(np.array(ptr, dtype=np.int64), members, values))
 
 
 @dataclass(frozen=True)
@@ -143,7 +150,7 @@ def pulled(model, rng, strain):
 
 def check_tangent(model, u, rng, least=4):
     """Compare the tangent with differences, as a matrix and without one."""
-    assert np.count_nonzero(model.failure.following(model.driven(u))[2]) > least
+    assert np.count_nonzero(model.failure.following(model.driving_values(u))[2]) > least
     K = dense_tangent(model, u)
     columns = rng.choice(u.size, min(8, u.size), replace=False)
     assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
@@ -173,7 +180,7 @@ def test_tangents_with_a_drive_from_outside_are_exact(dim, name, law, rng):
             criterion, strains = FOREIGN[name]
         else:
             whole = body(BondEnergy(1.0))
-            driven = whole.driven(0.025 * whole.cloud.x)
+            driven = whole.driving_values(0.025 * whole.cloud.x)
             criterion, strains = BondEnergy(float(np.median(driven)) / 1.3), (0.025,)
         model = body(criterion)
         for strain in strains:
@@ -201,9 +208,9 @@ def test_tangents_of_bonds_with_a_drive_of_whole_families_are_exact(dim, kinemat
     check_tangent(model, u, rng)
     # The gradient of the mean of what is driven most, against differences.
     gradient, found = model.problem.damage.most_driven(model.at(u), 0.3)
-    near = model.driven(u) >= 0.7 * found
+    near = model.driving_values(u) >= 0.7 * found
     du = rng.standard_normal(u.shape)
-    rate = (model.driven(u + 1e-6 * du)[near].mean() - model.driven(u - 1e-6 * du)[near].mean()) / 2e-6
+    rate = (model.driving_values(u + 1e-6 * du)[near].mean() - model.driving_values(u - 1e-6 * du)[near].mean()) / 2e-6
     assert (gradient * du).sum() == pytest.approx(rate, rel=1e-6)
 
 
@@ -307,7 +314,7 @@ def test_a_gradient_fails_at_the_load_of_its_criterion(name, law):
     force = 2.0 * V * 10.0 * np.log1p(whole / length) / (1.0 + whole / length) / length
     u = np.array([[0.0], [whole]])
     assert two.internal_force(u)[1, 0] == pytest.approx(force, rel=1e-12)
-    assert two.driven(u) == pytest.approx((1.0 - 1e-6) ** (2 if name == "energy" else 1), rel=1e-9)
+    assert two.driving_values(u) == pytest.approx((1.0 - 1e-6) ** (2 if name == "energy" else 1), rel=1e-9)
     assert not two.break_bonds(u)
     # Drives that differ by less than 1e-7 are the same.
     reached = np.array([[0.0], [at * (1.0 - 1e-9)]])
@@ -400,7 +407,7 @@ def test_a_criterion_is_resolved_once_with_the_bonds_and_refused_where_it_is_non
     assert isinstance(damage.bonds.law.criterion, BondEnergy)
     while model.break_bonds(u):
         pass
-    assert damage.dissipated(model.matter.k) == pytest.approx(0.3, rel=1e-12)
+    assert damage.dissipated(model.material_term.k) == pytest.approx(0.3, rel=1e-12)
     with pytest.raises(pd.CaseError, match="needs a criterion"):
         pd.Brittle(pd.Newton())
 
@@ -408,9 +415,11 @@ def test_a_criterion_is_resolved_once_with_the_bonds_and_refused_where_it_is_non
 def test_the_strain_of_a_gradient_tears_by_what_it_would_drive(rng):
     for law, dim in itertools.product(("brittle", "linear"), (2, 3)):
         model = damaged_body(dim, LAWS[law](BothWays(0.02)))
-        drive, length = model.problem.damage.drive, model.failure.length
+        drive, length = model.problem.damage.driving_variable, model.failure.length
         assert np.allclose(drive.at_strain(np.full(len(length), 0.01)), 0.01 * length / 0.02, rtol=1e-14)
-        assert damaged_body(dim, LAWS[law](FamilyStretch(0.02))).problem.damage.drive.at_strain(length) is None
+        assert (
+            damaged_body(dim, LAWS[law](FamilyStretch(0.02))).problem.damage.driving_variable.at_strain(length) is None
+        )
 
 
 def test_a_criterion_for_one_material_is_refused_for_several():
@@ -443,7 +452,7 @@ def test_ordinary_state_based_bonds_fail_with_exact_tangents_and_energies(dim, k
         assert not model.problem.symmetric
         assert np.abs(K - K.T).max() > 1e-6 * np.abs(K).max()
         model.break_bonds(4.0 * u, {1: 2, 2: 20, 3: 60}[dim])
-        assert 0 < model.failure.count_broken() < np.count_nonzero(model.failure.integrity)
+        assert 0 < model.failure.count_broken() < np.count_nonzero(model.failure.phi)
         check_tangent(model, u, rng, least=0)
         model.soften(u)
         model.freeze(True)
@@ -459,9 +468,9 @@ def test_a_family_that_has_lost_its_bonds_has_no_dilatation(rng):
     u = 0.1 * model.cloud.x
     while model.break_bonds(u):
         pass
-    assert np.abs(model.matter.dilatation(model.at(u))).max() == 0.0
+    assert np.abs(model.material_term.dilatation(model.at(u))).max() == 0.0
     assert np.abs(model.internal_force(u)).max() == 0.0
-    assert model.matter.dissipated_energy() is None
+    assert model.material_term.dissipated_energy() is None
 
 
 def test_a_body_of_state_based_bonds_comes_apart_and_its_energies_balance(tmp_path):

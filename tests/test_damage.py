@@ -31,18 +31,18 @@ def test_laws_fall_from_one_and_have_the_right_slope_and_energy(law):
     law = law(CRITICAL)
     x = np.linspace(law.onset, law.final, 101)[1:-1]
     if law.final > law.onset:
-        T = law.integrity(x)
+        T = law.phi(x)
         assert np.all(np.diff(T) < 0.0)
-        assert np.allclose(law.integrity(np.array([law.onset])), 1.0)
-        assert np.allclose(law.integrity(np.array([law.final])), 0.0, atol=1e-15)
-        slope = (law.integrity(x + 1e-6) - law.integrity(x - 1e-6)) / 2e-6
+        assert np.allclose(law.phi(np.array([law.onset])), 1.0)
+        assert np.allclose(law.phi(np.array([law.final])), 0.0, atol=1e-15)
+        slope = (law.phi(x + 1e-6) - law.phi(x - 1e-6)) / 2e-6
         kinks = np.abs(x - getattr(law, "kink", -1.0)) < 1e-3
         assert np.allclose(law.slope(x)[~kinks], slope[~kinks], rtol=1e-6)
     # Area under the force less what is stored.
     reached = np.linspace(law.onset, law.final, 5)[1:-1] if law.final > law.onset else np.array([])
     for end in reached:
-        T = float(law.integrity(np.array([end]))[0])
-        area = quad(lambda y: float(law.integrity(np.array([y]))[0]) * y, law.onset, end, points=law.pieces)[0]
+        T = float(law.phi(np.array([end]))[0])
+        area = quad(lambda y: float(law.phi(np.array([y]))[0]) * y, law.onset, end, points=law.pieces)[0]
         exact = 0.5 * law.onset**2 + area - 0.5 * T * end**2
         one = np.ones(1)
         assert law.dissipated(T * one, end * one, 0.5 * one)[0] == pytest.approx(exact, rel=1e-9)
@@ -50,7 +50,7 @@ def test_laws_fall_from_one_and_have_the_right_slope_and_energy(law):
     one = np.ones(1)
     area = 0.0
     for begin, end in itertools.pairwise(law.pieces):
-        area += quad(lambda y: float(law.integrity(np.array([y]))[0]) * y, begin, end)[0]
+        area += quad(lambda y: float(law.phi(np.array([y]))[0]) * y, begin, end)[0]
     whole = law.dissipated(0.0 * one, law.final * one, 0.5 * one)[0]
     assert 0.5 * law.toughness(2.0) == whole
     assert whole == pytest.approx(0.5 * law.onset**2 + area, rel=1e-9)
@@ -59,16 +59,16 @@ def test_laws_fall_from_one_and_have_the_right_slope_and_energy(law):
 def test_the_published_degradation_jumps_and_can_be_made_continuous():
     published = pd.SmoothDegradation(CRITICAL, start=0.75, beta=3.0, continuous=False)
     ends = np.array([0.75, 1.0])
-    assert published.integrity(ends) == pytest.approx([0.5 * (1 + np.tanh(3.0)), 0.5 * (1 - np.tanh(3.0))])
+    assert published.phi(ends) == pytest.approx([0.5 * (1 + np.tanh(3.0)), 0.5 * (1 - np.tanh(3.0))])
     for law in (published, pd.Brittle(CRITICAL)):  # what is left at the end is lost there
         for degree in (1.0, 2.0):
             at = law.onset + (law.final - law.onset) * (np.arange(2000.0) + 0.5) / 2000.0
-            area = (law.integrity(at) * degree * at ** (degree - 1.0)).mean() * (law.final - law.onset)
+            area = (law.phi(at) * degree * at ** (degree - 1.0)).mean() * (law.final - law.onset)
             assert law.toughness(degree) == pytest.approx(law.onset**degree + area, rel=1e-6)
     s = 0.02 * np.linspace(0.76, 0.99, 9)
     s_min, s_cr = 0.015, 0.02
     exact = 0.5 * (1.0 - np.tanh(3.0 * (s_min + s_cr - 2.0 * s) / (s_min - s_cr)))
-    assert np.allclose(published.integrity(s / s_cr), exact, rtol=1e-13)
+    assert np.allclose(published.phi(s / s_cr), exact, rtol=1e-13)
 
 
 def softened(model, rng):
@@ -77,9 +77,9 @@ def softened(model, rng):
     return displacement(model, rng, 0.001) + middle * (model.cloud.x - model.cloud.x.mean(axis=0))
 
 
-def falling(model, u):
+def softening(model, u):
     """Return the bonds whose integrity falls at a displacement, and its derivative by their drive."""
-    return model.failure.following(model.driven(u))[1:]
+    return model.failure.following(model.driving_values(u))[1:]
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential", "smooth"])
@@ -88,7 +88,7 @@ def test_the_tangent_with_softening_bonds_is_exact(dim, scheme, law, rng):
     for control in (None, pd.Silling(0.5)):
         model = damaged_body(dim, LAWS[law](CRITICAL), SCHEMES[scheme], control, rng=rng)
         u = softened(model, rng)
-        assert np.count_nonzero(falling(model, u)[1]) > 4
+        assert np.count_nonzero(softening(model, u)[1]) > 4
         K = dense_tangent(model, u)
         columns = rng.choice(u.size, 8, replace=False)
         assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
@@ -108,7 +108,7 @@ def test_the_tangent_of_softening_bonds_is_exact_and_symmetric(law, rng):
             continue
         model = bond_body(dim, material, rng=rng, damage=LAWS[law](CRITICAL))
         u = softened(model, rng)
-        assert np.count_nonzero(falling(model, u)[1]) > 4
+        assert np.count_nonzero(softening(model, u)[1]) > 4
         K = dense_tangent(model, u)
         columns = rng.choice(u.size, min(8, u.size), replace=False)
         assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max(), name
@@ -119,15 +119,15 @@ def test_damage_does_not_heal_and_reverts_to_what_was_kept(rng):
     model = damaged_body(2, pd.SmoothDegradation(CRITICAL), rng=rng)
     u = softened(model, rng)
     model.commit(u)
-    lost = model.failure.integrity.copy()
+    lost = model.failure.phi.copy()
     assert lost.min() < 0.9
-    T, less, _ = model.failure.following(model.driven(0.5 * u))
+    T, less, _ = model.failure.following(model.driving_values(0.5 * u))
     assert np.array_equal(T, lost)
     assert not len(less)
     model.soften(1.2 * u)
-    assert model.failure.integrity.min() < lost.min()
+    assert model.failure.phi.min() < lost.min()
     model.revert()
-    assert np.array_equal(model.failure.integrity, lost)
+    assert np.array_equal(model.failure.phi, lost)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -144,7 +144,7 @@ def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(sch
     f = model.internal_force(u)
     assert np.abs(f).max() < 1e-12
     strained = u + np.where(x[:, 1:] > 2.5, 0.1 * x * [1.0, 0.0], 0.0)
-    F = model.matter.deformation_gradient(model.at(strained))
+    F = model.material_term.deformation_gradient(model.at(strained))
     upper = x[:, 1] > 2.5
     assert np.allclose(F[upper], np.diag([1.1, 1.0]), atol=1e-10)
     assert np.allclose(F[~upper], np.eye(2), atol=1e-10)
@@ -158,11 +158,11 @@ def test_broken_bonds_leave_the_gradient_and_flat_families_lose_their_stress(sch
     # A corner that keeps one bond alone has no gradient any more; the control still holds it.
     corner = 0
     own = np.flatnonzero((centres == corner) | (neighbours == corner))
-    model.failure.integrity[own] = 0.0
+    model.failure.phi[own] = 0.0
     kept = np.flatnonzero(((centres == corner) & (neighbours == 1)) | ((centres == 1) & (neighbours == corner)))
-    model.failure.integrity[kept] = 1.0
+    model.failure.phi[kept] = 1.0
     model.problem.damage.changed(rebuild=True)
-    assert model.matter.n_detached >= 1
+    assert model.material_term.n_detached >= 1
     assert np.isfinite(model.internal_force(strained)).all()
 
 
@@ -174,7 +174,7 @@ def strained(model, *stretches):
 def across_only(model):
     """Let every particle keep only the bonds that lie steeper than two to one across the x axis."""
     xi = model.families.bonds(model.cloud.x)
-    model.failure.integrity[np.abs(xi[:, 1]) < 1.9 * np.abs(xi[:, 0])] = 0.0
+    model.failure.phi[np.abs(xi[:, 1]) < 1.9 * np.abs(xi[:, 0])] = 0.0
     model.take_failure()
 
 
@@ -184,8 +184,8 @@ def test_bonds_across_a_pull_break_with_the_strain_of_their_gradient(scheme):
     horizon = 2.5
     model = damaged_body(2, pd.Brittle(CRITICAL), SCHEMES[scheme], pd.Silling(0.5), horizon=horizon)
     pulled = strained(model, 0.1, -0.05)
-    drive = model.problem.damage.drive
-    assert not model.failure.tear(drive.at_strain(model.matter.tensile_strain(model.at(pulled)))), (
+    drive = model.problem.damage.driving_variable
+    assert not model.failure.tear(drive.at_strain(model.material_term.tensile_strain(model.at(pulled)))), (
         "families that have lost nothing break by stretch"
     )
     across_only(model)
@@ -198,7 +198,7 @@ def test_bonds_across_a_pull_break_with_the_strain_of_their_gradient(scheme):
     assert not model.break_bonds(model.cloud.x @ turn.T)
     assert not model.break_bonds(strained(model, -0.1, -0.05))
     assert not model.break_bonds(strained(model, 0.019, -0.01))
-    strain = model.matter.tensile_strain(model.at(pulled))
+    strain = model.material_term.tensile_strain(model.at(pulled))
     oblique = model.failure.intact & (np.abs(model.families.bonds(model.cloud.x)[:, 0]) > 0.5)
     carried = np.isin(model.families.centres, model.operator.owner[model.operator.volume > 0.0])
     # A bond at slope two feels the share of the strain along x that lies in its direction.
@@ -225,8 +225,8 @@ def test_a_fracture_energy_is_what_breaking_the_bonds_across_a_plane_takes(dim, 
     model = bond_body(dim, pd.BondBased(E=10.0, calibration="lattice"), cell=True, damage=law(pd.FractureEnergy(Gc)))
     cloud, families = model.cloud, model.families
     sides = np.ptp(cloud.x[: cloud.n_owned], axis=0) + 1.0
-    one = np.ones(len(model.matter.k))
-    energy = 0.5 * model.matter.k * model.problem.damage.limit**2
+    one = np.ones(len(model.material_term.k))
+    energy = 0.5 * model.material_term.k * model.problem.damage.limit**2
     each = model.failure.law.dissipated(0.0 * one, model.failure.law.final * one, energy)
     found = []
     for axis in range(dim):
@@ -324,7 +324,7 @@ def with_broken(model, rng, share=0.12):
     keys = model.failure.keys
     picked = rng.permutation(np.unique(keys, axis=0))[: int(share * len(keys) / 2)]
     lost = (keys[:, None] == picked[None]).all(axis=2).any(axis=1)
-    model.failure.integrity[lost] = 0.0
+    model.failure.phi[lost] = 0.0
     model.take_failure()
     return lost
 
@@ -333,10 +333,10 @@ def with_broken(model, rng, share=0.12):
 @pytest.mark.parametrize("breaks", [False, True])
 def test_forces_of_the_present_stretch_are_the_published_ones(breaks, G, rng):
     model = damaged_body(2, PUBLISHED, control=pd.SillingMicromodulus(G, 1.0) if G else None, rng=rng)
-    lost = with_broken(model, rng) if breaks else np.zeros(len(model.failure.integrity), dtype=bool)
+    lost = with_broken(model, rng) if breaks else np.zeros(len(model.failure.phi), dtype=bool)
     pairs = set(zip(model.families.centres[lost].tolist(), model.families.neighbours[lost].tolist(), strict=True))
     u = softened(model, rng)
-    T = model.problem.damage.integrity(model.at(u))
+    T = model.problem.damage.phi(model.at(u))
     assert np.count_nonzero((T > 0.0) & (T < 1.0)) > 10
     expected = state_of(u, model.cloud.x, 1.0, 2.015, 10.0, 0.3, lambda i, j: None if (i, j) in pairs else published, G)
     found = model.internal_force(u)
@@ -365,11 +365,11 @@ def test_the_tangent_of_the_present_stretch_is_exact(breaks, scheme, control, rn
     if breaks:
         with_broken(model, rng)
     u = displacement(model, rng, 0.001) + 0.015 * (model.cloud.x - model.cloud.x.mean(axis=0))
-    x = model.driven(u)
+    x = model.driving_values(u)
     # No bond is so close to an end of the law that a difference steps across its kink.
     assert np.abs(x - 0.5).min() > 1e-4
     assert np.abs(x - 1.0).min() > 1e-4
-    assert np.count_nonzero(falling(model, u)[1]) > 40
+    assert np.count_nonzero(softening(model, u)[1]) > 40
     K = dense_tangent(model, u)
     columns = rng.choice(u.size, 10, replace=False)
     assert np.abs(K[:, columns] - fine_differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()

@@ -9,7 +9,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood
 from pdpetsc.command_line.cli import load_case
-from pdpetsc.damage import DrivenBonds
+from pdpetsc.damage import DamageableBonds
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -44,7 +44,7 @@ def uneven(model, rng):
     low, high = 0.0, 20.0
     for _ in range(30):
         middle = 0.5 * (low + high)
-        far = not model.all_admissible(middle * u) or np.median(model.driven(middle * u)) > 1.4
+        far = not model.all_admissible(middle * u) or np.median(model.driving_values(middle * u)) > 1.4
         low, high = (low, middle) if far else (middle, high)
     return low * u
 
@@ -79,9 +79,9 @@ def test_tangents_of_bonds_are_exact(dim, name, kinematics, rng):
     u = uneven(model, rng)
     check_tangent(model, u, rng, least=2)
     gradient, found = model.problem.damage.most_driven(model.at(u), 0.3)
-    near = model.driven(u) >= 0.7 * found
+    near = model.driving_values(u) >= 0.7 * found
     du = rng.standard_normal(u.shape)
-    rate = (model.driven(u + 1e-6 * du)[near].mean() - model.driven(u - 1e-6 * du)[near].mean()) / 2e-6
+    rate = (model.driving_values(u + 1e-6 * du)[near].mean() - model.driving_values(u - 1e-6 * du)[near].mean()) / 2e-6
     assert (gradient * du).sum() == pytest.approx(rate, rel=1e-5)
     model.break_bonds(2.5 * u, {1: 1, 2: 8, 3: 30}[dim])
     check_tangent(model, 1.2 * u, rng, least=0)
@@ -101,7 +101,7 @@ def test_uniform_strain_drives_as_the_closed_forms_say(of_bonds):
             model = bond_body(2, pd.BondBased(E=10.0, calibration="lattice"), damage=law)
         else:
             model = damaged_body(2, law, material=pd.LinearElastic(10.0, 0.25))
-        x = model.driven(strained(model, F))
+        x = model.driving_values(strained(model, F))
         assert np.allclose(x, x[0], rtol=1e-9, atol=1e-14)
         return x[0]
 
@@ -131,9 +131,9 @@ def test_a_rotation_drives_nothing(rng):
     turned = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
     for name in ("mazars", "von_mises", "principal"):
         model = damaged_body(2, pd.Brittle(POINTS[name]))
-        assert np.abs(model.driven(strained(model, turned))).max() < 1e-12
+        assert np.abs(model.driving_values(strained(model, turned))).max() < 1e-12
         F = np.array([[1.02, 0.01], [0.0, 0.99]])
-        plain, rotated = model.driven(strained(model, F)), model.driven(strained(model, turned @ F))
+        plain, rotated = model.driving_values(strained(model, F)), model.driving_values(strained(model, turned @ F))
         assert np.allclose(plain, rotated, rtol=1e-9)
 
 
@@ -144,7 +144,7 @@ def test_flow_drives_as_a_bar_flows():
     for stretch in (1.005, 1.02, 1.03):
         u = (stretch - 1.0) * model.cloud.x
         alpha = max(0.0, 10.0 * np.log(stretch) - 0.1) / 11.0
-        assert np.allclose(model.driven(u), alpha / 0.01, rtol=1e-9, atol=1e-12)
+        assert np.allclose(model.driving_values(u), alpha / 0.01, rtol=1e-9, atol=1e-12)
     # Uniaxial stress has a triaxiality of 1/3; what is used up adds up, also when the bar is let go in between.
     model = damaged_body(1, pd.Brittle(pd.JohnsonCookFailure(0.01, 0.02, -1.5)), material=bar)
     failure = 0.01 + 0.02 * np.exp(-0.5)
@@ -152,7 +152,7 @@ def test_flow_drives_as_a_bar_flows():
     for stretch in (1.015, 1.02, 1.015, 1.03):
         u = (stretch - 1.0) * model.cloud.x
         used = max(used, (10.0 * np.log(stretch) - 0.1) / 11.0)
-        assert np.allclose(model.driven(u), used / failure, rtol=1e-9)
+        assert np.allclose(model.driving_values(u), used / failure, rtol=1e-9)
         model.commit(u)
     arrays = model.problem.arrays()
     grown = next(array for name, array in arrays.items() if name.endswith("grown"))
@@ -190,9 +190,9 @@ def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     bonds = Neighbourhood(cloud, families, np.ones(len(length)), length, pd.influence.Constant(), 1.0)
     around = Body(cloud, families)
-    matter = BondForces(around, bonds, [pd.BondBased(E=10.0)], np.zeros(cloud.n_owned, dtype=np.int32))
-    damage = make_damage(LAWS[law](criterion(Gc)), around, bonds.omega, matter.k, False)
-    matter.take_damage(damage)
+    material_term = BondForces(around, bonds, [pd.BondBased(E=10.0)], np.zeros(cloud.n_owned, dtype=np.int32))
+    damage = make_damage(LAWS[law](criterion(Gc)), around, bonds.omega, material_term.k, False)
+    material_term.take_damage(damage)
     right = cloud.x[: cloud.n_owned, 0] > 0.5 * dx * sides[0]
     limit = damage.limit
     apart = np.linspace(0.0, 1.5 * horizon * damage.bonds.law.final * limit.max(), 801)
@@ -204,14 +204,14 @@ def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion
         while damage.break_bonds(state, 10**6):
             state = State(around, u)
         f = np.zeros((cloud.n_local, dim))
-        matter.add_force(state, f)
+        material_term.add_force(state, f)
         pull.append(around.gather(f)[: cloud.n_owned][right, 0].sum())
         damage.soften(state)
     assert pull[-1] == pytest.approx(0.0, abs=1e-9 * max(pull))
     work = 0.5 * ((np.array(pull)[1:] + np.array(pull)[:-1]) * np.diff(apart)).sum()
     area = dx ** (dim - 1) * np.prod(sides[1:])
     assert work / area == pytest.approx(Gc, rel=0.03)
-    assert matter.dissipated_energy() / area == pytest.approx(Gc, rel=0.03)
+    assert material_term.dissipated_energy() / area == pytest.approx(Gc, rel=0.03)
 
 
 CASE = """
@@ -318,7 +318,7 @@ def test_scaled_units_break_the_same_bonds(name, rng):
 
     one, other = build(1.0, 1.0), build(length, stress)
     u = 0.02 * one.cloud.x * [1.0, 0.2] + 0.002 * rng.standard_normal(one.cloud.x.shape)
-    assert np.allclose(one.driven(u), other.driven(length * u), rtol=1e-7, atol=1e-9)
+    assert np.allclose(one.driving_values(u), other.driving_values(length * u), rtol=1e-7, atol=1e-9)
 
 
 FIBRES = {
@@ -387,7 +387,7 @@ def test_a_bond_and_its_other_direction_know_each_other(rng):
     ):
         cloud = distribute(world(), x, np.ones(len(x)), {}, 2.015, cell, planes)
         families = find_families(cloud)
-        bonds = DrivenBonds.of(cloud, families, np.ones(families.n_bonds), np.ones(families.n_bonds), False)
+        bonds = DamageableBonds.of(cloud, families, np.ones(families.n_bonds), np.ones(families.n_bonds), False)
         xi = families.bonds(cloud.x)
         # The other direction of a bond is its opposite, and an opposite's opposite is the bond itself.
         assert np.allclose(bonds.opposite.of_vectors(xi), -xi, atol=1e-14)
@@ -448,12 +448,12 @@ def test_a_rate_law_flows_in_the_step_that_damage_reads(heated, tmp_path):
     solution = pd.run(case, tmp_path).solution
     P = pd.stress(solution)[0]
     flow = pd.plastic_strain(solution)[0]
-    sigma = np.array([P[0, 0], P[1, 1], solution.problem.matter.out_of_plane(solution.state)[2][0]])
+    sigma = np.array([P[0, 0], P[1, 1], solution.problem.material_term.out_of_plane(solution.state)[2][0]])
     mean = sigma.mean()
     s = mean / np.sqrt(1.5 * ((sigma - mean) ** 2).sum())
     used = flow / (D[0] + D[1] * np.exp(D[2] * s))
     assert used == pytest.approx(0.540, abs=5e-4)
-    assert np.allclose(solution.problem.damage.drive.arrays()["grown"], used, rtol=1e-9)
+    assert np.allclose(solution.problem.damage.driving_variable.arrays()["grown"], used, rtol=1e-9)
 
 
 FAST = {
@@ -506,12 +506,12 @@ def test_what_fast_and_hot_flow_uses_up_follows_the_failure_strain_of_each_step(
     slow = pd.JohnsonCookFailure(**(FAST | {"D4": 0.0, "D5": 0.0}))
     assert abs(used_up(slow) / exact - 1.0) > 0.3  # both factors count
     solution = pd.run(pulled_bar(criterion), tmp_path / "whole").solution
-    kept = solution.problem.damage.drive.arrays()
+    kept = solution.problem.damage.driving_variable.arrays()
     assert np.allclose(kept["grown"], exact, rtol=1e-9)
     assert np.all(kept["since"] == 1.0)
     hours = pd.JohnsonCookFailure(**(FAST | {"rate_0": 7.2, "duration": 2.0 / 3600.0}))
     solution = pd.run(pulled_bar(hours), tmp_path / "hours").solution
-    assert np.allclose(solution.problem.damage.drive.arrays()["grown"], exact, rtol=1e-9)
+    assert np.allclose(solution.problem.damage.driving_variable.arrays()["grown"], exact, rtol=1e-9)
 
 
 def test_a_run_that_goes_on_knows_when_its_last_step_ended(tmp_path):
@@ -520,7 +520,7 @@ def test_a_run_that_goes_on_knows_when_its_last_step_ended(tmp_path):
         pd.run(pulled_bar(criterion, history={"stop": Stop(0.6)}), tmp_path / "part")
     whole = pulled_bar(criterion, history={"stop": Stop(2.0)})
     solution = pd.run(whole, tmp_path / "rest", restart=tmp_path / "part" / "checkpoint.h5").solution
-    assert np.allclose(solution.problem.damage.drive.arrays()["grown"], used_up(criterion), rtol=1e-9)
+    assert np.allclose(solution.problem.damage.driving_variable.arrays()["grown"], used_up(criterion), rtol=1e-9)
 
 
 def test_rate_and_temperature_that_are_not_there_are_refused():
@@ -554,9 +554,9 @@ def test_the_tangent_knows_that_faster_flow_fails_later(rng):
     fast = pd.JohnsonCookFailure(**(FAST | {"D5": 0.0, "D1": 0.004, "D2": 0.008}))
     flowing = pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0)
     model = damaged_body(2, pd.LinearSoftening(fast, 3.0), material=flowing, rng=rng)
-    slow = model.driven(u := uneven(model, rng))
-    model.problem.damage.drive.arrays()["since"][:] = -0.5
-    fast = model.driven(u * (1.0 + 1e-12))
+    slow = model.driving_values(u := uneven(model, rng))
+    model.problem.damage.driving_variable.arrays()["since"][:] = -0.5
+    fast = model.driving_values(u * (1.0 + 1e-12))
     assert np.all(fast <= slow)
     assert np.median(fast) < 0.97 * np.median(slow)
     check_tangent(model, uneven(model, rng), rng, least=2)

@@ -42,7 +42,7 @@ def exact(model, u, rng):
     assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
     du = rng.standard_normal(u.shape)
     assert np.allclose(K @ du.ravel(), model.tangent_times(u, du).ravel(), atol=1e-10 * np.abs(K).max())
-    return np.count_nonzero(model.failure.following(model.driven(u))[2])
+    return np.count_nonzero(model.failure.following(model.driving_values(u))[2])
 
 
 @pytest.mark.parametrize(("dim", "scheme", "material"), pairs(DIMS, EVERY_SCHEME, WITH_HISTORY))
@@ -60,13 +60,13 @@ def test_the_tangent_with_history_is_exact_before_and_after_bonds_break(dim, sch
     u2 = pulled(model, rng, 0.03)
     assert exact(model, u2, rng) > 2
     # Bonds break and mend: the history comes back with the points that it is of.
-    before = model.matter.plastic_strain()
+    before = model.material_term.plastic_strain()
     most = {1: 1, 2: 8, 3: 30}[dim]
     assert model.break_bonds(1.7 * u2, most)
     exact(model, u2, rng)
     model.revert()
     assert np.allclose(model.internal_force(u), forces, atol=1e-13 * np.abs(forces).max())
-    assert np.array_equal(model.matter.plastic_strain(), before)
+    assert np.array_equal(model.material_term.plastic_strain(), before)
     # What is committed with broken bonds is what the next state starts from.
     model.break_bonds(1.7 * u2, most)
     model.commit(u2)
@@ -82,23 +82,23 @@ def test_a_sector_without_bonds_goes_on_with_the_history_of_what_took_them_over(
     u = np.zeros_like(model.cloud.x)
     u[:, 0] = 0.015 * model.cloud.x[:, 0]
     model.commit(u)
-    alpha = model.matter.plastic_strain()
+    alpha = model.material_term.plastic_strain()
     assert alpha.min() > 1e-3
     n = model.operator.n_points
     # The bonds to the right of the particles in the third column.
     x, centres, neighbours = model.cloud.x, model.families.centres, model.families.neighbours
     cut = (np.minimum(x[centres, 0], x[neighbours, 0]) < 2.5) & (np.maximum(x[centres, 0], x[neighbours, 0]) > 2.5)
-    model.failure.integrity[cut] = 0.0
+    model.failure.phi[cut] = 0.0
     model.take_failure()
     assert model.operator.n_points < n
-    assert np.allclose(model.matter.plastic_strain(), alpha, rtol=1e-12)
+    assert np.allclose(model.material_term.plastic_strain(), alpha, rtol=1e-12)
     model.commit(2.0 * u)
-    more = model.matter.plastic_strain()
+    more = model.material_term.plastic_strain()
     assert np.all(more > alpha)
-    model.failure.integrity[cut] = 1.0
+    model.failure.phi[cut] = 1.0
     model.take_failure()
     assert model.operator.n_points == n
-    assert model.matter.plastic_strain() == pytest.approx(more, rel=1e-9)
+    assert model.material_term.plastic_strain() == pytest.approx(more, rel=1e-9)
 
 
 @pytest.mark.parametrize("control", ALL_CONTROLS)
@@ -120,7 +120,7 @@ def test_every_control_fades_with_its_bonds(dim, control, rng):
         assert np.abs(f).max() < 1e-12
     x, (i, j) = model.cloud.x[:, 0], (model.families.centres, model.families.neighbours)
     middle = 0.5 * (x.min() + x.max())
-    model.failure.integrity[(x[i] < middle) != (x[j] < middle)] = 0.0
+    model.failure.phi[(x[i] < middle) != (x[j] < middle)] = 0.0
     model.take_failure()
     f, apart = np.zeros_like(u), np.zeros_like(u)
     apart[x > middle] = 1.0

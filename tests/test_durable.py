@@ -487,11 +487,11 @@ def test_a_reader_that_holds_the_fields_open_does_not_disturb_the_run(scene, tmp
 
 def test_a_torn_row_costs_itself_only(tmp_path):
     pd.run(strip(), output=tmp_path / "whole")
-    for torn in ("history.csv", "broken_bonds.csv"):
-        place = tmp_path / torn
+    for family_strain in ("history.csv", "broken_bonds.csv"):
+        place = tmp_path / family_strain
         with pytest.raises(pd.Interrupted):
             pd.run(stopped(0.9), output=place)
-        with (place / torn).open("a") as file:
+        with (place / family_strain).open("a") as file:
             file.write("3,0.99")
         pd.run(strip(), output=place, restart=place)
         for name in ("history.csv", "broken_bonds.csv"):
@@ -958,13 +958,13 @@ def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
 
 def test_a_checkpoint_without_its_history_warns_that_results_know_nothing_before(caplog, tmp_path):
     """What was broken is listed all the same: values between particles are on one side of the crack."""
-    torn = {"pull": 0.9, "steps": 4}
-    pd.run(strip(**torn), output=tmp_path / "whole")
+    family_strain = {"pull": 0.9, "steps": 4}
+    pd.run(strip(**family_strain), output=tmp_path / "whole")
     with pytest.raises(pd.Interrupted):
-        pd.run(stopped(0.6, **torn), output=tmp_path / "part")
+        pd.run(stopped(0.6, **family_strain), output=tmp_path / "part")
     (tmp_path / "alone").mkdir()
     shutil.copy(tmp_path / "part" / "checkpoint.h5", tmp_path / "alone")
-    pd.run(strip(**torn), output=tmp_path / "rest", restart=tmp_path / "alone")
+    pd.run(strip(**family_strain), output=tmp_path / "rest", restart=tmp_path / "alone")
     warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert any("know of nothing before" in line for line in warned)
     header = ["step", "t", "i", "j", "length", "x", "y"]

@@ -234,7 +234,7 @@ def test_what_is_kept_is_equilibrium_with_the_damage_that_is_kept(control, tmp_p
 
         def evaluate(self, solution):
             damage = solution.problem.damage
-            over = damage.driven(solution.state) / damage.bonds.law.final
+            over = damage.driving_values(solution.state) / damage.bonds.law.final
             return solution.largest(float(over[damage.bonds.intact].max()))
 
     case = strip(
@@ -270,9 +270,9 @@ def test_bonds_that_heal_balance_with_their_present_stretch_also_where_newton_fa
         def evaluate(self, solution):
             damage = solution.problem.damage
             bonds = damage.bonds
-            x = damage.driven(solution.state)
-            T = bonds.law.integrity(np.clip(x, 0.75, 1.0))
-            off = np.abs(np.where(x < 0.75, 1.0, T) - bonds.integrity)[bonds.intact].max()
+            x = damage.driving_values(solution.state)
+            T = bonds.law.phi(np.clip(x, 0.75, 1.0))
+            off = np.abs(np.where(x < 0.75, 1.0, T) - bonds.phi)[bonds.intact].max()
             return solution.largest(float(off)) + solution.largest(float(x[bonds.intact].max() > 1.0))
 
     case = plate_with_hole.case(pull=0.1, steps=8, effect="present")
@@ -406,12 +406,12 @@ def test_cracks_that_close_have_exact_tangents_and_are_refused_where_they_cannot
         # Along one direction longer, along the others shorter than at the start.
         u = pull * ([1.1] + [-0.5] * (dim - 1)) if dim > 1 else -pull
         e = model.elongation(u)
-        assert np.any((e < 0.0) & (model.failure.integrity < 1.0))
+        assert np.any((e < 0.0) & (model.failure.phi < 1.0))
         K = dense_tangent(model, u)
         assert np.abs(K - K.T).max() < 1e-12 * np.abs(K).max()
         columns = rng.choice(u.size, min(8, u.size), replace=False)
         assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
-        assert not model.matter.linear
+        assert not model.material_term.linear
     for changes, why in (
         ({}, "take bond-based materials"),
         ({"material": pd.LinearSolid(E=1.0, nu=0.2), "scheme": None, "control": None}, "take bond-based materials"),

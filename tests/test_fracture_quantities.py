@@ -666,7 +666,7 @@ def test_a_domain_follows_the_tip_and_says_nan_where_it_has_left_the_body(materi
         a, b = cloud.x[families.centres], cloud.x[families.neighbours]
         across = a[:, 1] * b[:, 1] < 0.0
         where = a[:, 0] + np.where(across, a[:, 1] / np.where(across, a[:, 1] - b[:, 1], 1.0), 0.0) * (b - a)[:, 0]
-        bonds.integrity[across & (where < reached)] = 0.0
+        bonds.phi[across & (where < reached)] = 0.0
         prepared.problem.damage.changed(rebuild=True)
         solution = at(prepared, lambda x, to=reached: k_field(x - [to, 0.0], 1.0, 0.0, law))
         moving = pd.JIntegral((-0.2, 0.0), (1.0, 0.0), 0.25, 0.6, follows=tip)
@@ -687,5 +687,5 @@ def test_lateral_strains_of_a_linear_line_are_linear(material, e):
     problem = pd.prepare(case).problem
     state = problem.state(e * problem.body.cloud.x[: problem.body.cloud.n_owned], 1.0)
     nu = material.elastic(1).nu if of_bonds else material.nu
-    across = problem.matter.out_of_plane(state)[0]
+    across = problem.material_term.out_of_plane(state)[0]
     assert across == pytest.approx(1.0 - nu * e, rel=1e-12)

@@ -103,7 +103,7 @@ class TestDamageLaw:
             results=lambda h: {str(step): h["force"][step] for step in (-3, -2, -1)},
         )
         found = pd.run(bar, tmp_path)
-        T = np.where(x > 1.0, law.integrity(x), 1.0)
+        T = np.where(x > 1.0, law.phi(x), 1.0)
         assert [found[str(step)] for step in (-3, -2, -1)] == pytest.approx(10.0 * critical * x * T, rel=1e-9)
 
 

@@ -104,7 +104,7 @@ def test_spacings_of_lattices_meshes_and_their_nodes(tmp_path):
     def reach(particles):
         case = pd.Case(particles=particles, horizon=pd.Horizon(2.0), material=MATERIALS["hencky"], conditions=[])
         cloud = make_cloud(world(), case)
-        return cloud.reach[np.argsort(cloud.gid)]
+        return cloud.local_horizon[np.argsort(cloud.gid)]
 
     path = tmp_path / "two.xdmf"
     np.testing.assert_array_equal(reach(pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.1, thickness=0.3)), 2.0 * 0.1)
@@ -163,7 +163,7 @@ def graded_body(dim, rng, scheme, control, law=None, wide=1.0):
     reach = wide * reach
     cloud = distribute(world(), x, spacing, {}, reach)
     families = find_families(cloud)
-    s = np.linalg.norm(families.bonds(cloud.x), axis=1) / cloud.reach[families.centres]
+    s = np.linalg.norm(families.bonds(cloud.x), axis=1) / cloud.local_horizon[families.centres]
     assert s.max() <= 1.0
     omega, material_of = pd.influence.Gaussian()(s), np.zeros(cloud.n_owned, dtype=np.int32)
     return small_points(cloud, families, omega, scheme, [MATERIALS["hencky"]], material_of, control, law)
@@ -174,15 +174,15 @@ def graded_bonds(dim, rng, material, damage=None):
     cloud = distribute(world(), x, spacing, {}, reach, mutual=True)
     families = find_families(cloud)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    omega = (length <= cloud.reach[families.centres]).astype(float)
+    omega = (length <= cloud.local_horizon[families.centres]).astype(float)
     around = Body(cloud, families)
     bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
-    matter = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
+    material_term = BondForces(around, bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     failing = None
     if damage is not None:
-        failing = make_damage(damage, around, omega, matter.k, matter.finite)
-        matter.take_damage(failing)
-    return Small(Problem(around, matter, [], Supports(around), failing))
+        failing = make_damage(damage, around, omega, material_term.k, material_term.finite)
+        material_term.take_damage(failing)
+    return Small(Problem(around, material_term, [], Supports(around), failing))
 
 
 CONTROLLED = [("correspondence", control) for control in ALL_CONTROLS]
@@ -219,7 +219,7 @@ def check(model, rng, symmetric=True):
         power = (sum(model.energy(u + half)) - sum(model.energy(u - half))) / 2e-6
         assert (f * v).sum() == pytest.approx(power, rel=1e-6, abs=1e-8 * scale)
     if model.dim > 1 and model.control is None:
-        y = model.cloud.x + getattr(model.matter, "finite", True) * u
+        y = model.cloud.x + getattr(model.material_term, "finite", True) * u
         assert abs((y[:, 0] * f[:, 1] - y[:, 1] * f[:, 0]).sum()) < 1e-10 * scale * np.abs(y).max()
 
 
@@ -247,8 +247,8 @@ def test_bonds_between_different_horizons_have_opposite_forces_and_an_energy(cal
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     held = set(zip(families.centres.tolist(), families.neighbours.tolist(), strict=True))
     assert held == {(j, i) for i, j in held}
-    assert np.array_equal(model.matter.k > 0.0, length <= cloud.reach[families.centres])
-    assert not (model.matter.k > 0.0).all()
+    assert np.array_equal(model.material_term.k > 0.0, length <= cloud.local_horizon[families.centres])
+    assert not (model.material_term.k > 0.0).all()
 
 
 @pytest.mark.parametrize("calibration", ["continuum", "lattice"])
@@ -260,12 +260,12 @@ def test_micromoduli_are_those_of_each_horizon(calibration):
     cloud = distribute(world(), chunk.x, chunk.volume, {}, reach, mutual=True)
     families = find_families(cloud)
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-    omega = (length <= cloud.reach[families.centres]).astype(float)
+    omega = (length <= cloud.local_horizon[families.centres]).astype(float)
     bonds = Neighbourhood(cloud, families, omega, length, pd.influence.Constant(), 1.0)
     material = pd.BondBased(E=10.0, calibration=calibration)
-    matter = BondForces(Body(cloud, families), bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
+    material_term = BondForces(Body(cloud, families), bonds, [material], np.zeros(cloud.n_owned, dtype=np.int32))
     e = 1e-3 * families.bonds(cloud.x)[:, 0] ** 2 / length
-    energy = np.bincount(families.centres, 0.5 * matter.k * e**2, cloud.n_owned)
+    energy = np.bincount(families.centres, 0.5 * material_term.k * e**2, cloud.n_owned)
     lam, mu = material.elastic(2).lame(2)
     exact = 0.5 * (lam + 2.0 * mu) * 1e-6
     for at in ((10.5, 10.5), (30.5, 10.5)):
@@ -279,7 +279,7 @@ def test_broken_bonds_of_directed_families_count_once(rng):
     both = {tuple(key) for key in failure.keys.tolist()}
     assert len(both) > len(failure.keys) // 2  # some bonds have one end
     u = 0.02 * model.cloud.x * rng.uniform(0.5, 1.5, (len(model.cloud.x), 1))
-    drive = model.driven(u)
+    drive = model.driving_values(u)
     expected = {tuple(key) for key in failure.keys[drive >= 1.0].tolist()}
     assert 10 < len(expected) < len(both)
     found = failure.break_bonds(drive, 10**6)
@@ -288,10 +288,10 @@ def test_broken_bonds_of_directed_families_count_once(rng):
     assert sorted(map(tuple, keys.tolist())) == sorted(expected)
     other = graded_body(2, np.random.default_rng(0), SCHEMES["correspondence"], None, failure.law)
     assert other.failure.restore(keys[:0], states[:0]) == 0
-    intact = failure.integrity.copy()
+    intact = failure.phi.copy()
     failure.revert()
     assert failure.restore(keys, states) == len(expected)
-    np.testing.assert_array_equal(failure.integrity, intact)
+    np.testing.assert_array_equal(failure.phi, intact)
 
 
 def test_a_case_in_other_units_has_the_same_answer(tmp_path):
@@ -447,7 +447,7 @@ def test_tension_is_uniform_beside_cracks_mirrors_and_periods(beside, scheme, tm
     result = pd.run(case, tmp_path)
     assert result["F"] < 1e-9
     assert result.summary["horizon"] > 1.5 * result.summary["least_horizon"]
-    np.testing.assert_array_equal(result.gathered(pd.reach), across(plate.chunk(0, 1).x))
+    np.testing.assert_array_equal(result.gathered(pd.local_horizon), across(plate.chunk(0, 1).x))
 
 
 ONE_WAY = """
@@ -638,11 +638,11 @@ def test_breaking_all_bonds_across_a_plane_takes_the_fracture_energy_at_any_hori
     cloud = make_cloud(world(), case)
     body = Body(cloud, find_families(cloud))
     length = np.linalg.norm(body.families.bonds(cloud.x), axis=1)
-    omega = (length <= cloud.reach[body.families.centres]).astype(float)
+    omega = (length <= cloud.local_horizon[body.families.centres]).astype(float)
     bonds = Neighbourhood(cloud, body.families, omega, length, pd.influence.Constant(), 1.0)
     k = case.material.stiffness(bonds).k
     damage = make_damage(case.damage, body, omega, k, False)
-    limit = damage.drive.limit
+    limit = damage.driving_variable.limit
     key = np.lexsort(damage.bonds.keys.T)
     np.testing.assert_allclose(limit[key[::2]], limit[key[1::2]], rtol=1e-14)
     share = damage.bonds.law.toughness(2.0)

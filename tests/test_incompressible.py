@@ -46,7 +46,7 @@ def test_forces_and_tangent_derive_from_the_energy(dim, name, scheme, rng):
     u = displacement(model, rng)
     if material.has_history:
         model.commit(0.7 * u)
-        assert model.matter.plastic_strain().max() > 1e-3
+        assert model.material_term.plastic_strain().max() > 1e-3
     K, f = dense_tangent(model, u), model.internal_force(u)
     size = np.abs(K).max()
     assert np.abs(K - K.T).max() < 1e-12 * size
@@ -88,10 +88,10 @@ def test_uniform_states_are_those_of_the_scheme(dim, name, rng):
         one.internal_force(u), other.internal_force(u), atol=1e-10 * np.abs(other.internal_force(u)).max()
     )
     assert one.energy(u)[0] == pytest.approx(other.energy(u)[0], rel=1e-10)
-    sigma, expected = (m.matter.cauchy_stress(m.at(u)) for m in (one, other))
+    sigma, expected = (m.material_term.cauchy_stress(m.at(u)) for m in (one, other))
     assert np.allclose(sigma, expected, atol=1e-10 * np.abs(expected).max())
-    F = one.matter.deformation_gradient(one.at(u))
-    assert np.allclose(F, other.matter.deformation_gradient(other.at(u)), atol=1e-12)
+    F = one.material_term.deformation_gradient(one.at(u))
+    assert np.allclose(F, other.material_term.deformation_gradient(other.at(u)), atol=1e-12)
 
 
 def test_the_energy_is_that_of_the_equations(rng):
@@ -196,11 +196,14 @@ def test_layers_that_share_a_box_have_dilatations_of_their_own(layers, rng):
     case = block(material=[
         (soft, pd.LinearElastic(E=10.0, nu=0.49)), (pd.region.Slab("y", low=middle), pd.LinearElastic(1000.0, 0.49)),
     ])  # fmt: skip
-    matter = pd.prepare(case).problem.matter
-    y = matter.body.cloud.x[matter.operator.owner, 1]
-    lowest, highest = np.full(len(matter._patch_owner), np.inf), np.full(len(matter._patch_owner), -np.inf)
-    np.minimum.at(lowest, matter.patch_of_point, y)
-    np.maximum.at(highest, matter.patch_of_point, y)
+    material_term = pd.prepare(case).problem.material_term
+    y = material_term.body.cloud.x[material_term.operator.owner, 1]
+    lowest, highest = (
+        np.full(len(material_term._patch_owner), np.inf),
+        np.full(len(material_term._patch_owner), -np.inf),
+    )
+    np.minimum.at(lowest, material_term.patch_of_point, y)
+    np.maximum.at(highest, material_term.patch_of_point, y)
     assert not np.any((lowest < middle) & (highest > middle))
     assert (highest - lowest).max() == pytest.approx(1.0)
 
@@ -506,5 +509,7 @@ def test_graded_moduli_that_jump_inside_a_box_are_as_two_materials(rng):
     forces = [problem.internal_force(problem.state(u)) for problem in (jumps, two)]
     assert np.abs(forces[0] - forces[1]).max() < 1e-12 * np.abs(forces[1]).max()
     smooth, plain = strip(pd.Graded(law, lambda x: 1.0 + x[:, 0])), strip(law)
-    assert len(np.unique(smooth.matter.patch_of_point)) == len(np.unique(plain.matter.patch_of_point)) == 8
-    assert len(np.unique(jumps.matter.patch_of_point)) == 10
+    assert (
+        len(np.unique(smooth.material_term.patch_of_point)) == len(np.unique(plain.material_term.patch_of_point)) == 8
+    )
+    assert len(np.unique(jumps.material_term.patch_of_point)) == 10

@@ -90,7 +90,7 @@ VALID = [
     pd.MeanStrain(xx=0.1), pd.MeanStress(xx=1.0),
     pd.Silling(), pd.SillingMicromodulus(0.1, 1.0), pd.Littlewood(), pd.Wan(), pd.Springs(0.1),
     pd.AveragedDisplacement(0.1), pd.RelativeSprings(), pd.RelativeAverage(), pd.Penalty(0.1),
-    pd.Following(pd.Silling()), pd.ByShear(pd.Silling()), pd.MeanDilatation(pd.SubHorizons(), 1.0),
+    pd.TangentScaled(pd.Silling()), pd.ByShear(pd.Silling()), pd.MeanDilatation(pd.SubHorizons(), 1.0),
     pd.SmoothedDisplacement(), pd.Standard(), pd.Conforming(),
 ]  # fmt: skip
 WRONG = [

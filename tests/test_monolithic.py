@@ -79,7 +79,7 @@ def test_stress_changes_with_temperature_as_the_tangent_says(law, plane, rng):
         plane = "strain"
     prepared = pd.prepare(case(law=law, plane=plane))
     problem = prepared.problem
-    heat = problem.ahead[0].heat
+    heat = problem.staggered[0].heat
     T = 0.2 + rng.random(prepared.cloud.n_owned)
     u = 0.1 * prepared.cloud.x[: prepared.cloud.n_owned] + 0.002 * rng.standard_normal((prepared.cloud.n_owned, 2))
 
@@ -87,10 +87,10 @@ def test_stress_changes_with_temperature_as_the_tangent_says(law, plane, rng):
         heat.field.take(temperature)
         problem.renewed()
         state = problem.state(u, 0.5)
-        return problem.matter.stress(problem.matter.deformation(state)), state
+        return problem.material_term.stress(problem.material_term.deformation(state)), state
 
     _, state = stress(T)
-    known = problem.matter.stress_by_temperature(state)
+    known = problem.material_term.stress_by_temperature(state)
     d = 1e-5
     exact = (stress(T + d)[0] - stress(T - d)[0]) / (2.0 * d)
     assert np.abs(known - exact).max() < 1e-7 * np.abs(exact).max()
@@ -162,9 +162,9 @@ def test_a_temperature_that_is_nowhere_ends_the_run(tmp_path):
     for coupling in ("staggered", "monolithic"):
         heat = dataclasses.replace(loose.heat, coupling=coupling)
         held = [*loose.conditions, pd.Displacement(pd.region.Slab("x", low=0.875), y=0.0)]
-        torn = dataclasses.replace(loose, heat=heat, cracks=[island], conditions=held)
+        family_strain = dataclasses.replace(loose, heat=heat, cracks=[island], conditions=held)
         with pytest.raises(pd.SolveError, match="a piece of the body gains heat that nothing takes away"):
-            pd.run(torn, tmp_path / coupling)
+            pd.run(family_strain, tmp_path / coupling)
 
 
 def test_what_cannot_be_solved_together_is_refused(tmp_path):

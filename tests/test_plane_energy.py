@@ -47,7 +47,7 @@ def body(x, volume, horizon=3.015, criterion=None, calibration="lattice", **chan
 def broken(problem):
     """Return both ends of all bonds, and the energies that they have stored from one end when they snap."""
     cloud, families = problem.body.cloud, problem.body.families
-    energy = 0.5 * problem.matter.k * problem.damage.limit**2
+    energy = 0.5 * problem.material_term.k * problem.damage.limit**2
     return cloud.x[families.centres], cloud.x[families.neighbours], energy
 
 
@@ -56,7 +56,7 @@ def across(problem, normal, count=40):
     one, other, energy = broken(problem)
     normal = np.array(normal) / np.linalg.norm(normal)
     low, high = one.min(axis=0), one.max(axis=0)
-    middle, room = 0.5 * (low + high), 0.5 * (high - low).min() - 1.05 * problem.body.cloud.reach.max()
+    middle, room = 0.5 * (low + high), 0.5 * (high - low).min() - 1.05 * problem.body.cloud.local_horizon.max()
     radius = 0.8 * room
     a, b = (one - middle) @ normal, (other - middle) @ normal
     found = []
@@ -169,7 +169,7 @@ def test_one_body_has_one_critical_stretch_however_it_is_written():
     found = {}
     for name, changes in given.items():
         problem = body(x, np.ones(len(x)), **({"damage": law} | changes))
-        found[name] = np.sort(problem.matter.k * problem.damage.limit)  # forces at which bonds snap
+        found[name] = np.sort(problem.material_term.k * problem.damage.limit)  # forces at which bonds snap
     for name, limits in found.items():
         np.testing.assert_allclose(limits, found["length"], rtol=1e-10, err_msg=name)
 
@@ -239,7 +239,7 @@ def test_parts_with_horizons_of_their_own_have_one_modulus(calibration):
     problem = body(x, volume, pd.Horizon(3.015), pd.ConstantCritical(1.0), calibration)
     cloud, families = problem.body.cloud, problem.body.families
     squares = families.bonds(cloud.x) ** 2
-    k = problem.matter.k / squares.sum(axis=1)
+    k = problem.material_term.k / squares.sum(axis=1)
     along, across = (np.bincount(families.centres, k * squares[:, 0] * squares[:, a]) / cloud.volume for a in (0, 1))
     left, right = ((along - across**2 / along)[deep] for deep in deep_in_parts(cloud))
     assert left[0] == pytest.approx(E, rel=0.01)
@@ -313,7 +313,7 @@ def test_any_number_of_ranks_has_the_same_stiffness_and_critical_stretches(rows,
 
 def modulus(problem, deep, relaxed):
     """Return E of plane stress over the one given, from energies of particles inside at three strains of the rest."""
-    cloud, families, k = problem.body.cloud, problem.body.families, problem.matter.k
+    cloud, families, k = problem.body.cloud, problem.body.families, problem.material_term.k
     i, j, x, n = families.centres, families.neighbours, cloud.x, cloud.n_owned
     direction = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i], axis=1)[:, None]
     columns = np.concatenate([2 * j[:, None] + [0, 1], 2 * i[:, None] + [0, 1]], axis=1)
@@ -335,7 +335,7 @@ def test_the_modulus_inside_is_right_on_any_cloud(cloud, calibration):
     """In uniform strain; irregular clouds are softer in equilibrium, by 1 to 3 % from a horizon of 3 spacings on."""
     made, horizon = CLOUDS[cloud]
     problem = body(*made(), horizon, pd.ConstantCritical(1.0), calibration)
-    x, reach = problem.body.cloud.x, problem.body.cloud.reach
+    x, reach = problem.body.cloud.x, problem.body.cloud.local_horizon
     deep = ((x - x.min(axis=0) > 1.1 * reach[:, None]) & (x.max(axis=0) - x > 1.1 * reach[:, None])).all(axis=1)
     assert modulus(problem, deep, relaxed=False) == pytest.approx(1.0, abs=0.02)
     if horizon == 3.015:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.discrete import lattice, memory
+from pdpetsc.discrete import lattice_stencils, memory
 from pdpetsc.discrete.components import find_pieces
-from pdpetsc.kernels import repeated
+from pdpetsc.kernels import lattice_stencils as lattice_kernels
 from pdpetsc.running import build
 from tests.commands import script_on
 from tests.pairs import pairs
@@ -54,7 +54,7 @@ def few(monkeypatch):
 
 def share_small_families(put):
     """Lower the numbers from which families repeat."""
-    put(lattice, "FEWEST", 8)
+    put(lattice_stencils, "FEWEST", 8)
     put(build, "LEAST_REPEATED", 0.05)
 
 
@@ -80,15 +80,15 @@ def rough(cloud, size=0.01):
 def furthest(case):
     """Return the largest relative difference of what both problems of a case compute, and the shared share."""
     shared, listed = both(case)
-    repeats = shared.body.families.repeats
-    assert repeats is not None
-    assert listed.body.families.repeats is None
+    lattice = shared.body.families.lattice
+    assert lattice is not None
+    assert listed.body.families.lattice is None
     assert np.array_equal(shared.body.families.indptr, listed.body.families.indptr)
     assert np.array_equal(shared.body.families.neighbours, listed.body.families.neighbours)
-    assert shared.matter.note == listed.matter.note
+    assert shared.material_term.note == listed.material_term.note
     assert shared.body.families.n_bonds == len(listed.body.families.neighbours)
     found = []
-    assert shared.matter.linear == listed.matter.linear
+    assert shared.material_term.linear == listed.material_term.linear
     assert shared.parts == listed.parts
     for problem in (shared, listed):
         u = rough(problem.body.cloud)
@@ -97,7 +97,10 @@ def furthest(case):
         force = problem.internal_force(state)
         one_by_one = sum(problem.force_of([term], state) for term in problem.terms if not term.load)
         field = np.concatenate(
-            [problem.matter.cauchy_stress(state).ravel(), problem.matter.deformation_gradient(state).ravel()]
+            [
+                problem.material_term.cauchy_stress(state).ravel(),
+                problem.material_term.deformation_gradient(state).ravel(),
+            ]
         )
         tangent = problem.linearised(problem.state(u))
         product = tangent(u * u + u).copy()
@@ -110,16 +113,16 @@ def furthest(case):
         found.append((np.array(every), force, one_by_one, field, product, tangent.stiffness(), blocks, at_rest))
     furthest = [np.abs(a - b).max() / np.abs(b).max() for a, b in zip(*found, strict=True)]
     assert problem.admissible(problem.state(u))
-    return max(furthest), repeats
+    return max(furthest), lattice
 
 
 @pytest.mark.parametrize(("dim", "scheme", "control"), pairs([1, 2, 3], SCHEMES, CONTROLS))
 @pytest.mark.usefixtures("few")
 def test_what_is_computed_is_the_same_as_with_all_bonds_listed(dim, scheme, control):
-    found, repeats = furthest(block(dim, scheme=SCHEMES[scheme], control=CONTROLS[control]))
+    found, lattice = furthest(block(dim, scheme=SCHEMES[scheme], control=CONTROLS[control]))
     assert found < ALIKE
-    assert repeats.shared.mean() > 0.4
-    assert repeats.n_patterns > dim - 1
+    assert lattice.shared.mean() > 0.4
+    assert lattice.n_patterns > dim - 1
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
@@ -174,9 +177,9 @@ def test_two_materials_grading_mirrors_cells_cracks_and_other_units_do_not_chang
 def test_beside_a_crack_families_repeat_and_no_bond_crosses_it():
     held = [pd.Displacement(pd.region.All(), x=0.0, y=0.0)]
     shared, _ = both(block(2, cracks=[pd.Segment((-1.0, 9.3), (27.0, 9.3))], conditions=held))
-    repeats, x = shared.body.families.repeats, shared.body.cloud.x
+    lattice, x = shared.body.families.lattice, shared.body.cloud.x
     beside = (np.abs(x[:, 1] - 9.3) < 1.0) & (np.abs(x[:, 0] - 13.0) < 8.0)
-    assert repeats.shared[beside].all()
+    assert lattice.shared[beside].all()
     centres, members = shared.body.families.connecting()
     assert not ((x[centres, 1] - 9.3) * (x[members, 1] - 9.3) < 0.0).any()
 
@@ -200,7 +203,7 @@ def build_pieces(problem):
 def test_listed_weights_are_those_of_the_scheme():
     for dim, scheme in itertools.product((2, 3), (pd.Correspondence(), pd.SubHorizons())):
         shared, listed = both(block(dim, scheme=scheme))
-        one, other = shared.matter.operator, listed.matter.operator
+        one, other = shared.material_term.operator, listed.material_term.operator
         assert np.array_equal(one.point_ptr, other.point_ptr)
         assert np.allclose(one.volume, other.volume, rtol=1e-13)
         for p in np.linspace(0, one.n_points - 1, 40).astype(int):
@@ -234,7 +237,7 @@ def test_irregular_bodies_and_those_with_bonds_of_their_own_list_all_bonds(rng):
         replace(base, scheme=None, control=None, material=pd.LinearSolid(1.0, 0.3)),
     ]
     for case in others:
-        assert pd.prepare(case).problem.body.families.repeats is None
+        assert pd.prepare(case).problem.body.families.lattice is None
 
 
 @pytest.mark.usefixtures("few")
@@ -243,7 +246,7 @@ def test_particles_in_any_order_repeat(rng):
     order = rng.permutation(len(chunk.x))
     one = pd.prepare(block(2)).problem
     other = pd.prepare(block(2, particles=pd.Arrays(chunk.x[order], chunk.volume[order]))).problem
-    assert other.body.families.repeats.shared.mean() == pytest.approx(one.body.families.repeats.shared.mean(), abs=0.1)
+    assert other.body.families.lattice.shared.mean() == pytest.approx(one.body.families.lattice.shared.mean(), abs=0.1)
     u = rng.uniform(-0.01, 0.01, chunk.x.shape)
     forces = []
     for problem, where in ((one, np.arange(len(order))), (other, order)):
@@ -264,11 +267,11 @@ def test_points_of_bonds_keep_their_history_in_the_order_of_the_bonds(rng):
     for case in (block(2, **plastic), cell, shuffled):
         problems = both(case)
         # Particles of any order list the members of their families in as many orders.
-        assert (problems[0].body.families.repeats is None) == (case is shuffled)
+        assert (problems[0].body.families.lattice is None) == (case is shuffled)
         histories = []
         for problem in problems:
             problem.commit(problem.state(rough(problem.body.cloud)))
-            (array,) = problem.matter.arrays().values()
+            (array,) = problem.material_term.arrays().values()
             histories.append(array.values)
         assert np.abs(histories[0] - histories[1]).max() < ALIKE
 
@@ -280,7 +283,7 @@ def test_a_bond_through_the_rim_of_a_crack_is_cut_from_both_of_its_ends():
     held = [pd.Displacement(pd.region.All(), x=0.0, y=0.0, z=0.0)]
     case = block(3, particles=pd.Arrays(x, 1e-3), horizon=0.2015, cracks=[square], conditions=held)
     problems = both(case)
-    assert problems[0].body.families.repeats is not None
+    assert problems[0].body.families.lattice is not None
     for problem in problems:
         families = problem.body.families
         there = set(zip(families.centres.tolist(), families.neighbours.tolist(), strict=True))
@@ -289,10 +292,10 @@ def test_a_bond_through_the_rim_of_a_crack_is_cut_from_both_of_its_ends():
 
 def test_rounding_of_positions_does_not_add_up_along_a_lattice():
     x = 5.0 + 0.01 * (np.stack(np.meshgrid(np.arange(2000.0), np.arange(3.0), indexing="ij"), axis=-1).reshape(-1, 2))
-    spacing, index = lattice.positions_on_lattice(x, 0.03)
+    spacing, index = lattice_stencils.positions_on_lattice(x, 0.03)
     assert spacing == pytest.approx([0.01, 0.01], rel=1e-12)
     assert np.array_equal(index.max(axis=0), [1999, 2])
-    assert lattice.positions_on_lattice(x + 1e-7 * np.sin(7.0 * x), 0.03) is None
+    assert lattice_stencils.positions_on_lattice(x + 1e-7 * np.sin(7.0 * x), 0.03) is None
 
 
 @pytest.mark.usefixtures("few")
@@ -313,7 +316,7 @@ def test_memory_is_predicted_without_the_bonds_that_are_not_listed(monkeypatch):
 
 def test_no_loop_over_rows_closes_over_another():
     """Numba's cache does not find such loops again: every run would compile them, and leave another file."""
-    makers = [make for name, make in vars(repeated).items() if name.startswith("rows_")]
+    makers = [make for name, make in vars(lattice_kernels).items() if name.startswith("rows_")]
     assert len(makers) > 5
     for make in makers:
         constants = [2 if name == "dim" else 1 for name in signature(make).parameters]
@@ -332,7 +335,7 @@ def compare_on_all_ranks():
     for parallel in (block(2), block(3, scheme=pd.SubHorizons(), control=None), block(2, symmetry=(pd.Symmetry("y"),))):
         with pytest.MonkeyPatch.context() as patch:
             share_small_families(patch.setattr)
-            difference, repeats = furthest(parallel)
+            difference, lattice = furthest(parallel)
         assert difference < ALIKE, parallel
-        assert repeats.n_patterns > 0
+        assert lattice.n_patterns > 0
         print("alike")

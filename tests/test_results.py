@@ -20,7 +20,7 @@ from pdpetsc.output import progress
 from pdpetsc.output.pace import Pace
 from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import scene_of
-from pdpetsc.post.inside import inside_of
+from pdpetsc.post.point_location import inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.running.comparison import Comparison, Outcome, columns_of
 from pdpetsc.running.result import Result

@@ -9,7 +9,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.declare.cracks import Crack
-from pdpetsc.post.inside import Boxes, Discs, Enclosed, Facets, inside_of
+from pdpetsc.post.point_location import Boxes, Discs, Enclosed, Facets, inside_of
 from pdpetsc.post.sampling import sampled
 from tests.commands import run as in_shell
 

@@ -38,10 +38,10 @@ def loaded(conditions, n=6, spacing=0.5, thickness=2.0, horizon=2.015, material=
     square = Body(cloud, families)
     materials, material_of = [material or pd.Hencky(10.0, 0.3)], np.zeros(cloud.n_owned, dtype=np.int32)
     operator = pd.Correspondence().build(cloud, families, np.ones(len(families.neighbours)))
-    matter = MaterialPoints(square, operator, materials, material_of)
-    applied = apply(square, matter, conditions, lattice)
+    material_term = MaterialPoints(square, operator, materials, material_of)
+    applied = apply(square, material_term, conditions, lattice)
     supports, (loads,) = applied.supports, applied.terms
-    return supports, loads, Problem(square, matter, [loads], supports)
+    return supports, loads, Problem(square, material_term, [loads], supports)
 
 
 # --- particles

@@ -16,15 +16,15 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.command_line.cli import COMMANDS
 from pdpetsc.output.fingerprint import fingerprint
-from pdpetsc.studies.asking import CaseFile, Question, files_of_options
 from pdpetsc.studies.fit import Point, Range, _write, fitted
+from pdpetsc.studies.input_files import Files
 from pdpetsc.studies.jobs import launched, too_many
-from pdpetsc.studies.measured import Curve, read_curve, read_off
-from pdpetsc.studies.place import Outcome, folder_of, kept
+from pdpetsc.studies.reference_curve import Curve, read_curve, read_off
 from pdpetsc.studies.refinement import converging
+from pdpetsc.studies.run_identity import CaseFile, Question, files_of_options
+from pdpetsc.studies.run_store import Outcome, folder_of, kept
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
-from pdpetsc.studies.used import Files
 from tests.commands import ROOT, wait_until
 from tests.test_tools import ENVIRONMENT, tool
 

@@ -343,7 +343,7 @@ def test_what_builds_no_term_is_refused():
 
 def test_stencils_of_families_and_bonds_are_known_as_such(rng):
     for name, small in bodies(rng):
-        stencils = small.problem.matter.stencils
+        stencils = small.problem.material_term.stencils
         assert lie_in_families(small.problem.body, *stencils), name
         if "smoothed" in name:  # one family is the whole body
             continue

@@ -58,7 +58,7 @@ def expanded(model, strain, factor=None, across=0.0):
     given = Given(model.cloud, model.families, [], of, None, [], np.full(n, across))
     given.given = strain, factor
     model.problem.body.expansion = given
-    model.matter.expand()
+    model.material_term.expand()
     return model
 
 
@@ -91,7 +91,7 @@ def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
         # Corrected weights multiply the round-off of u by the sum of their sizes, a few thousand on this cloud.
         size = 1e-11 * 10.0 * np.abs(strain).max()
         assert np.abs(model.internal_force(u)).max() < size * 10.0, name
-        assert np.abs(model.matter.cauchy_stress(model.at(u))).max() < size, name
+        assert np.abs(model.material_term.cauchy_stress(model.at(u))).max() < size, name
         assert abs(sum(model.energy(u))) < size, name
 
 
@@ -176,8 +176,8 @@ def test_plane_strain_is_a_solid_held_across(rng):
         whole = np.pad(H, ((0, 1), (0, 1)))
         v = solid.cloud.x[: solid.cloud.n_owned] @ whole.T
         for _ in range(2):
-            a, b = plane.matter.cauchy_stress(plane.at(u))[0], solid.matter.cauchy_stress(solid.at(v))[0]
-            across = plane.matter.out_of_plane(plane.at(u))
+            a, b = plane.material_term.cauchy_stress(plane.at(u))[0], solid.material_term.cauchy_stress(solid.at(v))[0]
+            across = plane.material_term.out_of_plane(plane.at(u))
             assert np.abs(a - b[:2, :2]).max() < 1e-12
             assert abs(across[2][0] - b[2, 2]) < 1e-12
             assert across[0][0] == 1.0
@@ -195,7 +195,7 @@ def test_without_strain_nothing_changes(rng):
             f = bare.internal_force(u)
             assert np.abs(same.internal_force(u) - f).max() < 1e-12 * np.abs(f).max(), name
             for one, other in zip(
-                bare.matter.out_of_plane(bare.at(u)), same.matter.out_of_plane(same.at(u)), strict=True
+                bare.material_term.out_of_plane(bare.at(u)), same.material_term.out_of_plane(same.at(u)), strict=True
             ):
                 assert np.abs(one - other).max() < 1e-11, name
 
@@ -385,9 +385,9 @@ def test_heat_alone_breaks_no_bond_and_cold_that_is_held_does(rng):
     law = pd.Brittle(pd.ConstantCritical(0.05))
     hot = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), 0.2 * np.eye(3))
     u = 0.2 * hot.cloud.x[: hot.cloud.n_owned]
-    assert np.abs(hot.driven(u)).max() < 1e-12
+    assert np.abs(hot.driving_values(u)).max() < 1e-12
     cold = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), -0.06 * np.eye(3))
-    assert np.abs(cold.driven(np.zeros_like(u)) - 0.06 / 0.05).max() < 1e-12
+    assert np.abs(cold.driving_values(np.zeros_like(u)) - 0.06 / 0.05).max() < 1e-12
 
 
 def test_strip_of_two_metals_bends_as_timoshenko_says(tmp_path):
@@ -429,8 +429,8 @@ def hot_plate(folder, steps, force=1.0, length=1.0, restart=None, **changes):
         "fields": [pd.displacement, pd.stress, pd.plastic_strain, pd.temperature],
         "history": {"R": pd.Reaction("x", pd.region.Slab("x", high=length))},
     }
-    # Points that yield begin a step on the yield surface, where rounding chooses their first tangent: Newton's way differs,
-    # and its ends within its tolerance.
+    # Points that yield begin a step on the yield surface. Rounding chooses their first tangent and so the way of
+    # Newton, which ends anywhere within its tolerance.
     return pd.run(pd.Case(**{**given, **changes}), output=folder, restart=restart, options={"snes_rtol": 1e-13})
 
 
@@ -458,8 +458,8 @@ def test_heat_alone_tears_no_bond_beside_a_broken_one():
     assert model.break_bonds(u) > 0
     heated = expanded(model, np.diag([0.2, 0.1, 0.0]))
     free = model.cloud.x[: model.cloud.n_owned] * [0.2, 0.1]
-    assert np.abs(heated.matter.tensile_strain(heated.at(free))).max() < 1e-12
-    assert heated.matter.tensile_strain(heated.at(2.0 * free)).max() > 0.05
+    assert np.abs(heated.material_term.tensile_strain(heated.at(free))).max() < 1e-12
+    assert heated.material_term.tensile_strain(heated.at(2.0 * free)).max() > 0.05
     assert heated.break_bonds(free) == 0
     assert np.abs(heated.internal_force(free)).max() < 1e-11
 
@@ -549,7 +549,7 @@ def test_a_control_that_follows_takes_no_heat_for_flow(rise, tmp_path):
         )  # fmt: skip
         return pd.run(case, tmp_path).history["R"][-1]
 
-    assert force(pd.Following(pd.Silling(0.5))) == pytest.approx(force(pd.Silling(0.5)), rel=1e-6)
+    assert force(pd.TangentScaled(pd.Silling(0.5))) == pytest.approx(force(pd.Silling(0.5)), rel=1e-6)
 
 
 @pytest.mark.parametrize("kinematics", ["small", "finite"])
@@ -563,7 +563,7 @@ def test_stress_at_points_breaks_bonds_that_are_held_against_cold(kinematics, tm
         run = pd.run(free, output=tmp_path / "free")
         assert run.history["broken"][-1] == 0
         solution = run.solution
-        assert np.abs(solution.problem.damage.drive.at(solution.state)).max() < 1e-9
+        assert np.abs(solution.problem.damage.driving_variable.at(solution.state)).max() < 1e-9
         assert np.abs(solution.u).max() > 0.03
     # Biaxial stress E alpha dT / (1 - nu), nu = 1/3 in plane stress, of elastic gradient 1 / 0.99 where that is finite.
     if kinematics == "small":
@@ -581,7 +581,7 @@ def test_stress_at_points_breaks_bonds_that_are_held_against_cold(kinematics, tm
         run = pd.run(case, output=tmp_path / "held")
         assert bool(run.history["broken"][-1] == 0) == whole
         if whole:
-            drive = run.solution.problem.damage.drive.at(run.solution.state)
+            drive = run.solution.problem.damage.driving_variable.at(run.solution.state)
             assert np.allclose(drive, 1.0 / share, rtol=1e-9)
 
 
@@ -595,12 +595,12 @@ def test_a_gradient_tears_bonds_by_the_elongation_that_drives_them(material):
     assert model.break_bonds(u) > 0
     model = expanded(model, np.diag([0.2, 0.2, 0.0]))
     uniform = model.at(model.cloud.x[: model.cloud.n_owned] * [0.5, 0.2])
-    torn = model.matter.tensile_strain(uniform)
+    family_strain = model.material_term.tensile_strain(uniform)
     e, _ = uniform.elongated(True)
     xi = model.families.bonds(model.cloud.x)
-    along = (np.abs(xi[:, 1]) < 1e-9) & (torn > 0.0)
+    along = (np.abs(xi[:, 1]) < 1e-9) & (family_strain > 0.0)
     assert along.any()
-    assert np.allclose(torn[along], (e / np.linalg.norm(xi, axis=1))[along], rtol=1e-9)
+    assert np.allclose(family_strain[along], (e / np.linalg.norm(xi, axis=1))[along], rtol=1e-9)
 
 
 def test_a_particle_without_a_gradient_is_asked_for_no_stress():
@@ -609,17 +609,17 @@ def test_a_particle_without_a_gradient_is_asked_for_no_stress():
     model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.5)), material=soil)
     n = model.cloud.n_owned
     corner, ends = int(np.argmin(model.cloud.x[:n].sum(axis=1))), model.families
-    model.problem.damage.bonds.integrity[(ends.centres == corner) | (ends.neighbours == corner)] = 0.0
+    model.problem.damage.bonds.phi[(ends.centres == corner) | (ends.neighbours == corner)] = 0.0
     model.take_failure()
-    matter = model.matter
-    assert matter.lost.any()
-    lost = np.unique(matter.operator.owner[matter.lost])
+    material_term = model.material_term
+    assert material_term.lost.any()
+    lost = np.unique(material_term.operator.owner[material_term.lost])
     strain = np.zeros((n, 3, 3))
     strain[lost] = -0.05 * np.eye(3)
     cold = expanded(model, strain)
     still = cold.at(np.zeros((n, 2)))
-    assert not all(one.defined(cold.matter.deformation(still)) for one in cold.matter.materials)
-    assert cold.matter.admissible(still)
+    assert not all(one.defined(cold.material_term.deformation(still)) for one in cold.material_term.materials)
+    assert cold.material_term.admissible(still)
 
 
 def test_a_rate_law_with_a_temperature_of_its_own_is_refused_in_a_body_that_has_one():

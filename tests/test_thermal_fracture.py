@@ -387,12 +387,12 @@ def test_stress_and_energy_of_patches_belong_together(law, rng):
     """What the integrals read of bodies that share dilatations: the stress is the derivative of the energy by F."""
     prepared = body(n=8, material=law, scheme=pd.MeanDilatation(pd.Correspondence(), patch=0.5), conditions=CORNER)
     solution = at(prepared, lambda x: 0.05 * rng.standard_normal(x.shape) * np.array([0.2, 0.2]))
-    matter = solution.problem.matter
-    F, P, psi = matter.conjugates(solution.state)
-    W = matter.operator.volume
-    assert matter.energy_at(F, W) == pytest.approx(psi, rel=1e-12)
+    material_term = solution.problem.material_term
+    F, P, psi = material_term.conjugates(solution.state)
+    W = material_term.operator.volume
+    assert material_term.energy_at(F, W) == pytest.approx(psi, rel=1e-12)
     for _ in range(3):
         d = 1e-6 * rng.standard_normal(F.shape)
-        change = W @ (matter.energy_at(F + d, W) - matter.energy_at(F - d, W))
+        change = W @ (material_term.energy_at(F + d, W) - material_term.energy_at(F - d, W))
         assert change == pytest.approx(2.0 * np.einsum("p,pij,pij->", W, P, d), rel=1e-6)
-    assert np.abs(P - matter.stress(matter.deformation(solution.state))).max() > 1e-3 * np.abs(P).max()
+    assert np.abs(P - material_term.stress(material_term.deformation(solution.state))).max() > 1e-3 * np.abs(P).max()

@@ -110,7 +110,7 @@ def test_a_crack_parts_the_nodes(rng):
     cloud, families = model.cloud, model.families
     whole = BackgroundGrid(model.problem)
     left = cloud.x[:, 0] < 2.5
-    model.failure.integrity[left[families.centres] != left[families.neighbours]] = 0.0
+    model.failure.phi[left[families.centres] != left[families.neighbours]] = 0.0
     model.take_failure()
     cut = BackgroundGrid(model.problem)
     assert cut.n_global > whole.n_global

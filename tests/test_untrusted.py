@@ -15,7 +15,7 @@ from pdpetsc.decks.expressions import parse
 from pdpetsc.declare import abaqus
 from pdpetsc.material.energy import SYMBOLS
 from pdpetsc.material.energy_loops import _tidy as tidy
-from pdpetsc.studies.measured import read_curve
+from pdpetsc.studies.reference_curve import read_curve
 from pdpetsc.studies.sets import read_sets
 from tests.test_import import PERIDIGM, PERILAB
 

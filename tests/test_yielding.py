@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.control.following import Yielding, tangent_share
+from pdpetsc.control.tangent_scaled import Yielding, tangent_share
 from pdpetsc.running.build import control_of, repeated_share
 from pdpetsc.terms.control import ControlForces
-from pdpetsc.terms.following import FollowingForces
+from pdpetsc.terms.tangent_scaled import TangentScaledForces
 from tests.commands import Stop, results
 from tests.scenes import (
     ALL_CONTROLS,
@@ -28,18 +28,18 @@ FOLLOWED = {name: control for name, control in ALL_CONTROLS.items() if control i
 
 
 def term_of(model):
-    return next(term for term in model.problem.terms if isinstance(term, FollowingForces))
+    return next(term for term in model.problem.terms if isinstance(term, TangentScaledForces))
 
 
 def flowing(dim, control, rng, steps=2, scheme=SCHEMES["correspondence"]):
     """Return a body that has flowed in a few steps, and the last displacement."""
-    model = body(dim, scheme, pd.Following(control), STEEL, rng=rng)
+    model = body(dim, scheme, pd.TangentScaled(control), STEEL, rng=rng)
     # The shape stays and grows, so that every family goes on yielding.
     shape = displacement(model, rng)
     for step in range(1, steps + 1):
         u = shape * step / (steps + 1.0)
         model.commit(u)
-    assert model.matter.plastic_strain().max() > 0.002
+    assert model.material_term.plastic_strain().max() > 0.002
     return model, shape
 
 
@@ -167,7 +167,7 @@ def test_a_body_that_does_not_yield_has_the_elastic_control(rng):
     strong = dataclasses.replace(STEEL, yield_stress=1e9)
     one, other = (
         body(2, control=c, material=strong, rng=np.random.default_rng(3))
-        for c in (pd.Silling(), pd.Following(pd.Silling()))
+        for c in (pd.Silling(), pd.TangentScaled(pd.Silling()))
     )
     u = displacement(one, rng)
     for step in (0.3, 0.7, 0.2, 1.0):
@@ -186,7 +186,7 @@ def test_the_integrity_of_bonds_counts_besides(dim, effect, rng):
     law = pd.LinearSoftening(pd.ConstantCritical(0.02), **({} if effect is None else {"effect": effect}))
     followed, elastic = (
         damaged_body(dim, law, control=control, rng=np.random.default_rng(11))
-        for control in (pd.Following(pd.Silling()), pd.Silling())
+        for control in (pd.TangentScaled(pd.Silling()), pd.Silling())
     )
     u = displacement(followed, rng, 0.001) + 0.025 * (followed.cloud.x - followed.cloud.x.mean(axis=0))
     for model in (followed, elastic):
@@ -205,7 +205,7 @@ def test_the_integrity_of_bonds_counts_besides(dim, effect, rng):
     term.add_force(followed.at(u), f)
     control.scaled(secant).force(u, expected, followed.families.everyone)
     assert np.allclose(f, expected, atol=1e-11 * np.abs(f).max())
-    assert np.count_nonzero(followed.problem.damage.integrity(followed.at(u)) < 1.0) > 4
+    assert np.count_nonzero(followed.problem.damage.phi(followed.at(u)) < 1.0) > 4
     K = dense_tangent(followed, u)
     columns = list(range(0, u.size, 7))
     assert np.abs(K[:, columns] - differences(followed, u, columns)).max() < 2e-6 * np.abs(K).max()
@@ -227,7 +227,7 @@ def strip(control=None, n=12, unit=1.0, force=1.0, steps=6):
         horizon=2.015 * unit,
         material=pd.J2(E=100.0 * stress, nu=0.3, yield_stress=stress, hardening=2.0 * stress),
         scheme=pd.Correspondence(),
-        control=pd.Following(pd.Silling()) if control is None else control,
+        control=pd.TangentScaled(pd.Silling()) if control is None else control,
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0),
             pd.Displacement(right, x=lambda x, t: 0.6 * unit * (t if t <= 0.8 else 1.6 - t), y=0.0),
@@ -288,7 +288,7 @@ def test_elastic_bodies_have_the_control_that_is_followed():
         assert repeated_share(case) is not None
     assert repeated_share(strip()) is None
     yielding = pd.prepare(strip()).problem.terms
-    assert any(isinstance(term, FollowingForces) for term in yielding)
+    assert any(isinstance(term, TangentScaledForces) for term in yielding)
     elastic = pd.prepare(dataclasses.replace(strip(), material=pd.Hencky(E=1.0))).problem.terms
     assert [type(term) for term in elastic if isinstance(term, ControlForces)] == [ControlForces]
 
@@ -296,12 +296,12 @@ def test_elastic_bodies_have_the_control_that_is_followed():
 @pytest.mark.parametrize("least", [0.0, -1.0, 1.1])
 def test_a_share_out_of_range_is_refused(least):
     with pytest.raises(pd.CaseError, match="0 < least <= 1"):
-        pd.Following(pd.Silling(), least)
+        pd.TangentScaled(pd.Silling(), least)
 
 
 def test_a_control_that_follows_is_not_followed_again():
     with pytest.raises(pd.CaseError, match="follows the material already"):
-        pd.Following(pd.Following(pd.Silling()))
+        pd.TangentScaled(pd.TangentScaled(pd.Silling()))
 
 
 def test_a_control_without_families_is_refused_in_one_sentence(rng):
@@ -317,7 +317,7 @@ def test_a_control_without_families_is_refused_in_one_sentence(rng):
 
             return Bare()
 
-    model = body(2, control=pd.Following(Plain()), material=STEEL)
+    model = body(2, control=pd.TangentScaled(Plain()), material=STEEL)
     with pytest.raises(pd.CaseError, match="family_forces"):
         model.internal_force(displacement(model, rng))
 

@@ -115,7 +115,7 @@ class ParabolicSoftening(BondDamage):
     def final(self):
         return self.ratio
 
-    def integrity(self, x):
+    def phi(self, x):
         return ((self.ratio - x) / (self.ratio - 1.0)) ** 2 / x
 
     def slope(self, x):

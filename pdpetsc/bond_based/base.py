@@ -58,7 +58,7 @@ class Neighbourhood:
 
     def continuous_moment(self, power: int) -> Float:
         """Return the integral of ``omega |xi|^power`` over a whole ball of the horizon of each particle (n_owned,)."""
-        dim, horizon = self.cloud.dim, self.cloud.reach[: self.cloud.n_owned]
+        dim, horizon = self.cloud.dim, self.cloud.local_horizon[: self.cloud.n_owned]
         surface = {1: 2.0, 2: 2.0 * np.pi, 3: 4.0 * np.pi}[dim]
         points, weights = roots_legendre(QUADRATURE)
         s = np.concatenate([0.25 * (points + 1.0), 0.25 * (points + 3.0)])
@@ -68,7 +68,7 @@ class Neighbourhood:
     def relative_size(self, power: int) -> Float:
         """Return moments of whole families over that of the largest horizon, ``(reach / horizon)^(power + dim)``."""
         cloud = self.cloud
-        return np.asarray((cloud.reach[: cloud.n_owned] / cloud.horizon) ** (power + cloud.dim))
+        return np.asarray((cloud.local_horizon[: cloud.n_owned] / cloud.horizon) ** (power + cloud.dim))
 
     @cached_property
     def share_inside(self) -> Float:

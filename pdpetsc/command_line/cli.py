@@ -56,7 +56,7 @@ python -m pdpetsc doctor                         looks whether MPI, PETSc and th
 
 # How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
 LONGEST_END = 120
-# What a study gives its runs, which is not for users (pdpetsc.studies.used).
+# What a study gives its runs, which is not for users (pdpetsc.studies.input_files).
 _LEAVE = "--leave-files-read"
 _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
@@ -314,7 +314,7 @@ def _leaving_files_read(arguments: Arguments) -> Iterator[None]:
     if not arguments.leave_files_read or arguments.output is None:
         yield
         return
-    from pdpetsc.studies.used import Watch
+    from pdpetsc.studies.input_files import Watch
 
     watch = Watch(arguments.output)
     try:

@@ -13,10 +13,10 @@ from rich.table import Table
 from pdpetsc.command_line import study
 from pdpetsc.errors import CaseError, Interrupted
 from pdpetsc.output.files import replacing
-from pdpetsc.studies.asking import Question
 from pdpetsc.studies.fit import Fit, Range, fit
 from pdpetsc.studies.jobs import too_many
-from pdpetsc.studies.place import Outcome, named
+from pdpetsc.studies.run_identity import Question
+from pdpetsc.studies.run_store import Outcome, named
 from pdpetsc.studies.study import Progress
 
 USAGE = """usage: python -m pdpetsc fit CASE.py NAME=LOW:HIGH [NAME=...] --to FILE.csv --columns X,Y [--sigma S]

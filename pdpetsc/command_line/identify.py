@@ -23,7 +23,7 @@ from pdpetsc.errors import CaseError, PdpetscError, described
 from pdpetsc.machine import versions
 
 if TYPE_CHECKING:
-    from pdpetsc.studies.used import Watch
+    from pdpetsc.studies.input_files import Watch
 
 
 def main(path: Path) -> None:
@@ -34,7 +34,7 @@ def main(path: Path) -> None:
     try:
         start_petsc()
         from pdpetsc.petsc.library import petsc_version
-        from pdpetsc.studies.used import Watch
+        from pdpetsc.studies.input_files import Watch
 
         watch = Watch()
         function = load_case(path)

@@ -9,7 +9,7 @@ from itertools import pairwise
 from pdpetsc.bounds import whole_number
 from pdpetsc.errors import CaseError, RunError
 from pdpetsc.loading import cannot_load
-from pdpetsc.studies.asking import OPTIONS_FILES
+from pdpetsc.studies.run_identity import OPTIONS_FILES
 
 # PETSc's arguments: its .petscrc files are not read (pdpetsc.petsc).
 PETSC = ["pdpetsc", "-skip_petscrc"]

@@ -15,10 +15,10 @@ from rich.progress import Progress as Bar
 from pdpetsc.bounds import whole_number
 from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError, Interrupted
-from pdpetsc.studies.asking import Question
 from pdpetsc.studies.jobs import too_many
 from pdpetsc.studies.picture import draw
-from pdpetsc.studies.place import Outcome, named
+from pdpetsc.studies.run_identity import Question
+from pdpetsc.studies.run_store import Outcome, named
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, Refinement, Study, refuse_failed, study
 from pdpetsc.studies.table import of_orders, on_terminal

@@ -3,11 +3,11 @@
 from pdpetsc.control.averaged_displacement import AveragedDisplacement, RelativeAverage
 from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.by_shear import ByShear
-from pdpetsc.control.following import Following
 from pdpetsc.control.littlewood import Littlewood
 from pdpetsc.control.penalty import Penalty
 from pdpetsc.control.silling import Silling, SillingMicromodulus
 from pdpetsc.control.springs import RelativeSprings, Springs
+from pdpetsc.control.tangent_scaled import TangentScaled
 from pdpetsc.control.wan import Wan
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "AveragedDisplacement",
     "ByShear",
     "Control",
-    "Following",
     "Littlewood",
     "Penalty",
     "RelativeAverage",
@@ -23,6 +22,7 @@ __all__ = [
     "Silling",
     "SillingMicromodulus",
     "Springs",
+    "TangentScaled",
     "Wan",
     "ZeroEnergyControl",
 ]

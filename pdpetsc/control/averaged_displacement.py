@@ -144,6 +144,6 @@ class _Averaged(Control):
         blocks += each[:, None, None] * np.eye(self._cloud.dim)
         return True
 
-    def damaged(self, integrity: Float) -> Control:
+    def damaged(self, phi: Float) -> Control:
         """Return the control whose averages count every bond with its integrity."""
-        return _Averaged(self._cloud, self._families, self._omega * integrity, self._c)
+        return _Averaged(self._cloud, self._families, self._omega * phi, self._c)

@@ -27,7 +27,8 @@ _NO_DAMAGE = (
 )
 _NOT_FOLLOWING = (
     "This zero-energy control has no form that follows the material: it gives neither its forces family by family nor "
-    "itself with the stiffness of each family scaled; take one without Following, or give it scaled and family_forces."
+    "itself with the stiffness of each family scaled; take one without TangentScaled, or give it scaled and "
+    "family_forces."
 )
 
 
@@ -223,7 +224,7 @@ class Control(ABC):
         """
         raise CaseError(_NOT_FOLLOWING)
 
-    def damaged(self, integrity: Float) -> Control:
+    def damaged(self, phi: Float) -> Control:
         """Return the control with the stiffness of every bond times its integrity (n_bonds,).
 
         Raises
@@ -233,7 +234,7 @@ class Control(ABC):
         """
         raise CaseError(_NO_DAMAGE)
 
-    def faded(self, integrity: Float) -> Control:
+    def faded(self, phi: Float) -> Control:
         """Return the control with the force of every bond times its integrity (n_bonds,), and its gradient as it is.
 
         Its matrix takes the integrity as constant.

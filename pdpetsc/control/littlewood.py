@@ -70,7 +70,7 @@ class Littlewood(ZeroEnergyControl):
         if self.micromodulus == "ball":
             if cloud.dim != 3:
                 raise CaseError('Littlewood(micromodulus="ball") is for bodies in 3D; take "family" elsewhere.')
-            c = 18.0 * stiffness.kappa / (math.pi * cloud.reach[: cloud.n_owned] ** 4)
+            c = 18.0 * stiffness.kappa / (math.pi * cloud.local_horizon[: cloud.n_owned] ** 4)
         else:
             volume = omega * volume
             c = 2.0 * cloud.dim**2 * stiffness.kappa / np.bincount(centres, volume * length, minlength=cloud.n_owned)

@@ -40,14 +40,14 @@ class NonUniform(Control):
     """
 
     def __init__(
-        self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float, integrity: Float | None = None
+        self, cloud: Cloud, families: Families, stiffness: Float, K_inverse: Float, phi: Float | None = None
     ) -> None:
         self._cloud = cloud
         self._families = families
         self._stiffness = stiffness
         self._K_inverse = K_inverse
-        self._integrity = integrity
-        self._forces = stiffness if integrity is None else stiffness * integrity
+        self._phi = phi
+        self._forces = stiffness if phi is None else stiffness * phi
 
     @property
     def stiffness(self) -> Float:
@@ -101,28 +101,26 @@ class NonUniform(Control):
     def scaled(self, share: Float) -> NonUniform:
         """Return the control with ``s_ij`` times the share of ``i``; H stays the gradient that it is."""
         stiffness = self._stiffness * share[self._families.centres]
-        return NonUniform(
-            self._cloud, self._families, stiffness, self._K_inverse / share[:, None, None], self._integrity
-        )
+        return NonUniform(self._cloud, self._families, stiffness, self._K_inverse / share[:, None, None], self._phi)
 
     def family_forces(self, u: Float) -> Float:
         """Return ``T_ij s_ij z_ij`` on ``j`` and minus their sum on ``i``."""
         forces = self.bond_forces(u)
-        if self._integrity is not None:
-            forces *= self._integrity[:, None]
+        if self._phi is not None:
+            forces *= self._phi[:, None]
         return with_centre_forces(self._families.indptr, forces)
 
-    def damaged(self, integrity: Float) -> Control:
+    def damaged(self, phi: Float) -> Control:
         """Return the control with ``s_ij`` times the integrity; H is zero in directions without bonds left."""
-        stiffness = self._stiffness * integrity
+        stiffness = self._stiffness * phi
         K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
         held = self._K_inverse.any(axis=(1, 2))
         K_inverse = np.where(held[:, None, None], np.linalg.pinv(K, rcond=FLAT, hermitian=True), 0.0)
         return NonUniform(self._cloud, self._families, stiffness, K_inverse)
 
-    def faded(self, integrity: Float) -> Control:
+    def faded(self, phi: Float) -> Control:
         """Return the control with the integrity as ``T_ij``."""
-        return NonUniform(self._cloud, self._families, self._stiffness, self._K_inverse, integrity)
+        return NonUniform(self._cloud, self._families, self._stiffness, self._K_inverse, phi)
 
     def bond_forces(self, u: Float) -> Float:
         """Return ``s_ij z_ij``."""
@@ -194,14 +192,14 @@ class Directed(Control):
         kernel(family.indptr, family.neighbours, self._S, self._g, self._cloud.x, blocks)
         return True
 
-    def damaged(self, integrity: Float) -> Control:
+    def damaged(self, phi: Float) -> Control:
         """Return the control with ``S_ij`` times the integrity, which is in its gradient too.
 
         ``g'_ij = T_ij M_i^-1 g_ij`` with ``M_i = sum_j T_ij g_ij (x) xi_ij``, so that ``sum_j xi_ij (x) g'_ij = I``:
         affine displacements have no force; H is zero in directions without bonds left.
         """
         centres, xi = self._families.centres, self._families.bonds(self._cloud.x)
-        g = integrity[:, None] * self._g
+        g = phi[:, None] * self._g
         M = sum_by(centres, g[:, :, None] * xi[:, None, :], self._cloud.n_owned)
         g = np.einsum("bmn,bn->bm", np.linalg.pinv(M, rcond=FLAT)[centres], g)
-        return Directed(self._cloud, self._families, self._S * integrity[:, None, None], g)
+        return Directed(self._cloud, self._families, self._S * phi[:, None, None], g)

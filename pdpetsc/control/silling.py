@@ -154,7 +154,7 @@ class SillingMicromodulus(ZeroEnergyControl):
         weight = omega * cloud.volume[families.neighbours]
         K = regular_shape_tensors(cloud, families, weight, "Silling's control")
         omega_0 = np.bincount(families.centres, weight, minlength=cloud.n_owned)
-        reach = cloud.reach[: cloud.n_owned]
+        reach = cloud.local_horizon[: cloud.n_owned]
         modulus = c * (self.unit_length / reach) ** 2 * stiffness.kappa
         return _proportional(cloud, families, weight, K, self.G * modulus / (reach**2 * omega_0))
 

@@ -1,10 +1,21 @@
 """Damage of bonds: what drives it, and how a bond loses its force."""
 
+from typing import Any
+
 from pdpetsc.damage.at_points import JohnsonCookFailure, MazarsStrain, PlasticStrain, PrincipalStress, VonMisesStrain
-from pdpetsc.damage.criterion import Beyond, Criterion, Drive, DrivenBonds, Gradient, LinearDrive, LocalDrive, OfEnds
+from pdpetsc.damage.criterion import (
+    Criterion,
+    DamageableBonds,
+    DrivingVariable,
+    EndpointMean,
+    Gradient,
+    LinearDrivingVariable,
+    LocalDrivingVariable,
+    NonlocalPart,
+)
 from pdpetsc.damage.critical import ConstantCritical, CriticalFunction, CriticalStretch, FractureEnergy, LinearCritical
-from pdpetsc.damage.effect import DamageEffect, LargestStretch, PresentStretch
 from pdpetsc.damage.energy import BondEnergy
+from pdpetsc.damage.evolution import DamageEvolution, LargestStretch, PresentStretch
 from pdpetsc.damage.laws import (
     BilinearSoftening,
     BondDamage,
@@ -15,9 +26,9 @@ from pdpetsc.damage.laws import (
     SmoothDegradation,
 )
 from pdpetsc.damage.several import DamageOf
+from pdpetsc.renamed import warn
 
 __all__ = [
-    "Beyond",
     "BilinearSoftening",
     "BondDamage",
     "BondEnergy",
@@ -26,21 +37,22 @@ __all__ = [
     "Criterion",
     "CriticalFunction",
     "CriticalStretch",
-    "DamageEffect",
+    "DamageEvolution",
     "DamageOf",
-    "Drive",
-    "DrivenBonds",
+    "DamageableBonds",
+    "DrivingVariable",
+    "EndpointMean",
     "ExponentialSoftening",
     "FractureEnergy",
     "Gradient",
     "JohnsonCookFailure",
     "LargestStretch",
     "LinearCritical",
-    "LinearDrive",
+    "LinearDrivingVariable",
     "LinearSoftening",
-    "LocalDrive",
+    "LocalDrivingVariable",
     "MazarsStrain",
-    "OfEnds",
+    "NonlocalPart",
     "PiecewiseLinear",
     "PlasticStrain",
     "PresentStretch",
@@ -48,3 +60,22 @@ __all__ = [
     "SmoothDegradation",
     "VonMisesStrain",
 ]
+
+# New name of each old one.
+_RENAMED = {
+    "Beyond": "NonlocalPart",
+    "DamageEffect": "DamageEvolution",
+    "Drive": "DrivingVariable",
+    "DrivenBonds": "DamageableBonds",
+    "LinearDrive": "LinearDrivingVariable",
+    "LocalDrive": "LocalDrivingVariable",
+    "OfEnds": "EndpointMean",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Return a renamed class with a warning."""
+    if name in _RENAMED:
+        warn(f"pdpetsc.damage.{name}", _RENAMED[name])
+        return globals()[_RENAMED[name]]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

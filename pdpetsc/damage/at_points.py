@@ -11,7 +11,15 @@ from typing import ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.damage.criterion import Criterion, Displaced, Drive, DrivenBonds, Gradient, OfEnds, Solid
+from pdpetsc.damage.criterion import (
+    Criterion,
+    DamageableBonds,
+    Displaced,
+    DrivingVariable,
+    EndpointMean,
+    Gradient,
+    Solid,
+)
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.material.at_points import MaterialAtPoints
@@ -41,7 +49,7 @@ class Measure(ABC):
         """
 
 
-class PointDrive(Drive):
+class PointDrivingVariable(DrivingVariable):
     """``x_ij = (x_i + x_j) / 2`` with the mean ``x_i`` of a measure over the gradient points of a particle.
 
     Parameters
@@ -59,7 +67,12 @@ class PointDrive(Drive):
     """
 
     def __init__(
-        self, bonds: DrivenBonds, measure: Measure, reads_flow: bool = False, adds_up: bool = False, timed: bool = False
+        self,
+        bonds: DamageableBonds,
+        measure: Measure,
+        reads_flow: bool = False,
+        adds_up: bool = False,
+        timed: bool = False,
     ) -> None:
         self._bonds, self._measure, self._reads_flow, self._adds_up = bonds, measure, reads_flow, adds_up
         self._timed = timed
@@ -68,7 +81,7 @@ class PointDrive(Drive):
         self._since = np.zeros(bonds.cloud.n_owned)
 
     @property
-    def reaches(self) -> bool:
+    def is_nonlocal(self) -> bool:
         """Return True."""
         return True
 
@@ -116,7 +129,7 @@ class PointDrive(Drive):
         count = np.bincount(operator.owner, minlength=n)
         each = np.einsum("emn,en->em", D[point_of], operator.g) / count[operator.owner[point_of]][:, None]
         found = _by_member(operator, point_of, each, families.indptr, families.neighbours, self._bonds.cloud.n_local)
-        return Gradient(bonds, np.zeros(len(bonds)), None, (OfEnds(by, found),))
+        return Gradient(bonds, np.zeros(len(bonds)), None, (EndpointMean(by, found),))
 
     def commit(self, state: Displaced) -> None:
         """Remember how far the measure has grown (collective)."""
@@ -249,9 +262,9 @@ class StrainCriterion(Criterion, ABC):
     def equivalent(self, strain: Float) -> tuple[Float, Float]:
         """Return the equivalent strain (n,) of principal strains (n, 3), and its derivative by these (n, 3)."""
 
-    def build(self, bonds: DrivenBonds) -> Drive:
+    def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return the mean of both ends."""
-        return PointDrive(bonds, _Strain(self))
+        return PointDrivingVariable(bonds, _Strain(self))
 
 
 @dataclass(frozen=True)
@@ -392,9 +405,9 @@ class PrincipalStress(Criterion):
         if not (math.isfinite(self.strength) and self.strength > 0.0):
             raise CaseError(f"PrincipalStress needs a positive strength, not {self.strength}.")
 
-    def build(self, bonds: DrivenBonds) -> Drive:
+    def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return the mean of both ends."""
-        return PointDrive(bonds, _Principal(self.strength))
+        return PointDrivingVariable(bonds, _Principal(self.strength))
 
 
 def _flow(one: MaterialAtPoints, F: Float) -> Float:
@@ -449,9 +462,9 @@ class PlasticStrain(Criterion):
         if not (math.isfinite(self.critical) and self.critical > 0.0):
             raise CaseError(f"PlasticStrain needs a positive critical strain, not {self.critical}.")
 
-    def build(self, bonds: DrivenBonds) -> Drive:
+    def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return the mean of both ends."""
-        return PointDrive(bonds, _Flow(self.critical), reads_flow=True)
+        return PointDrivingVariable(bonds, _Flow(self.critical), reads_flow=True)
 
 
 class _JohnsonCook(Measure):
@@ -614,6 +627,6 @@ class JohnsonCookFailure(Criterion):
         assert self.melting is not None
         return np.asarray(1.0 + self.D5 * np.clip((temperature - self.room) / (self.melting - self.room), 0.0, 1.0))
 
-    def build(self, bonds: DrivenBonds) -> Drive:
+    def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return the mean of both ends."""
-        return PointDrive(bonds, _JohnsonCook(self), reads_flow=True, adds_up=True, timed=self.D4 != 0.0)
+        return PointDrivingVariable(bonds, _JohnsonCook(self), reads_flow=True, adds_up=True, timed=self.D4 != 0.0)

@@ -1,7 +1,7 @@
 """What drives the damage of bonds: a number for each of them that is 1 where it fails, and how it grows.
 
-A criterion is declared (``Criterion``) and becomes the drive of the bonds of one rank (``Drive``). Laws act on the
-drive and do not know what it is made of.
+A criterion is declared (``Criterion``) and becomes the driving variable of the bonds of one rank
+(``DrivingVariable``). Laws act on the driving variable and do not know how it is computed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.opposite import OppositeBonds
 from pdpetsc.gradient.base import GradientOperator
 from pdpetsc.material.at_points import MaterialAtPoints
+from pdpetsc.renamed import accept_old_methods
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class DrivenBonds:
+class DamageableBonds:
     """The bonds of the own particles as a criterion reads them, each from one end.
 
     Attributes
@@ -68,7 +69,7 @@ class DrivenBonds:
     def of(
         cls, cloud: Cloud, families: Families, omega: Float, k: Float, finite: bool,
         material_of: LocalIndex | None = None, factor: Float | None = None,
-    ) -> DrivenBonds:  # fmt: skip
+    ) -> DamageableBonds:  # fmt: skip
         """Return the bonds of a body with what follows from the places of their ends (collective).
 
         ``material_of`` and ``factor`` are those of the own particles (n_owned,); one material that is not graded where
@@ -121,7 +122,7 @@ class Displaced(Protocol):
 
 
 @dataclass(frozen=True)
-class Beyond:
+class NonlocalPart:
     """Derivatives of numbers of bonds by the displacements of particles, other than through the own elongation.
 
     Attributes
@@ -141,7 +142,7 @@ class Beyond:
 
 
 @dataclass(frozen=True)
-class OfEnds:
+class EndpointMean:
     """Derivatives of numbers of bonds that are the mean of one of each end.
 
     Attributes
@@ -175,8 +176,8 @@ class Gradient:
 
     bonds: GlobalIndex
     along: Float
-    beyond: Beyond | None = None
-    ends: tuple[OfEnds, ...] = ()
+    nonlocal_part: NonlocalPart | None = None
+    ends: tuple[EndpointMean, ...] = ()
 
 
 class Solid(Protocol):
@@ -208,15 +209,19 @@ class Solid(Protocol):
         """Return the temperature of the points (n_points,), None where the body has none (collective)."""
 
 
-class Drive(ABC):
+class DrivingVariable(ABC):
     """What drives the damage of the bonds of one rank: a number for each bond, 1 where it fails.
 
     It does not depend on the damage itself, and is the same from both ends of a bond, on whichever ranks they are.
     """
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        accept_old_methods(cls, {"reaches": "is_nonlocal"})
+
     @property
-    def reaches(self) -> bool:
-        """Return whether its gradients have a part ``beyond`` the own elongation; the same at every state."""
+    def is_nonlocal(self) -> bool:
+        """Return whether its gradients have a part ``nonlocal_part`` the own elongation; the same at every state."""
         return False
 
     @property
@@ -301,7 +306,7 @@ class Drive(ABC):
         return None
 
 
-class LocalDrive(Drive):
+class LocalDrivingVariable(DrivingVariable):
     """A drive that is a function of the elongation of the bond itself.
 
     Parameters
@@ -310,7 +315,7 @@ class LocalDrive(Drive):
         The bonds.
     """
 
-    def __init__(self, bonds: DrivenBonds) -> None:
+    def __init__(self, bonds: DamageableBonds) -> None:
         self._bonds = bonds
 
     @abstractmethod
@@ -334,7 +339,7 @@ class LocalDrive(Drive):
         return self.of(strain * self._bonds.length)
 
 
-class LinearDrive(LocalDrive):
+class LinearDrivingVariable(LocalDrivingVariable):
     """The elongation over that of failure, ``x = e / limit``.
 
     Parameters
@@ -345,7 +350,7 @@ class LinearDrive(LocalDrive):
         Their elongations of failure [length], positive.
     """
 
-    def __init__(self, bonds: DrivenBonds, limit: Float) -> None:
+    def __init__(self, bonds: DamageableBonds, limit: Float) -> None:
         super().__init__(bonds)
         self._limit = limit
 
@@ -405,7 +410,7 @@ class Criterion(Declared, ABC):
         return () if duration is None else (float(duration),)
 
     @abstractmethod
-    def build(self, bonds: DrivenBonds) -> Drive:
+    def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return the drive of the bonds of this rank (not collective).
 
         Raises
@@ -414,7 +419,7 @@ class Criterion(Declared, ABC):
             The criterion does not fit the bonds; what one rank raises all raise.
         """
 
-    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> Criterion:
+    def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> Criterion:
         """Return the criterion with what only the bonds of the body tell, as from a fracture energy (collective).
 
         Parameters

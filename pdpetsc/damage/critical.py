@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive
+from pdpetsc.damage.criterion import Criterion, DamageableBonds, LinearDrivingVariable
 from pdpetsc.damage.energy import plane_weights, refuse_share
 from pdpetsc.declared import numbers_from
 from pdpetsc.discrete.communicator import largest, smallest, total
@@ -21,7 +21,7 @@ from pdpetsc.errors import CaseError
 class CriticalStretch(Criterion):
     """The stretch at which a bond fails: the drive is the stretch over it, ``x = s / s_c``, negative in compression."""
 
-    def build(self, bonds: DrivenBonds) -> LinearDrive:
+    def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
         """Return ``e / (s_c |xi|)``.
 
         Raises
@@ -34,7 +34,7 @@ class CriticalStretch(Criterion):
         if len(bad):
             length, value = bonds.length[bad[0]], stretch[bad[0]]
             raise CaseError(f"The critical stretch of a bond of length {length:g} is {value:g}, not positive.")
-        return LinearDrive(bonds, stretch * bonds.length)
+        return LinearDrivingVariable(bonds, stretch * bonds.length)
 
     @abstractmethod
     def __call__(self, length: Float, middle: Float) -> Float:
@@ -151,9 +151,9 @@ class CriticalOfBonds(CriticalStretch):
 
     stretch: Any
 
-    def build(self, bonds: DrivenBonds) -> LinearDrive:
+    def build(self, bonds: DamageableBonds) -> LinearDrivingVariable:
         """Return ``e / (s_c |xi|)``."""
-        return LinearDrive(bonds, np.asarray(self.stretch * bonds.length))
+        return LinearDrivingVariable(bonds, np.asarray(self.stretch * bonds.length))
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Refuse: lengths and places do not tell the bonds."""
@@ -206,7 +206,7 @@ class FractureEnergy(CriticalStretch):
         """Return whether no share was given."""
         return self.share is None
 
-    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> CriticalStretch:
+    def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> CriticalStretch:
         """Return the critical stretch for the bonds of the body (collective).
 
         ``s_i^2 = Gc / (G m_i d_i)`` with the horizon ``d_i`` of the particle, the plane energy ``G`` of bonds with the
@@ -216,12 +216,14 @@ class FractureEnergy(CriticalStretch):
         """
         cloud, families = bonds.cloud, bonds.families
         i, j = families.centres, families.neighbours
-        weight = plane_weights(bonds) / cloud.reach[i]
-        unit = bonds.omega * bonds.length * cloud.volume[i] * cloud.volume[j] / cloud.reach[i] ** (cloud.dim + 1)
+        weight = plane_weights(bonds) / cloud.local_horizon[i]
+        unit = (
+            bonds.omega * bonds.length * cloud.volume[i] * cloud.volume[j] / cloud.local_horizon[i] ** (cloud.dim + 1)
+        )
         energy = 0.5 * toughness(2.0) * bonds.k * bonds.length**2
         material = _moduli(bonds, weight, energy, unit * bonds.factor[i])[bonds.material_of] * bonds.factor
         G = float(total(cloud.comm, weight @ unit))
-        square = self.Gc / (self.share or 1.0) / (G * material * cloud.reach)
+        square = self.Gc / (self.share or 1.0) / (G * material * cloud.local_horizon)
         both = bonds.k + bonds.opposite.of(bonds.k)
         ours = np.divide(bonds.k, both, out=np.full(len(both), 0.5), where=both > 0.0)
         # One number stays the same number.
@@ -237,7 +239,7 @@ class FractureEnergy(CriticalStretch):
         raise CaseError("A fracture energy gives a critical stretch in a case only, where the bonds are known.")
 
 
-def _moduli(bonds: DrivenBonds, weight: Float, energy: Float, unit: Float) -> Float:
+def _moduli(bonds: DamageableBonds, weight: Float, energy: Float, unit: Float) -> Float:
     """Return the energy of bonds over that of unit bonds for each material (collective).
 
     It is that of planes through the particles inside, or of all bonds of a material that has no particle there.

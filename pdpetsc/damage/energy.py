@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.damage.criterion import Criterion, DrivenBonds, LinearDrive, LocalDrive
+from pdpetsc.damage.criterion import Criterion, DamageableBonds, LinearDrivingVariable, LocalDrivingVariable
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.interior import interior
 from pdpetsc.errors import CaseError
@@ -22,7 +22,7 @@ def refuse_share(share: float | None) -> None:
         raise CaseError(f"The share of a fracture energy that a crack takes must be positive, not {share}.")
 
 
-def plane_weights(bonds: DrivenBonds) -> Float:
+def plane_weights(bonds: DamageableBonds) -> Float:
     """Return the weights of bonds in the energy that breaking all bonds across a unit area takes (n_bonds,).
 
     ``G = sum_i sum_j a_ij w_ij`` over all ranks with the energy ``w_ij`` of a bond from one end and the weight
@@ -53,10 +53,10 @@ def plane_weights(bonds: DrivenBonds) -> Float:
     return np.asarray((here[families.centres] * distance / volume).mean(axis=1))
 
 
-class _EitherWay(LocalDrive):
+class _EitherWay(LocalDrivingVariable):
     """``x = |e| / limit``."""
 
-    def __init__(self, bonds: DrivenBonds, limit: Float) -> None:
+    def __init__(self, bonds: DamageableBonds, limit: Float) -> None:
         super().__init__(bonds)
         self._limit = limit
 
@@ -120,7 +120,7 @@ class BondEnergy(Criterion):
         """Return True if Gc was given without a share."""
         return self.Gc is not None and self.share is None
 
-    def resolve(self, bonds: DrivenBonds, toughness: Callable[[float], float]) -> Criterion:
+    def resolve(self, bonds: DamageableBonds, toughness: Callable[[float], float]) -> Criterion:
         """Return the criterion with the elongations of failure of the bonds (collective)."""
         both = bonds.k + bonds.opposite.of(bonds.k)
         volume, i, j = bonds.cloud.volume, bonds.families.centres, bonds.families.neighbours
@@ -131,7 +131,7 @@ class BondEnergy(Criterion):
             assert self.Gc is not None
             # Breaking a bond takes half of it from either end, whatever its stiffness, and nothing from one that does
             # not reach it; G grows with this power of the horizon.
-            reach, power = bonds.cloud.reach, bonds.cloud.dim + 1.0
+            reach, power = bonds.cloud.local_horizon, bonds.cloud.dim + 1.0
             half = np.where(bonds.k > 0.0, 0.5 / reach[i] ** power, 0.0)
             G = float(total(bonds.cloud.comm, plane_weights(bonds) @ (toughness(2.0) * pair * half)))
             w = self.Gc / (self.share or 1.0) / G * (half + bonds.opposite.of(half))
@@ -139,7 +139,7 @@ class BondEnergy(Criterion):
         square = np.divide(2.0 * w * pair, both, out=np.full(len(both), np.inf), where=both > 0.0)
         return _Limited(np.sqrt(square), self.compression)
 
-    def build(self, bonds: DrivenBonds) -> LocalDrive:
+    def build(self, bonds: DamageableBonds) -> LocalDrivingVariable:
         """Refuse: it is resolved first, with the stiffness of both ends."""
         raise CaseError("A bond energy is known in a case only, where the bonds are.")
 
@@ -151,6 +151,6 @@ class _Limited(Criterion):
     limit: Any
     compression: bool
 
-    def build(self, bonds: DrivenBonds) -> LocalDrive:
+    def build(self, bonds: DamageableBonds) -> LocalDrivingVariable:
         """Return ``e / limit``, or its size."""
-        return (_EitherWay if self.compression else LinearDrive)(bonds, self.limit)
+        return (_EitherWay if self.compression else LinearDrivingVariable)(bonds, self.limit)

@@ -11,11 +11,12 @@ import numpy as np
 from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float
-from pdpetsc.damage.criterion import Criterion, DrivenBonds
-from pdpetsc.damage.effect import DamageEffect, LargestStretch
+from pdpetsc.damage.criterion import Criterion, DamageableBonds
+from pdpetsc.damage.evolution import DamageEvolution, LargestStretch
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared, shown
 from pdpetsc.errors import CaseError
+from pdpetsc.renamed import accept_old_methods
 
 # Points of the quadrature of the dissipated energy.
 QUADRATURE = 40
@@ -48,8 +49,12 @@ class BondDamage(Declared, ABC):
 
     criterion: Criterion
     protected: Region | None = field(default=None, kw_only=True)
-    effect: DamageEffect = field(default_factory=LargestStretch, kw_only=True)
+    effect: DamageEvolution = field(default_factory=LargestStretch, kw_only=True)
     closes: bool = field(default=False, kw_only=True)
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        accept_old_methods(cls, {"integrity": "phi"})
 
     def __post_init__(self) -> None:
         if not isinstance(self.criterion, Criterion):
@@ -70,14 +75,14 @@ class BondDamage(Declared, ABC):
         """Return x where the bond breaks [-]."""
 
     @abstractmethod
-    def integrity(self, x: Float) -> Float:
+    def phi(self, x: Float) -> Float:
         """Return ``T`` (n,) [-] for x between onset and final."""
 
     @abstractmethod
     def slope(self, x: Float) -> Float:
         """Return ``dT/dx`` (n,) [-] for x between onset and final."""
 
-    def dissipated(self, integrity: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
+    def dissipated(self, phi: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
         """Return what linear bonds that have reached x have dissipated (n,) [energy].
 
         ``-int W y^degree dT(y)`` up to x, with the jumps of T at its ends.
@@ -91,8 +96,8 @@ class BondDamage(Declared, ABC):
         """
         points, weights = roots_legendre(QUADRATURE)
         one, last = np.array([self.onset]), np.array([self.final])
-        lost = np.where(x > self.onset, self.onset**degree * (1.0 - self.integrity(one)[0]), 0.0)
-        lost += np.where(x >= self.final, self.final**degree * self.integrity(last)[0], 0.0)
+        lost = np.where(x > self.onset, self.onset**degree * (1.0 - self.phi(one)[0]), 0.0)
+        lost += np.where(x >= self.final, self.final**degree * self.phi(last)[0], 0.0)
         for begin, end in zip(self.pieces[:-1], self.pieces[1:], strict=True):
             half = 0.5 * (np.clip(x, begin, end) - begin)
             y = begin + (points[:, None] + 1.0) * half
@@ -146,7 +151,7 @@ class BondDamage(Declared, ABC):
         """Return its regions with what they are."""
         return [] if self.protected is None else [("What damage is protected from", self.protected)]
 
-    def resolved(self, bonds: DrivenBonds) -> BondDamage:
+    def resolved(self, bonds: DamageableBonds) -> BondDamage:
         """Return the law whose criterion knows the bonds of the body (collective)."""
         criterion = self.criterion.resolve(bonds, self.toughness)
         return self if criterion is self.criterion else replace(self, criterion=criterion)
@@ -171,7 +176,7 @@ class PiecewiseLinear(BondDamage):
         """Return the final ratio."""
         return self.final_ratio
 
-    def integrity(self, x: Float) -> Float:
+    def phi(self, x: Float) -> Float:
         """Return ``(r - x) / ((r - 1) x)``, 1 for a bond that snaps."""
         r = self.final_ratio
         return np.ones_like(x) if r == 1.0 else np.asarray((r - x) / ((r - 1.0) * x))
@@ -181,20 +186,20 @@ class PiecewiseLinear(BondDamage):
         r = self.final_ratio
         return np.zeros_like(x) if r == 1.0 else np.asarray(-r / ((r - 1.0) * x**2))
 
-    def reached(self, integrity: Float) -> Float:
+    def reached(self, phi: Float) -> Float:
         """Return x at which bonds of this integrity fail further (n,) [-].
 
         On the envelope ``q = k l (r - x) / (r - 1)``, with the final ratio ``r``, ``q = T k l x``.
         """
         r = self.final_ratio
-        return np.asarray(r / (1.0 + integrity * (r - 1.0)))
+        return np.asarray(r / (1.0 + phi * (r - 1.0)))
 
-    def dissipated(self, integrity: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
+    def dissipated(self, phi: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
         """Return what linear bonds have dissipated (n,) [energy]; from their integrity alone for degree 2."""
         if degree != 2.0:
-            return super().dissipated(integrity, x, energy, degree)
-        y = self.reached(integrity)
-        force = integrity * y
+            return super().dissipated(phi, x, energy, degree)
+        y = self.reached(phi)
+        force = phi * y
         return np.asarray(energy * (1.0 + (1.0 + force) * (y - 1.0) - force * y))
 
 
@@ -277,7 +282,7 @@ class ExponentialSoftening(BondDamage):
         """Return the ratio."""
         return self.ratio
 
-    def integrity(self, x: Float) -> Float:
+    def phi(self, x: Float) -> Float:
         """Return force over elastic force."""
         rest = math.exp(-self.rate * (self.ratio - 1.0))
         return np.asarray((np.exp(-self.rate * (x - 1.0)) - rest) / (1.0 - rest) / x)
@@ -285,8 +290,8 @@ class ExponentialSoftening(BondDamage):
     def slope(self, x: Float) -> Float:
         """Return its derivative."""
         rest = math.exp(-self.rate * (self.ratio - 1.0))
-        falling = np.exp(-self.rate * (x - 1.0))
-        return np.asarray(-(self.rate * falling + (falling - rest) / x) / (1.0 - rest) / x)
+        softening = np.exp(-self.rate * (x - 1.0))
+        return np.asarray(-(self.rate * softening + (softening - rest) / x) / (1.0 - rest) / x)
 
 
 @dataclass(frozen=True)
@@ -322,14 +327,14 @@ class BilinearSoftening(BondDamage):
         """Return the ratio."""
         return self.ratio
 
-    def integrity(self, x: Float) -> Float:
+    def phi(self, x: Float) -> Float:
         """Return force over elastic force."""
         return np.asarray(np.interp(x, [1.0, self.kink, self.ratio], [1.0, self.share, 0.0]) / x)
 
     def slope(self, x: Float) -> Float:
         """Return its derivative."""
         first, second = (self.share - 1.0) / (self.kink - 1.0), -self.share / (self.ratio - self.kink)
-        return np.asarray((np.where(x < self.kink, first, second) - self.integrity(x)) / x)
+        return np.asarray((np.where(x < self.kink, first, second) - self.phi(x)) / x)
 
     @property
     def pieces(self) -> list[float]:
@@ -379,7 +384,7 @@ class SmoothDegradation(BondDamage):
         """Return 1."""
         return 1.0
 
-    def integrity(self, x: Float) -> Float:
+    def phi(self, x: Float) -> Float:
         """Return ``T_s``."""
         T = 0.5 * (1.0 - np.tanh(self._n(x)))
         return np.asarray(0.5 + (T - 0.5) / math.tanh(self.beta) if self.continuous else T)

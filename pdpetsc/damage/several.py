@@ -8,8 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.damage.criterion import Beyond, Displaced, Drive, DrivenBonds, Gradient, OfEnds, Solid
-from pdpetsc.damage.effect import DamageEffect
+from pdpetsc.damage.criterion import (
+    DamageableBonds,
+    Displaced,
+    DrivingVariable,
+    EndpointMean,
+    Gradient,
+    NonlocalPart,
+    Solid,
+)
+from pdpetsc.damage.evolution import DamageEvolution
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared
@@ -88,7 +96,7 @@ class DamageOf(Declared):
         return [law for law in self.laws.values() if law is not None]
 
     @property
-    def effect(self) -> DamageEffect:
+    def effect(self) -> DamageEvolution:
         """Return the effect of the laws."""
         return self._declared[0].effect
 
@@ -128,7 +136,7 @@ class DamageOf(Declared):
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]
         return found + ([] if self.protected is None else [("What damage is protected from", self.protected)])
 
-    def assigned(self, bonds: DrivenBonds, mark: Marking) -> AssignedLaws:
+    def assigned(self, bonds: DamageableBonds, mark: Marking) -> AssignedLaws:
         """Return the laws with the bonds that obey them (collective)."""
         cloud, families = bonds.cloud, bonds.families
         part, count = np.full(cloud.n_local, -1, dtype=np.int64), np.zeros(cloud.n_local, dtype=np.int64)
@@ -185,7 +193,7 @@ class AssignedLaws:
     laws: Sequence[BondDamage]
     of_bond: GlobalIndex | None = None
 
-    def resolved(self, bonds: DrivenBonds) -> AssignedLaws:
+    def resolved(self, bonds: DamageableBonds) -> AssignedLaws:
         """Return the laws whose criteria know the bonds of the body (collective)."""
         return AssignedLaws([law.resolved(bonds) for law in self.laws], self.of_bond)
 
@@ -193,10 +201,10 @@ class AssignedLaws:
         """Return what is declared; the law with what has been resolved where it is the only one."""
         return self.laws[0] if self.of_bond is None else declared
 
-    def build(self, bonds: DrivenBonds) -> Drive:
+    def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return what drives the bonds (not collective)."""
         drives = [law.criterion.build(bonds) for law in self.laws]
-        return drives[0] if self.of_bond is None else SeveralDrives(drives, self.of_bond)
+        return drives[0] if self.of_bond is None else SeveralDrivingVariables(drives, self.of_bond)
 
     @property
     def softens(self) -> bool:
@@ -221,17 +229,17 @@ class AssignedLaws:
         """Return where each bond breaks, one number where all have one law."""
         return self._each([law.final for law in self.laws])
 
-    def integrity(self, x: Float, bonds: GlobalIndex) -> Float:
+    def phi(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return the integrity of some bonds at their drives (n,)."""
-        return self._by_law(lambda law, at: law.integrity(x[at]), bonds)
+        return self._by_law(lambda law, at: law.phi(x[at]), bonds)
 
     def slope(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return its derivative by the drive (n,)."""
         return self._by_law(lambda law, at: law.slope(x[at]), bonds)
 
-    def dissipated(self, integrity: Float, x: Float, energy: Float, degree: float, bonds: GlobalIndex) -> Float:
+    def dissipated(self, phi: Float, x: Float, energy: Float, degree: float, bonds: GlobalIndex) -> Float:
         """Return what some linear bonds have dissipated (n,) [energy]."""
-        return self._by_law(lambda law, at: law.dissipated(integrity[at], x[at], energy[at], degree), bonds)
+        return self._by_law(lambda law, at: law.dissipated(phi[at], x[at], energy[at], degree), bonds)
 
     def _each(self, values: Sequence[float]) -> Float | float:
         return values[0] if self.of_bond is None else np.array([*values, np.inf])[self.of_bond]
@@ -247,12 +255,12 @@ class AssignedLaws:
         return found
 
 
-def assigned(declared: BondDamage | DamageOf, bonds: DrivenBonds, mark: Marking) -> AssignedLaws:
+def assigned(declared: BondDamage | DamageOf, bonds: DamageableBonds, mark: Marking) -> AssignedLaws:
     """Return the laws of what a case declares with the bonds that obey them (collective)."""
     return AssignedLaws([declared]) if isinstance(declared, BondDamage) else declared.assigned(bonds, mark)
 
 
-class SeveralDrives(Drive):
+class SeveralDrivingVariables(DrivingVariable):
     """The drive of each bond by its law.
 
     Parameters
@@ -263,18 +271,18 @@ class SeveralDrives(Drive):
         The law of each bond, -1 for none.
     """
 
-    def __init__(self, drives: Sequence[Drive], of_bond: GlobalIndex) -> None:
-        self._drives, self._of_bond = drives, of_bond
+    def __init__(self, drives: Sequence[DrivingVariable], of_bond: GlobalIndex) -> None:
+        self._driving_variables, self._of_bond = drives, of_bond
 
     @property
-    def reaches(self) -> bool:
+    def is_nonlocal(self) -> bool:
         """Return whether any gradient has a part beyond the own elongation."""
-        return any(drive.reaches for drive in self._drives)
+        return any(driving_variable.is_nonlocal for driving_variable in self._driving_variables)
 
     @property
     def limit(self) -> Float | None:
         """Return the elongations of failure where all drives have one, infinite for bonds without a law."""
-        limits = [drive.limit for drive in self._drives]
+        limits = [driving_variable.limit for driving_variable in self._driving_variables]
         if any(limit is None for limit in limits):
             return None
         return self._chosen([limit for limit in limits if limit is not None], np.inf)
@@ -282,51 +290,51 @@ class SeveralDrives(Drive):
     @property
     def reads_points(self) -> bool:
         """Return whether any reads gradient points."""
-        return any(drive.reads_points for drive in self._drives)
+        return any(driving_variable.reads_points for driving_variable in self._driving_variables)
 
     @property
     def reads_flow(self) -> bool:
         """Return whether any reads how materials flow."""
-        return any(drive.reads_flow for drive in self._drives)
+        return any(driving_variable.reads_flow for driving_variable in self._driving_variables)
 
     @property
     def timed(self) -> bool:
         """Return whether any depends on time."""
-        return any(drive.timed for drive in self._drives)
+        return any(driving_variable.timed for driving_variable in self._driving_variables)
 
     def take(self, solid: Solid) -> None:
         """Let all read these gradient points."""
-        for drive in self._drives:
-            drive.take(solid)
+        for driving_variable in self._driving_variables:
+            driving_variable.take(solid)
 
     def commit(self, state: Displaced) -> None:
         """Let all remember a converged state."""
-        for drive in self._drives:
-            drive.commit(state)
+        for driving_variable in self._driving_variables:
+            driving_variable.commit(state)
 
     def arrays(self) -> Mapping[str, Float]:
         """Return what all remember, with the number of the law in the name."""
         return {
             f"{name}_{number}": values
-            for number, drive in enumerate(self._drives)
-            for name, values in drive.arrays().items()
+            for number, driving_variable in enumerate(self._driving_variables)
+            for name, values in driving_variable.arrays().items()
         }
 
     def at(self, state: Displaced) -> Float:
         """Return the drive of every bond by its law, 0 where it has none."""
-        return self._chosen([drive.at(state) for drive in self._drives], 0.0)
+        return self._chosen([driving_variable.at(state) for driving_variable in self._driving_variables], 0.0)
 
     def gradient(self, state: Displaced, bonds: GlobalIndex, by: Float) -> Gradient:
         """Return the gradients of all laws in one."""
-        return self._merged(bonds, lambda drive, at: drive.gradient(state, bonds[at], by[at]))
+        return self._merged(bonds, lambda driving_variable, at: driving_variable.gradient(state, bonds[at], by[at]))
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
         """Return the gradients of all laws in one."""
-        return self._merged(bonds, lambda drive, at: drive.mean_gradient(state, bonds[at], count))
+        return self._merged(bonds, lambda driving_variable, at: driving_variable.mean_gradient(state, bonds[at], count))
 
     def at_strain(self, strain: Float) -> Float | None:
         """Return the drive of bonds that had these strains, 0 where their law does not tell; None where none does."""
-        found = [drive.at_strain(strain) for drive in self._drives]
+        found = [driving_variable.at_strain(strain) for driving_variable in self._driving_variables]
         if all(one is None for one in found):
             return None
         return self._chosen([np.zeros_like(strain) if one is None else one for one in found], 0.0)
@@ -334,9 +342,9 @@ class SeveralDrives(Drive):
     def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float] | None:
         """Return the energies where the drive is 1, if all drives tell them with the same degree."""
         energy, degrees = np.zeros(len(bonds)), set()
-        for number, drive in enumerate(self._drives):
+        for number, driving_variable in enumerate(self._driving_variables):
             at = np.flatnonzero(self._of_bond[bonds] == number)
-            known = drive.elastic_energy(bonds[at], k[at])
+            known = driving_variable.elastic_energy(bonds[at], k[at])
             if known is None:
                 return None
             energy[at] = known[0]
@@ -350,32 +358,32 @@ class SeveralDrives(Drive):
             found[mine] = one[mine]
         return found
 
-    def _merged(self, bonds: GlobalIndex, gradient: Callable[[Drive, GlobalIndex], Gradient]) -> Gradient:
+    def _merged(self, bonds: GlobalIndex, gradient: Callable[[DrivingVariable, GlobalIndex], Gradient]) -> Gradient:
         along = np.zeros(len(bonds))
-        ends: tuple[OfEnds, ...] = ()
+        ends: tuple[EndpointMean, ...] = ()
         lengths, rows = np.zeros(len(bonds), dtype=np.int64), []
-        for number, drive in enumerate(self._drives):
+        for number, driving_variable in enumerate(self._driving_variables):
             at = np.flatnonzero(self._of_bond[bonds] == number)
-            part = gradient(drive, at)
+            part = gradient(driving_variable, at)
             along[at] = part.along
-            if part.beyond is not None:
-                lengths[at] = np.diff(part.beyond.ptr)
-                rows.append((at, part.beyond))
+            if part.nonlocal_part is not None:
+                lengths[at] = np.diff(part.nonlocal_part.ptr)
+                rows.append((at, part.nonlocal_part))
             for one in part.ends:
                 factor = np.zeros(len(bonds))
                 factor[at] = one.factor
-                ends = (*ends, OfEnds(factor, one.by))
+                ends = (*ends, EndpointMean(factor, one.by))
         return Gradient(bonds, along, _joined(lengths, rows) if rows else None, ends)
 
 
-def _joined(lengths: GlobalIndex, rows: Sequence[tuple[GlobalIndex, Beyond]]) -> Beyond:
+def _joined(lengths: GlobalIndex, rows: Sequence[tuple[GlobalIndex, NonlocalPart]]) -> NonlocalPart:
     """Return derivatives of disjoint sets of bonds as those of all."""
     ptr = np.concatenate([[0], np.cumsum(lengths)])
     dim = rows[0][1].by.shape[1]
     particles: LocalIndex = np.empty(ptr[-1], dtype=np.int32)
     by = np.empty((ptr[-1], dim))
-    for at, beyond in rows:
-        size = np.diff(beyond.ptr)
-        to = np.repeat(ptr[at] - beyond.ptr[:-1], size) + np.arange(size.sum())
-        particles[to], by[to] = beyond.particles, beyond.by
-    return Beyond(ptr, particles, by)
+    for at, nonlocal_part in rows:
+        size = np.diff(nonlocal_part.ptr)
+        to = np.repeat(ptr[at] - nonlocal_part.ptr[:-1], size) + np.arange(size.sum())
+        particles[to], by[to] = nonlocal_part.particles, nonlocal_part.by
+    return NonlocalPart(ptr, particles, by)

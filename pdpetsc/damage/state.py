@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.damage.criterion import DrivenBonds
+from pdpetsc.damage.criterion import DamageableBonds
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.several import AssignedLaws, DamageOf
 from pdpetsc.discrete.communicator import largest, total
@@ -49,11 +49,11 @@ class FailingBonds:
         Bonds whose integrity at their present drive is above the kept one by less than this follow their drive too
         [-]: 0 but where a tangent for further loading is wanted.
     length, middle, keys
-        As of ``DrivenBonds``.
+        As of ``DamageableBonds``.
     """
 
     def __init__(
-        self, bonds: DrivenBonds, laws: AssignedLaws, protected: Mask | None, law: BondDamage | DamageOf
+        self, bonds: DamageableBonds, laws: AssignedLaws, protected: Mask | None, law: BondDamage | DamageOf
     ) -> None:
         self.law = law
         self.laws = laws
@@ -71,8 +71,8 @@ class FailingBonds:
         alone = ~reached_back(bonds.cloud, bonds.families, bonds.length)
         self._first: Mask = alone | (bonds.cloud.gid[centres] == self.keys[:, 0])
         self._twice: Mask = alone | (own & (bonds.cloud.places.opposite(self.keys[:, 2]) == self.keys[:, 2]))
-        self.integrity: Float = np.ones(len(self.length))
-        self.worst: Float = np.zeros(len(self.length))
+        self.phi: Float = np.ones(len(self.length))
+        self.kappa: Float = np.zeros(len(self.length))
         self.frozen = False
         self.slack = 0.0
         self.commit()
@@ -80,7 +80,7 @@ class FailingBonds:
     @property
     def intact(self) -> Mask:
         """Return which bonds are not broken (n_bonds,)."""
-        return np.asarray(self.integrity > 0.0)
+        return np.asarray(self.phi > 0.0)
 
     @property
     def softens(self) -> bool:
@@ -89,11 +89,11 @@ class FailingBonds:
 
     def commit(self) -> None:
         """Keep the present state (not collective)."""
-        self._kept = self.integrity.copy(), self.worst.copy()
+        self._kept = self.phi.copy(), self.kappa.copy()
 
     def revert(self) -> None:
         """Go back to the state last kept (not collective)."""
-        self.integrity[:], self.worst[:] = self._kept
+        self.phi[:], self.kappa[:] = self._kept
 
     def following(self, x: Float) -> tuple[Float, GlobalIndex, Float]:
         """Return what damage that is not held is at drives x (not collective).
@@ -111,10 +111,10 @@ class FailingBonds:
         present = np.ones_like(x)
         # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
         fading = np.flatnonzero((x > self._onset) & self.intact)
-        present[fading] = np.maximum(laws.integrity(np.minimum(x, final)[fading], fading), 0.0)
-        follows = self.law.effect.follows(present, self.integrity + self.slack) & self.intact
-        falling = fading[follows[fading] & (x < final)[fading]]
-        return np.where(follows, present, self.integrity), falling, laws.slope(x[falling], falling)
+        present[fading] = np.maximum(laws.phi(np.minimum(x, final)[fading], fading), 0.0)
+        follows = self.law.effect.follows(present, self.phi + self.slack) & self.intact
+        softening = fading[follows[fading] & (x < final)[fading]]
+        return np.where(follows, present, self.phi), softening, laws.slope(x[softening], softening)
 
     def most_driven(self, x: Float, band: float) -> tuple[GlobalIndex, float, float]:
         """Return the bonds within ``band`` of the largest drive, their number, and that drive [-].
@@ -130,18 +130,18 @@ class FailingBonds:
 
     def fading(self, x: Float) -> float:
         """Return by how much the integrity of a bond would change at most at drives x [-] (collective)."""
-        return largest(self._comm, float(np.abs(self.integrity - self.following(x)[0]).max(initial=0.0)))
+        return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
     def soften(self, x: Float) -> float:
         """Take the integrity at drives x for good; return the largest change of any bond (collective)."""
         T = self.following(x)[0]
         if self.frozen:
             # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
-            T = np.minimum(T, self.integrity)
-        change = float(np.abs(self.integrity - T).max(initial=0.0))
+            T = np.minimum(T, self.phi)
+        change = float(np.abs(self.phi - T).max(initial=0.0))
         # A bond that has lost everything breaks at equilibrium, not here.
-        self.integrity[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
-        self.worst[:] = self.law.effect.reached(x, self.worst)
+        self.phi[:] = np.where(self.intact, np.maximum(T, np.finfo(float).tiny), 0.0)
+        self.kappa[:] = self.law.effect.reached(x, self.kappa)
         return largest(self._comm, change)
 
     def break_bonds(self, x: Float, most: int | None = None) -> int:
@@ -160,7 +160,7 @@ class FailingBonds:
         over = x
         if self.laws.softens:
             # A bond that has been past its final drive may have lost its force, even if it is driven less now.
-            over = self.law.effect.reached(x, self.worst)
+            over = self.law.effect.reached(x, self.kappa)
         over = np.where(self.intact, over, 0.0)
         return self._break_worst(over, most)
 
@@ -188,12 +188,12 @@ class FailingBonds:
         over[bonds] = np.maximum(over[bonds], found[mine])
         return self._break_worst(np.where(self.intact, over, 0.0), most)
 
-    def _break_worst(self, drive: Float, most: int | None) -> int:
+    def _break_worst(self, driving_variable: Float, most: int | None) -> int:
         """Break bonds whose drive is at or past the final one, the worst first; return how many pairs.
 
         Bonds are compared by their drive over the final one, which may differ from law to law.
         """
-        over, least = drive / self._final, 1.0 - TOGETHER
+        over, least = driving_variable / self._final, 1.0 - TOGETHER
         if largest(self._comm, float(over.max(initial=0.0))) < least:
             return 0
         if most is not None:
@@ -203,14 +203,14 @@ class FailingBonds:
             candidates = np.sort(np.concatenate(parts))[::-1]
             least = max(least, float(candidates[min(2 * most, len(candidates)) - 1]) * (1.0 - TOGETHER))
         broken = over >= least
-        self.integrity[broken] = 0.0
-        self.worst[broken] = np.maximum(self.worst, drive)[broken]
+        self.phi[broken] = 0.0
+        self.kappa[broken] = np.maximum(self.kappa, driving_variable)[broken]
         return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
         """Return keys (n, 3) and states (n, 2), integrity and worst, of damaged bonds, each from its first end only."""
-        mine = np.flatnonzero((self.integrity < 1.0) & self._first)
-        return self.keys[mine], np.stack([self.integrity[mine], self.worst[mine]], axis=1)
+        mine = np.flatnonzero((self.phi < 1.0) & self._first)
+        return self.keys[mine], np.stack([self.phi[mine], self.kappa[mine]], axis=1)
 
     def restore(self, keys: GlobalIndex, states: Float) -> int:
         """Set the states of those of the given bonds that are held here; return how many from their first end.
@@ -224,7 +224,7 @@ class FailingBonds:
         row[given] = np.arange(len(keys))
         found = row[mine]
         here = found >= 0
-        self.integrity[bonds[here]], self.worst[bonds[here]] = states[found[here]].T
+        self.phi[bonds[here]], self.kappa[bonds[here]] = states[found[here]].T
         return int(np.count_nonzero(self._first[bonds[here]]))
 
     def _matched(self, keys: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
@@ -249,7 +249,7 @@ class FailingBonds:
     @property
     def weakened(self) -> GlobalIndex:
         """Return the bonds that have lost some or all of their force (n,), ascending."""
-        return np.flatnonzero(self.integrity < 1.0)
+        return np.flatnonzero(self.phi < 1.0)
 
     def dissipated(self, lost: GlobalIndex, energy: Float, degree: float) -> float:
         """Return what linear bonds have dissipated in all [energy], of ``spent`` (collective)."""
@@ -268,5 +268,5 @@ class FailingBonds:
             With which power of the drive it grows [-].
         """
         final = self._final if isinstance(self._final, float) else self._final[lost]
-        x = np.where(self.integrity[lost] > 0.0, self.worst[lost], np.maximum(self.worst[lost], final))
-        return self.laws.dissipated(self.integrity[lost], x, energy, degree, lost)
+        x = np.where(self.phi[lost] > 0.0, self.kappa[lost], np.maximum(self.kappa[lost], final))
+        return self.laws.dissipated(self.phi[lost], x, energy, degree, lost)

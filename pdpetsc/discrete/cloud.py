@@ -54,7 +54,7 @@ class Cloud:
         Radius of the largest families [length].
     least_horizon : float
         Radius of the smallest families [length].
-    reach : (n_local,) float64
+    local_horizon : (n_local,) float64
         Radius of the family of each particle [length].
     mutual : bool
         Whether two particles have a bond, from both ends, where either one reaches the other. Else a particle has bonds
@@ -93,7 +93,7 @@ class Cloud:
     sets: Mapping[str, Mask]
     horizon: float
     least_horizon: float
-    reach: Float
+    local_horizon: Float
     mutual: bool
     n_owned: int
     n_global: int
@@ -238,7 +238,7 @@ def distribute(
         sets={name: np.ascontiguousarray(flags[:, n]) for n, name in enumerate(names)},
         horizon=widest,
         least_horizon=least,
-        reach=np.concatenate([reach, reaches]),
+        local_horizon=np.concatenate([reach, reaches]),
         mutual=mutual,
         n_owned=n_owned,
         n_global=n_global,

@@ -13,7 +13,7 @@ from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.discrete.cloud import COINCIDENT, HORIZON_TOLERANCE, Cloud, by_reach
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.discrete.lattice import Repeats, find_repeats
+from pdpetsc.discrete.lattice_stencils import LatticeStencils, find_lattice
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import families_from_pairs, families_with_any
 
@@ -54,7 +54,7 @@ class Families:
         return self
 
     @property
-    def repeats(self) -> Repeats | None:
+    def lattice(self) -> LatticeStencils | None:
         """Return which own particles share one family; None where each has its own."""
         return None
 
@@ -73,7 +73,7 @@ class Families:
         return np.asarray(x[self.neighbours] - x[self.centres])
 
 
-class RepeatedFamilies(Families):
+class LatticeFamilies(Families):
     """Families of a body on a lattice, of which most are the same steps: bonds are listed when somebody asks for them.
 
     Parameters
@@ -82,8 +82,8 @@ class RepeatedFamilies(Families):
         Which own particles share one family.
     """
 
-    def __init__(self, repeats: Repeats) -> None:
-        self.__dict__["_repeats"] = repeats
+    def __init__(self, lattice: LatticeStencils) -> None:
+        self.__dict__["_repeats"] = lattice
 
     @property
     def n_bonds(self) -> int:
@@ -110,7 +110,7 @@ class RepeatedFamilies(Families):
         return Families(np.concatenate([[0], np.cumsum(count)]).astype(np.int64), members[order])
 
     @property
-    def repeats(self) -> Repeats:
+    def lattice(self) -> LatticeStencils:
         """Return which own particles share one family."""
         return self._of
 
@@ -134,8 +134,8 @@ class RepeatedFamilies(Families):
         return self._of.families(self.everyone)
 
     @property
-    def _of(self) -> Repeats:
-        found: Repeats = self.__dict__["_repeats"]
+    def _of(self) -> LatticeStencils:
+        found: LatticeStencils = self.__dict__["_repeats"]
         return found
 
 
@@ -174,10 +174,10 @@ def find_families(
     """
     cutting = _Cutting(cloud, cracks)
     if repeated is not None and not cloud.varies:
-        repeats = find_repeats(cloud, cutting if cracks else None, repeated, in_order)
-        if repeats is not None:
+        lattice = find_lattice(cloud, cutting if cracks else None, repeated, in_order)
+        if lattice is not None:
             cutting.refuse_idle()
-            return RepeatedFamilies(repeats)
+            return LatticeFamilies(lattice)
     pairs = _pairs(cloud)
     with agreed(cloud.comm):
         pairs = pairs[~cutting(pairs)]
@@ -187,7 +187,7 @@ def find_families(
     families = Families(indptr, neighbours)
     with agreed(cloud.comm):
         length = np.linalg.norm(cloud.x[pairs[:, 0]] - cloud.x[pairs[:, 1]], axis=1)
-        close = np.flatnonzero(length < COINCIDENT * cloud.reach[pairs].min(axis=1))
+        close = np.flatnonzero(length < COINCIDENT * cloud.local_horizon[pairs].min(axis=1))
         if len(close):
             one, two = sorted(int(gid) for gid in cloud.gid[pairs[close[0]]])
             raise CaseError(
@@ -200,7 +200,7 @@ def reached_back(cloud: Cloud, families: Families, length: Float) -> Mask:
     """Return which bonds of ``length`` (n_bonds,) [length] exist from their second end too (n_bonds,)."""
     if cloud.mutual or not cloud.varies:
         return np.ones(len(length), dtype=bool)
-    return np.asarray(length <= cloud.reach[families.neighbours] * (1.0 + HORIZON_TOLERANCE))
+    return np.asarray(length <= cloud.local_horizon[families.neighbours] * (1.0 + HORIZON_TOLERANCE))
 
 
 def _pairs(cloud: Cloud) -> LocalIndex:
@@ -213,11 +213,11 @@ def _pairs(cloud: Cloud) -> LocalIndex:
         return np.concatenate([inside, np.stack([across["i"], across["j"] + cloud.n_owned], axis=1)])
     n = cloud.n_local if cloud.mutual else cloud.n_owned
     every, found = cKDTree(cloud.x), [np.empty((0, 2), dtype=np.int64)]
-    for members in by_reach(cloud.reach[:n]):
-        radius = float(cloud.reach[members].max()) * (1.0 + HORIZON_TOLERANCE)
+    for members in by_reach(cloud.local_horizon[:n]):
+        radius = float(cloud.local_horizon[members].max()) * (1.0 + HORIZON_TOLERANCE)
         near = cKDTree(cloud.x[members]).sparse_distance_matrix(every, radius, output_type="ndarray")
         centre, other = members[near["i"]], near["j"]
-        kept = (centre != other) & (near["v"] <= cloud.reach[centre] * (1.0 + HORIZON_TOLERANCE))
+        kept = (centre != other) & (near["v"] <= cloud.local_horizon[centre] * (1.0 + HORIZON_TOLERANCE))
         found.append(np.stack([centre[kept], other[kept]], axis=1))
     pairs = np.concatenate(found)
     if cloud.mutual:

@@ -89,7 +89,7 @@ class _Surface:
     def __init__(self, cloud: Cloud, families: Families) -> None:
         xi = families.bonds(cloud.x)
         length = np.linalg.norm(xi, axis=1)
-        members = length <= cloud.reach[families.centres] * (1.0 + 2.0 * HORIZON_TOLERANCE)
+        members = length <= cloud.local_horizon[families.centres] * (1.0 + 2.0 * HORIZON_TOLERANCE)
         self.cloud, self.xi, self.length = cloud, xi[members], length[members]
         self.centres, self.neighbours = families.centres[members], families.neighbours[members]
         n, dim = cloud.n_owned, cloud.dim
@@ -99,7 +99,7 @@ class _Surface:
         cloud.halo.forward(count)
         most = count[:n].copy()
         np.maximum.at(most, self.centres, count[self.neighbours])
-        self.beside = BESIDE * cloud.reach[:n] * (UNIT_BALL[dim] / most) ** (1.0 / dim)
+        self.beside = BESIDE * cloud.local_horizon[:n] * (UNIT_BALL[dim] / most) ** (1.0 / dim)
         self.moments = cloud.volume[self.neighbours, None] * self.xi
         self.second = np.empty((n, dim, dim))
         for a, b in np.ndindex(dim, dim):  # one component at a time: there are many bonds
@@ -130,5 +130,5 @@ class _Surface:
         marked = np.zeros(cloud.n_local)
         marked[:n] = surface
         cloud.halo.forward(marked)
-        near = (marked[self.neighbours] > 0.0) & (self.length <= (cloud.reach[:n] - self.beside)[self.centres])
+        near = (marked[self.neighbours] > 0.0) & (self.length <= (cloud.local_horizon[:n] - self.beside)[self.centres])
         return np.asarray(~surface & (np.bincount(self.centres[near], minlength=n) == 0))

@@ -356,7 +356,7 @@ def _interpolated(
     apart = cloud.x[members] - x[of]
     # Distances in units of that of the particle behind the facet, which is half a spacing.
     unit = np.linalg.norm(apart[ptr[:-1]], axis=1)[of, None]
-    reach = cloud.reach[owner][of, None]
+    reach = cloud.local_horizon[owner][of, None]
     unit = np.where(unit > SHORT * reach, unit, 0.25 * reach)
     apart = apart / unit
     # Directions in which the family has no extent, of a line or a plane of particles, have no slope: facets beside it
@@ -383,7 +383,7 @@ def _on_face(cloud: Cloud, area: Float, members: LocalIndex, of: GlobalIndex, pt
     """
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
     behind = members[ptr[:-1]]
-    off = np.abs(np.einsum("ei,ei->e", apart, normal[of])) > NEAR_FACET * cloud.reach[behind][of]
+    off = np.abs(np.einsum("ei,ei->e", apart, normal[of])) > NEAR_FACET * cloud.local_horizon[behind][of]
     return np.where(off & ~off[ptr[:-1]][of], 0.0, 1.0)
 
 

@@ -72,7 +72,7 @@ class BondAssociated(Scheme):
         weight = omega * cloud.volume[families.neighbours]
         regular_shape_tensors(cloud, families, weight, "bond-associated gradients")
         centres = families.centres
-        radius = self.radius * cloud.reach[centres] * (1.0 + HORIZON_TOLERANCE)
+        radius = self.radius * cloud.local_horizon[centres] * (1.0 + HORIZON_TOLERANCE)
         wider = np.zeros(cloud.n_owned)
         for factor, following in zip(GROWTH, (*GROWTH[1:], None), strict=True):
             size = np.empty(len(centres), dtype=np.int64)

@@ -71,7 +71,7 @@ class ConformingSystem:
         self.cloud = cloud
         self._pieces = pieces
         self._operator = operator
-        self._size = cloud.reach[operator.owner]
+        self._size = cloud.local_horizon[operator.owner]
         self._square = operator.volume**2
         M = np.empty((operator.n_points, cloud.dim + 1, cloud.dim + 1))
         linear_moments_kernel(cloud.dim)(operator.point_ptr, operator.members, cloud.x, self._size, M)
@@ -185,12 +185,12 @@ class ConformingSystem:
         """Return ``C (I - Phi M^-1 Phi^T) C^T`` of points with the given owners, members and volumes."""
         cloud, dim, points = self.cloud, self.cloud.dim, len(owner)
         M = np.empty((points, dim + 1, dim + 1))
-        linear_moments_kernel(dim)(ptr, members, cloud.x, cloud.reach[owner], M)
+        linear_moments_kernel(dim)(ptr, members, cloud.x, cloud.local_horizon[owner], M)
         low, axes = np.linalg.eigh(M)
         keep = low > 1e-12 * low[:, -1:]
         root = axes * np.where(keep, 1.0 / np.sqrt(np.where(keep, low, 1.0)), 0.0)[:, None, :]
         of = np.repeat(np.arange(points), np.diff(ptr))
-        xi = (cloud.x[members] - cloud.x[owner[of]]) / cloud.reach[owner[of], None]
+        xi = (cloud.x[members] - cloud.x[owner[of]]) / cloud.local_horizon[owner[of], None]
         phi = np.concatenate([np.ones((len(of), 1)), xi], axis=1)
         D = W[of, None] * np.einsum("ea,eab->eb", phi, root[of])
         width, n = dim + 1, cloud.n_local

@@ -52,7 +52,7 @@ class Corrected(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
-        reach = cloud.reach[families.centres]
+        reach = cloud.local_horizon[families.centres]
         xi = families.bonds(cloud.x) / reach[:, None]
         g = np.zeros((len(weight), cloud.dim))
         left = np.flatnonzero(np.diff(families.indptr) > 0)
@@ -70,7 +70,7 @@ class Corrected(Scheme):
                 g[bonds] = np.einsum("bq,bqm->bm", q, c[owner]) * weight[bonds, None] / reach[bonds, None]
                 met = unmet <= MET
                 if order > 1:
-                    met &= largest_gain(g[bonds], first, cloud.reach[part]) <= GAIN
+                    met &= largest_gain(g[bonds], first, cloud.local_horizon[part]) <= GAIN
                 remaining.append(part[~met])
                 worst = max(worst, float(condition[met].max(initial=1.0)))
             left = np.concatenate(remaining)

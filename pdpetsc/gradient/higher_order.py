@@ -70,14 +70,14 @@ class HigherOrder(Scheme):
             higher = conditions.exponents.sum(axis=1) > 2
             remaining = [left[:0]]
             for part, bonds, first, owner in blocks(families.indptr, left, len(conditions.exponents)):
-                q = conditions.values(xi[bonds] / cloud.reach[part][owner][:, None])
+                q = conditions.values(xi[bonds] / cloud.local_horizon[part][owner][:, None])
                 moments = np.add.reduceat(weight[bonds, None] * q, first, axis=0)
                 target = np.where(higher, -moments, 0.0)[:, :, None]
                 c, unmet, condition = solve(q, weight[bonds], first, target)
                 size = np.abs(moments).max(axis=1)
                 correction = 1.0 + np.einsum("bq,bqm->b", q, c[owner])
                 met = unmet * np.abs(target).max(axis=(1, 2)) <= MET * size
-                met &= largest_gain(plain[bonds] * correction[:, None], first, cloud.reach[part]) <= GAIN
+                met &= largest_gain(plain[bonds] * correction[:, None], first, cloud.local_horizon[part]) <= GAIN
                 remaining.append(part[~met])
                 worst = max(worst, float(condition[met].max(initial=1.0)))
                 C[bonds] = np.where(met[owner], correction, 1.0)

@@ -52,7 +52,7 @@ class SmoothedDisplacement(Scheme):
     def build(self, cloud: Cloud, families: Families, omega: Float) -> GradientOperator:
         """Return the operator (collective); raises CaseError where a family is too small or flat."""
         weight = omega * cloud.volume[families.neighbours]
-        reach = cloud.reach[: cloud.n_owned] * (1.0 + HORIZON_TOLERANCE)
+        reach = cloud.local_horizon[: cloud.n_owned] * (1.0 + HORIZON_TOLERANCE)
         moments = np.empty((len(weight), cloud.dim))
         kernel = smoothed_moments_kernel(cloud.dim)
         radii = self.radius * reach, (1.0 - self.radius) * reach

@@ -78,7 +78,7 @@ class SubHorizons(Scheme):
         if number < least or (even and number % 2):
             kind = "an even number of sectors" if even else "sectors"
             raise CaseError(f"Sub-horizons in {cloud.dim}D need {kind} from {least}, not {number}.")
-        reach = cloud.reach[families.centres]
+        reach = cloud.local_horizon[families.centres]
         if cloud.dim == 1:
             shells = number // 2
             outward = _between(np.abs(xi[:, 0]) / reach * shells, shells)

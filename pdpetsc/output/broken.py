@@ -41,7 +41,7 @@ class BrokenBonds:
     def write(self, step: int, t: float) -> None:
         """Append the bonds that broke in a step, with the ids of their ends, their length and their middle."""
         failure = self._failure
-        new = np.flatnonzero((failure.integrity == 0.0) & ~self._listed)
+        new = np.flatnonzero((failure.phi == 0.0) & ~self._listed)
         if int(total(self._comm, len(new))) == 0:
             return
         self._listed[new] = True

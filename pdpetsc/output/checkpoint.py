@@ -482,7 +482,7 @@ def _identity(cloud: Cloud) -> Float:
     sums = total(cloud.comm, [volume.sum(), (x**2).sum(), numbered])
     periods = np.zeros(cloud.dim) if cloud.images is None else cloud.images.cell.lengths
     planes = [number for plane in cloud.places.planes.items() for number in plane]
-    reach = cloud.reach[:n]
+    reach = cloud.local_horizon[:n]
     reaches = total(cloud.comm, [reach.sum(), (cloud.gid[:n] % 97) @ reach])[: 2 * cloud.varies]
     return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums, *planes, *reaches])
 

@@ -18,7 +18,7 @@ from pdpetsc.declare.cracks import Polyline
 from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
-from pdpetsc.post.inside import LARGEST, apart
+from pdpetsc.post.point_location import LARGEST, apart
 
 Near: TypeAlias = tuple[Float, Mask]
 # Particles drawn at most; of a larger cloud every n-th.

@@ -13,7 +13,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.output.checkpoint import HEAD, seal, whole
 from pdpetsc.output.files import HEADERS, WRITE_ERRORS, cannot_write, open_hdf5, replacing, writing_hdf5
 from pdpetsc.output.folder import FIELDS, SURFACE
-from pdpetsc.post.inside import Facets
+from pdpetsc.post.point_location import Facets
 
 
 def write_surface(comm: Comm, folder: Path, run: str, particles: Particles) -> None:

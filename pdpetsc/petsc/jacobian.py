@@ -132,7 +132,7 @@ def _largest_factored(problem: Problem) -> tuple[int, str]:
     dim, cloud = problem.dim, problem.body.cloud
     if problem.damage is not None:
         return HARD_UNKNOWNS[dim], " with damage"
-    points = int(total(cloud.comm, problem.matter.n_points))
+    points = int(total(cloud.comm, problem.material_term.n_points))
     controlled = any(term.energy_of == "control" for term in problem.terms)
     if points == cloud.n_global and not controlled:
         return HARD_UNKNOWNS[dim], " with one gradient point a particle and no control"
@@ -210,6 +210,6 @@ def _blocks(problem: Problem) -> float:
     """Return about how many blocks the assembled tangent has, from a sample of particles (collective)."""
     cloud = problem.body.cloud
     sample = np.linspace(0, cloud.n_owned - 1, min(SAMPLE, cloud.n_owned)).astype(np.int64)
-    reach = cloud.reach[sample] * problem.horizons * (1.0 + 1e-9)
+    reach = cloud.local_horizon[sample] * problem.horizons * (1.0 + 1e-9)
     found = cKDTree(cloud.x).query_ball_point(cloud.x[sample], reach, return_length=True)
     return float(total(cloud.comm, float(np.mean(found)) * cloud.n_owned))

@@ -36,15 +36,15 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
     cloud = solution.cloud
     if not len(zone):
         return np.empty((0, 2), dtype=np.int64), np.empty(0)
-    own, reach = cloud.x[zone], cloud.reach[zone]
+    own, reach = cloud.x[zone], cloud.local_horizon[zone]
     widest = float(reach.max()) * (1.0 + HORIZON_TOLERANCE)
     low, high = own.min(axis=0) - widest, own.max(axis=0) + widest
     around = np.flatnonzero(np.all((cloud.x >= low) & (cloud.x <= high), axis=1))
     found = cKDTree(own).sparse_distance_matrix(cKDTree(cloud.x[around]), widest, output_type="ndarray")
     i, j = zone[found["i"]], around[found["j"]]
-    kept = (i != j) & (found["v"] <= cloud.reach[i] * (1.0 + HORIZON_TOLERANCE))
+    kept = (i != j) & (found["v"] <= cloud.local_horizon[i] * (1.0 + HORIZON_TOLERANCE))
     pairs = np.stack([i[kept], j[kept]], axis=1)
-    centres, neighbours, integrity = _bonds_of(solution, zone)
+    centres, neighbours, phi = _bonds_of(solution, zone)
     key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
     bonded = centres * np.int64(cloud.n_local) + neighbours
     left = np.zeros(len(key))
@@ -52,18 +52,18 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
         order = np.argsort(bonded)
         place = np.minimum(np.searchsorted(bonded[order], key), len(bonded) - 1)
         same = bonded[order][place] == key
-        left[same] = 1.0 if listed else integrity[order][place[same]]
+        left[same] = 1.0 if listed else phi[order][place[same]]
     return pairs, left
 
 
 def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
     """Return both ends of the bonds of some own particles, and their integrity (n,) [-]."""
     families, damage = solution.problem.body.families, solution.problem.damage
-    repeats = families.repeats
-    if repeats is not None:
-        indptr, neighbours = repeats.families(zone.astype(np.int32))
+    lattice = families.lattice
+    if lattice is not None:
+        indptr, neighbours = lattice.families(zone.astype(np.int32))
         return np.repeat(zone, np.diff(indptr)), neighbours.astype(np.int64), np.ones(len(neighbours))
     size = np.diff(families.indptr)[zone]
     bonds = np.repeat(families.indptr[zone] - np.cumsum(size) + size, size) + np.arange(int(size.sum()))
-    integrity = np.ones(len(bonds)) if damage is None else damage.bonds.integrity[bonds]
-    return np.repeat(zone, size), families.neighbours[bonds].astype(np.int64), integrity
+    phi = np.ones(len(bonds)) if damage is None else damage.bonds.phi[bonds]
+    return np.repeat(zone, size), families.neighbours[bonds].astype(np.int64), phi

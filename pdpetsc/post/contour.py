@@ -119,18 +119,18 @@ def continuum(solution: Solution) -> Continuum:
 
 
 def _continuum(solution: Solution) -> Continuum:
-    matter, state = solution.problem.matter, solution.state
+    material_term, state = solution.problem.material_term, solution.state
     one = np.eye(solution.problem.dim)
-    if isinstance(matter, MaterialPoints):
-        operator = matter.operator
-        F, P, psi = matter.conjugates(state)
+    if isinstance(material_term, MaterialPoints):
+        operator = material_term.operator
+        F, P, psi = material_term.conjugates(state)
         H = F - one
         share = operator.volume / solution.volume[operator.owner]
         tensors = [H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P)]
         H, P, momentum = (operator.sum_over_points(share[:, None, None] * T) for T in tensors)
         return Continuum(H, P, operator.sum_over_points(share * psi), momentum)
-    H = matter.deformation_gradient(state) - one
-    P, psi = matter.first_piola_stress(state), matter.energy_density(state)
+    H = material_term.deformation_gradient(state) - one
+    P, psi = material_term.first_piola_stress(state), material_term.energy_density(state)
     return Continuum(H, P, psi, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P))
 
 
@@ -242,7 +242,7 @@ class Domain:
         circle is fitted by ``a + b r + c r^2``, the leading powers of products of two fields with square roots, of one
         symmetry. Collective.
         """
-        reach = solution.cloud.reach[: len(solution.x)][self.near(solution.x)]
+        reach = solution.cloud.local_horizon[: len(solution.x)][self.near(solution.x)]
         start = min(CORE * solution.largest(float(reach.max(initial=0.0))), CORE_MOST * self.outer)
         follows = singular(solution, [frame.tip for frame in self.frames], start)
         further = FURTHER_BY_HEAT if follows else FURTHER
@@ -292,9 +292,9 @@ class Domain:
         displacement: the work done on the matter about the tip. No density is singular there. Collective.
         """
         fields, (g, bend) = continuum(solution), slope_of_grading(solution)
-        matter, thickness = solution.problem.matter, solution.problem.body.thickness
+        material_term, thickness = solution.problem.material_term, solution.problem.body.thickness
         rest = np.einsum("pii->p", fields.momentum)
-        if isinstance(matter, BondForces) and matter.linear:
+        if isinstance(material_term, BondForces) and material_term.linear:
             # The trace of a tip's bonds is what their best gradient misses of their energy.
             free = of_place(solution).strain
             own = np.zeros_like(fields.P) if free is None else plane_tensors(free[: len(g)])
@@ -337,7 +337,7 @@ def trouble(solution: Solution, domain: Domain, runs: bool = False) -> str:
     inner, outer = domain.inner, domain.outer
     cloud = solution.cloud
     inside = domain.near(solution.x)
-    reach = solution.largest(float(cloud.reach[: cloud.n_owned][inside].max(initial=0.0)))
+    reach = solution.largest(float(cloud.local_horizon[: cloud.n_owned][inside].max(initial=0.0)))
     if inner < reach * (1.0 - HORIZON_TOLERANCE):
         return (
             f"begins {inner:g} from the tip, within the horizon of {reach:g}, where fields are not those of a "
@@ -364,7 +364,7 @@ def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
     """Return what is wrong with the bonds that are gone in a domain (collective)."""
     stray, crossing, cut, gone, places = 0, 0, 0, 0, list[tuple[float, ...]]()
     for frame in domain.frames:
-        reach = solution.cloud.reach[: solution.cloud.n_owned]
+        reach = solution.cloud.local_horizon[: solution.cloud.n_owned]
         zone = np.flatnonzero(np.linalg.norm(frame.at(solution.x), axis=1) < domain.outer + reach)
         pairs, left = pairs_of(solution, zone)
         a, b = frame.at(solution.cloud.x[pairs[:, 0]]), frame.at(solution.cloud.x[pairs[:, 1]])
@@ -413,7 +413,7 @@ def loads_in(solution: Solution, domain: Domain) -> tuple[bool, str]:
         at, f = frame.at(solution.x), force @ frame.turn.T
         inside = np.linalg.norm(at, axis=1) < domain.outer
         # A facet spreads its load over the family of the particle behind it.
-        band = 1.5 * cloud.reach[: len(at)]
+        band = 1.5 * cloud.local_horizon[: len(at)]
         near = inside & (np.abs(at[:, 1]) <= band)
         size = np.linalg.norm(f, axis=1)
         found += [
@@ -451,12 +451,12 @@ def materials_in(solution: Solution, inside: Mask) -> list[int]:
 
 def elastic_law(solution: Solution, number: int, inside: Mask) -> LinearElastic | None:
     """Return the isotropic linear law that a material is at small strain, None where it is none (collective)."""
-    matter = solution.problem.matter
-    if isinstance(matter, BondForces):
-        return matter.materials[number].elastic(solution.problem.dim)
-    if not isinstance(matter, MaterialPoints):
+    material_term = solution.problem.material_term
+    if isinstance(material_term, BondForces):
+        return material_term.materials[number].elastic(solution.problem.dim)
+    if not isinstance(material_term, MaterialPoints):
         return None
-    law = matter.materials[number].material
+    law = material_term.materials[number].material
     expansion = solution.problem.body.expansion
     thermal = None if expansion is None else expansion.thermals[number]
     if thermal is not None and thermal.law is not None:

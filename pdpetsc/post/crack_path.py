@@ -167,7 +167,7 @@ def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float
     none = np.empty((0, 4 + 2 * dim)), list[Float]()
     zone = np.empty(0, dtype=np.int64)
     if damage is not None:
-        zone = np.unique(families.centres[damage.bonds.integrity == 0.0]).astype(np.int64)
+        zone = np.unique(families.centres[damage.bonds.phi == 0.0]).astype(np.int64)
     if precracks:
         zone = np.union1d(zone, _cut_from_the_start(solution))
     if not len(zone):
@@ -180,7 +180,7 @@ def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float
     if not len(pairs):
         return none
     around = cloud.x[np.unique(pairs)]
-    reach = float(cloud.reach[zone].max())
+    reach = float(cloud.local_horizon[zone].max())
     near = np.flatnonzero(cKDTree(around).query(cloud.x, distance_upper_bound=2.0 * reach)[0] < np.inf)
     place = np.full(cloud.n_local, -1)
     place[near] = np.arange(len(near))

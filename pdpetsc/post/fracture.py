@@ -365,13 +365,13 @@ class EnergyReleaseRate(_Release):
 
     def number(self, solution: Solution, domain: Domain) -> Number:
         """Return G."""
-        matter = solution.problem.matter
-        if not isinstance(matter, MaterialPoints):
+        material_term = solution.problem.material_term
+        if not isinstance(material_term, MaterialPoints):
             raise CaseError(
                 "An EnergyReleaseRate moves gradient points, and a body of bonds has none; take a JIntegral."
             )
-        operator = matter.operator
-        F, _, _ = matter.conjugates(solution.state)
+        operator = material_term.operator
+        F, _, _ = material_term.conjugates(solution.state)
         H, change, step = F - np.eye(2), np.zeros(len(F)), MOVED * (self.outer - self.inner)
         for frame in domain.frames:
             q, _ = weight(frame.at(solution.cloud.x), domain.inner, domain.outer, domain.tilt)
@@ -383,7 +383,7 @@ class EnergyReleaseRate(_Release):
                 at[moved] = np.eye(2) + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
                 volume = operator.volume.copy()
                 volume[moved] *= np.linalg.det(by)
-                change -= volume * matter.energy_at(at, volume) / (2.0 * d)
+                change -= volume * material_term.energy_at(at, volume) / (2.0 * d)
         change /= solution.problem.body.thickness
         rest, size = solution.sum([change.sum() + self._of_loads(solution, domain), np.abs(change).sum()])
         return self._with_place(solution, domain, float(rest), float(size))
@@ -487,12 +487,12 @@ class StressIntensity(AtTip):
         """
         fields, law, sums = continuum(solution), self._law(solution, domain), np.zeros(2)
         assert law is not None
-        if solution.problem.matter.linear:
+        if solution.problem.material_term.linear:
             return 0.0
         ring = np.zeros(len(solution.x))
         for frame in domain.frames:
             ring[domain.between(frame.at(solution.x))] = 1.0
-        if not solution.problem.matter.n_points:
+        if not solution.problem.material_term.n_points:
             return solution.largest(float((ring * np.abs(fields.H).max(axis=(1, 2))).max(initial=0.0)))
         lam, mu = law.lame(2)
         strain = 0.5 * (fields.H + fields.H.transpose(0, 2, 1)) - self._free(solution, law)[0]
@@ -513,7 +513,7 @@ class StressIntensity(AtTip):
         n, place = len(solution.x), of_place(solution)
         if place.strain is None:
             return np.zeros((n, 2, 2)), np.zeros((n, 2, 2, 2))
-        across = law.nu if law.plane == "strain" and solution.problem.matter.n_points else 0.0
+        across = law.nu if law.plane == "strain" and solution.problem.material_term.n_points else 0.0
         part = place.strain[:, :3].copy()
         part[:, :2] += across * place.strain[:, 3:]
         slope = slopes_of_particles(solution, part)

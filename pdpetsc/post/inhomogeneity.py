@@ -92,7 +92,7 @@ def _of_place(solution: Solution) -> OfPlace:
     of_temperature = expansion.factor(t)
     whole = factor if of_temperature is None else _with_ghosts(solution, graded * of_temperature)
     own = expansion.strain(t).copy()
-    if isinstance(solution.problem.matter, BondForces):
+    if isinstance(solution.problem.material_term, BondForces):
         own[:, :2, :2] = expansion.in_body(t)
     given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain(t)).T))
     by_law = any(one is not None and one.law is not None for one in expansion.thermals)
@@ -157,29 +157,29 @@ def _slope_of_grading(solution: Solution) -> tuple[Float, Float]:
 
 def _explicit_derivative(solution: Solution, moduli: Float) -> Float:
     """Return the explicit derivative where moduli are multiplied by numbers of the local particles (collective)."""
-    matter, state, place = solution.problem.matter, solution.state, of_place(solution)
+    material_term, state, place = solution.problem.material_term, solution.state, of_place(solution)
     factor = moduli[: len(solution.x)]
-    if not isinstance(matter, MaterialPoints):
-        assert isinstance(matter, BondForces)
-        found = (matter.energy_density(state) / factor)[:, None] * _of_families(solution, moduli[:, None])[:, 0]
+    if not isinstance(material_term, MaterialPoints):
+        assert isinstance(material_term, BondForces)
+        found = (material_term.energy_density(state) / factor)[:, None] * _of_families(solution, moduli[:, None])[:, 0]
         if place.strain is not None:
             found += _of_bonds(solution, _of_families(solution, place.strain))
         return np.asarray(found)
-    operator, owner = matter.operator, matter.operator.owner
-    F, _, psi = matter.conjugates(state)
-    found = (psi / factor[owner])[:, None] * _of_points(matter, moduli[:, None])[:, 0]
+    operator, owner = material_term.operator, material_term.operator.owner
+    F, _, psi = material_term.conjugates(state)
+    found = (psi / factor[owner])[:, None] * _of_points(material_term, moduli[:, None])[:, 0]
     if place.strain is not None:
-        S, slope = np.zeros((len(F), 3, 3)), _of_points(matter, place.strain)
-        for one in matter.materials:
+        S, slope = np.zeros((len(F), 3, 3)), _of_points(material_term, place.strain)
+        for one in material_term.materials:
             assert isinstance(one, ExpandedAtPoints)
             S[one.points] = one.energy_by_strain(F[one.points])
         by_strain = np.stack([S[:, 0, 0], S[:, 1, 1], S[:, 0, 1] + S[:, 1, 0], S[:, 2, 2]], axis=1)
         found += np.einsum("pc,pcm->pm", by_strain, slope)
     if place.temperature is not None:
-        by, slope = np.zeros(len(F)), _of_points(matter, place.temperature[:, None])[:, 0]
+        by, slope = np.zeros(len(F)), _of_points(material_term, place.temperature[:, None])[:, 0]
         low, high = _range(solution, place.temperature)
         step = LAW_STEP * (high - low) if high > low else 1.0
-        for one in matter.materials:
+        for one in material_term.materials:
             assert isinstance(one, ExpandedAtPoints)
             at = place.temperature[owner[one.points]]
             by[one.points] = one.energy_by_temperature(F[one.points], at, step)
@@ -188,13 +188,13 @@ def _explicit_derivative(solution: Solution, moduli: Float) -> Float:
     return operator.sum_over_points(share[:, None] * found)
 
 
-def _of_points(matter: MaterialPoints, values: Float) -> Float:
+def _of_points(material_term: MaterialPoints, values: Float) -> Float:
     """Return the slopes (n_points, columns, dim) of numbers of the local particles (n_local, columns)."""
-    dim, n = matter.body.dim, values.shape[1]
+    dim, n = material_term.body.dim, values.shape[1]
     padded = np.zeros((len(values), -(-n // dim) * dim))
     padded[:, :n] = values
     parts = [
-        matter.operator.gradient(np.ascontiguousarray(padded[:, first : first + dim]))
+        material_term.operator.gradient(np.ascontiguousarray(padded[:, first : first + dim]))
         for first in range(0, padded.shape[1], dim)
     ]
     return np.concatenate(parts, axis=1)[:, :n]
@@ -202,10 +202,10 @@ def _of_points(matter: MaterialPoints, values: Float) -> Float:
 
 def _of_families(solution: Solution, values: Float) -> Float:
     """Return the slopes (n_owned, columns, dim) that fit families of bonds best, over bonds that are left."""
-    cloud, families, matter = solution.cloud, solution.problem.body.families, solution.problem.matter
-    assert isinstance(matter, BondForces)
+    cloud, families, material_term = solution.cloud, solution.problem.body.families, solution.problem.material_term
+    assert isinstance(material_term, BondForces)
     xi, damage = families.bonds(cloud.x), solution.problem.damage
-    weight = matter.omega * cloud.volume[families.neighbours]
+    weight = material_term.omega * cloud.volume[families.neighbours]
     if damage is not None:
         weight = weight * damage.bonds.intact
     change = values[families.neighbours] - values[families.centres]
@@ -219,15 +219,17 @@ def _of_bonds(solution: Solution, slope: Float) -> Float:
 
     Bonds have the energy of their elongation beyond ``|(I + eps) xi| - |xi|``, or ``n . eps xi`` at small strain.
     """
-    cloud, families, matter = solution.cloud, solution.problem.body.families, solution.problem.matter
-    assert isinstance(matter, BondForces)
+    cloud, families, material_term = solution.cloud, solution.problem.body.families, solution.problem.material_term
+    assert isinstance(material_term, BondForces)
     xi, expansion = families.bonds(cloud.x), solution.problem.body.expansion
     assert expansion is not None
     along = xi
-    if matter.finite:
+    if material_term.finite:
         along = xi + np.einsum("bij,bj->bi", expansion.in_body(solution.state.t)[families.centres], xi)
     n = along / np.linalg.norm(along, axis=1)[:, None]
-    moment = sum_by(families.centres, np.einsum("b,bi,bj->bij", matter.tension(solution.state), n, xi), cloud.n_owned)
+    moment = sum_by(
+        families.centres, np.einsum("b,bi,bj->bij", material_term.tension(solution.state), n, xi), cloud.n_owned
+    )
     moment /= cloud.volume[: cloud.n_owned, None, None]
     shear = moment[:, 0, 1] + moment[:, 1, 0]
     by = np.stack([moment[:, 0, 0], moment[:, 1, 1], shear, np.zeros(len(moment))], axis=1)
@@ -287,7 +289,7 @@ def jumping(solution: Solution, inside: Mask, tips: list[Float], outer: float) -
     outer : float
         Within which of a tip the particles are [length].
     """
-    place, reach = of_place(solution), solution.cloud.reach[: len(inside)]
+    place, reach = of_place(solution), solution.cloud.local_horizon[: len(inside)]
     start = min(SINGULAR * solution.largest(float(reach[inside].max(initial=0.0))), SINGULAR_MOST * outer)
     distance = np.min([np.linalg.norm(solution.x - tip, axis=1) for tip in tips], axis=0)
     what = _jumping(solution, inside, inside, place.given)
@@ -354,9 +356,9 @@ def _bonds_in(solution: Solution, zone: Mask) -> tuple[GlobalIndex, Float, Float
 
 def slopes_of_particles(solution: Solution, values: Float) -> Float:
     """Return the slopes (n_owned, columns, dim) of numbers of the local particles, means over the points of each."""
-    matter = solution.problem.matter
-    if isinstance(matter, MaterialPoints):
-        return matter.operator.mean_over_points(_of_points(matter, values), len(solution.x))
+    material_term = solution.problem.material_term
+    if isinstance(material_term, MaterialPoints):
+        return material_term.operator.mean_over_points(_of_points(material_term, values), len(solution.x))
     return _of_families(solution, values)
 
 
@@ -379,23 +381,23 @@ def _with_ghosts(solution: Solution, values: Float) -> Float:
 
 def materials_of(solution: Solution) -> tuple[GlobalIndex, Float]:
     """Return the number of the material of each own particle, and what multiplies its moduli by place [-]."""
-    matter, n = solution.problem.matter, len(solution.x)
+    material_term, n = solution.problem.material_term, len(solution.x)
     numbers, factor = np.zeros(n, dtype=np.int64), np.ones(n)
-    if isinstance(matter, MaterialPoints):
-        for number, at_points in enumerate(matter.materials):
-            of = matter.operator.owner[at_points.points]
+    if isinstance(material_term, MaterialPoints):
+        for number, at_points in enumerate(material_term.materials):
+            of = material_term.operator.owner[at_points.points]
             numbers[of] = number
             if at_points.factor is not None:
                 factor[of] = at_points.factor
-    elif isinstance(matter, BondForces):
-        numbers[:], factor[:] = matter.material_of, matter.factor
+    elif isinstance(material_term, BondForces):
+        numbers[:], factor[:] = material_term.material_of, material_term.factor
     return numbers, factor
 
 
 def remembers(solution: Solution) -> bool:
     """Return whether a material has a history; the same on all ranks (not collective)."""
-    matter = solution.problem.matter
-    return isinstance(matter, MaterialPoints) and any(one.has_history for one in matter.materials)
+    material_term = solution.problem.material_term
+    return isinstance(material_term, MaterialPoints) and any(one.has_history for one in material_term.materials)
 
 
 def turned_by_place(solution: Solution, inside: Mask) -> bool:
@@ -403,11 +405,13 @@ def turned_by_place(solution: Solution, inside: Mask) -> bool:
 
     The same on all ranks (collective).
     """
-    matter, number = solution.problem.matter, np.zeros(len(solution.x))
-    if isinstance(matter, MaterialPoints):
-        for one in matter.materials:
+    material_term, number = solution.problem.material_term, np.zeros(len(solution.x))
+    if isinstance(material_term, MaterialPoints):
+        for one in material_term.materials:
             if not one.has_history and one.history.shape[1]:
                 # Any that differ will do.
-                number[matter.operator.owner[one.points]] = one.history @ np.arange(1.0, 1.0 + one.history.shape[1])
+                number[material_term.operator.owner[one.points]] = one.history @ np.arange(
+                    1.0, 1.0 + one.history.shape[1]
+                )
     low, high = _range(solution, number[inside])
     return bool(high > low)

@@ -38,7 +38,7 @@ def principal_strains(solution: Solution) -> Float:
     values of ``(F + F^T) / 2 - I``. That across a line or plane body is among them: both lateral ones of a line are.
     """
     F = in_space(deformation_gradient)(solution)
-    if solution.problem.matter.linear:
+    if solution.problem.material_term.linear:
         return np.asarray(np.linalg.eigvalsh(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(3))[:, ::-1])
     return np.asarray(0.5 * np.log(np.linalg.eigvalsh(np.einsum("pki,pkj->pij", F, F))[:, ::-1]))
 
@@ -65,11 +65,15 @@ def damage_dissipation(solution: Solution) -> Float:
     CaseError
         The damage laws do not tell: bodies of deformation gradients, and drives that are not of linear bonds.
     """
-    n, matter, damage = len(solution.x), solution.problem.matter, solution.problem.damage
+    n, material_term, damage = len(solution.x), solution.problem.material_term, solution.problem.damage
     if damage is None:
         return np.zeros(n)
     lost = damage.bonds.weakened
-    known = damage.drive.elastic_energy(lost, matter.k[lost]) if isinstance(matter, BondForces) else None
+    known = (
+        damage.driving_variable.elastic_energy(lost, material_term.k[lost])
+        if isinstance(material_term, BondForces)
+        else None
+    )
     if known is None:
         raise CaseError(
             "The field damage_dissipation is that of bodies of bonds whose laws give their energy; of this body only "

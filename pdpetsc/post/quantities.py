@@ -27,9 +27,9 @@ from pdpetsc.post.solution import (
     first_piola_stress,
     heat_flux,
     local_damage,
+    local_horizon,
     lost_bonds,
     plastic_strain,
-    reach,
     reaction,
     stress,
     temperature,
@@ -38,14 +38,14 @@ from pdpetsc.post.solution import (
 EVERYWHERE = All()
 # Letters of a component of each field of pdpetsc; that of a user's field is checked when it is evaluated.
 _LETTERS: dict[Field, int] = {
-    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, reach, temperature), 0),
+    **dict.fromkeys((energy_density, local_damage, lost_bonds, plastic_strain, local_horizon, temperature), 0),
     **dict.fromkeys((damage_dissipation, triaxiality, von_mises), 0),
     **dict.fromkeys((displacement, heat_flux, principal_strains, principal_stresses, reaction), 1),
     **dict.fromkeys((deformation_gradient, first_piola_stress, stress), 2),
 }
 # What kind of number each field of pdpetsc is; the others are pure numbers, or have units that no label is made for.
 _DIMENSIONS: dict[Field, str] = {
-    **dict.fromkeys((displacement, reach), "length"),
+    **dict.fromkeys((displacement, local_horizon), "length"),
     **dict.fromkeys((stress, first_piola_stress, von_mises, principal_stresses), "stress"),
     **dict.fromkeys((energy_density, damage_dissipation), "energy per volume"),
     reaction: "force",
@@ -329,19 +329,19 @@ class DissipatedEnergy(Quantity):
     def evaluate(self, solution: Solution) -> float:
         """Return the energy."""
         problem = solution.problem
-        known = problem.matter.dissipated_energy()
-        if (known is None or problem.ahead) and problem.body.expansion is not None:
+        known = problem.material_term.dissipated_energy()
+        if (known is None or problem.staggered) and problem.body.expansion is not None:
             raise CaseError(
                 "The energy that this body dissipates is not the external work less the stored energy: strains without "
                 "stress store energy too; leave DissipatedEnergy out."
             )
-        if problem.damage is None and problem.matter.has_history:
+        if problem.damage is None and problem.material_term.has_history:
             raise CaseError(
                 "The strain energy of a material that flows or relaxes contains what it has lost, so that the external "
                 "work less the stored energy is not what this body dissipates; leave DissipatedEnergy out and look at "
                 "StrainEnergy."
             )
-        others = any(term.has_history for term in problem.terms if term is not problem.matter)
+        others = any(term.has_history for term in problem.terms if term is not problem.material_term)
         return solution.work - sum(solution.energies.values()) if known is None or others else known
 
 

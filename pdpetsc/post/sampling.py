@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.errors import CaseError
-from pdpetsc.post.inside import Held, Inside
+from pdpetsc.post.point_location import Held, Inside
 
 # Nearest particles that a value is fitted to, by the dimension of the body.
 FITTED = {1: 4, 2: 10, 3: 24}

@@ -151,7 +151,7 @@ class Solution:
     @cached_property
     def out_of_plane(self) -> tuple[Float, Float, Float]:
         """Return stretch [-], P and Cauchy stress [stress] across a line or plane body, each (n_owned,)."""
-        return self.problem.matter.out_of_plane(self.state)
+        return self.problem.material_term.out_of_plane(self.state)
 
     def select(self, region: Region) -> Any:
         """Return which own particles a region selects (n_owned,) bool."""
@@ -177,17 +177,17 @@ def displacement(solution: Solution) -> Float:
 
 def deformation_gradient(solution: Solution) -> Float:
     """Return F, the mean over the points of each particle (n_owned, dim, dim) [-]."""
-    return solution.problem.matter.deformation_gradient(solution.state)
+    return solution.problem.material_term.deformation_gradient(solution.state)
 
 
 def stress(solution: Solution) -> Float:
     """Return the Cauchy stress, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
-    return solution.problem.matter.cauchy_stress(solution.state)
+    return solution.problem.material_term.cauchy_stress(solution.state)
 
 
 def first_piola_stress(solution: Solution) -> Float:
     """Return P, the mean over the points of each particle (n_owned, dim, dim) [stress]."""
-    return solution.problem.matter.first_piola_stress(solution.state)
+    return solution.problem.material_term.first_piola_stress(solution.state)
 
 
 def in_space(field: Field) -> Field:
@@ -215,7 +215,7 @@ def in_space(field: Field) -> Field:
 
 def energy_density(solution: Solution) -> Float:
     """Return the strain energy density, the mean over the points of each particle (n_owned,) [energy / volume]."""
-    return solution.problem.matter.energy_density(solution.state)
+    return solution.problem.material_term.energy_density(solution.state)
 
 
 def reaction(solution: Solution) -> Float:
@@ -225,7 +225,7 @@ def reaction(solution: Solution) -> Float:
 
 def plastic_strain(solution: Solution) -> Float:
     """Return the accumulated plastic strain, the mean over the points of each particle (n_owned,) [-]."""
-    return solution.problem.matter.plastic_strain()
+    return solution.problem.material_term.plastic_strain()
 
 
 def temperature(solution: Solution) -> Float:
@@ -264,7 +264,7 @@ def local_damage(solution: Solution) -> Float:
     ----------
     Silling2005, Eq. (29), with the bonds weighted by their stiffness.
     """
-    return solution.problem.matter.local_damage()
+    return solution.problem.material_term.local_damage()
 
 
 def lost_bonds(solution: Solution) -> Float:
@@ -280,9 +280,9 @@ def lost_bonds(solution: Solution) -> Float:
     return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()
 
 
-def reach(solution: Solution) -> Float:
+def local_horizon(solution: Solution) -> Float:
     """Return the horizon of each particle (n_owned,) [length]."""
-    return np.asarray(solution.cloud.reach[: solution.cloud.n_owned])
+    return np.asarray(solution.cloud.local_horizon[: solution.cloud.n_owned])
 
 
 # Which entry of ``Solution.out_of_plane`` completes each tensor.

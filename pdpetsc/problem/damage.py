@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.damage.criterion import Drive, DrivenBonds, Gradient
+from pdpetsc.damage.criterion import DamageableBonds, DrivingVariable, Gradient
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.several import DamageOf, Marking, assigned
 from pdpetsc.damage.state import FailingBonds
@@ -53,16 +53,23 @@ class Damage:
     Every method is collective but where it says otherwise.
     """
 
-    def __init__(self, body: Body, bonds: FailingBonds, drive: Drive, finite: bool, driven_bonds: DrivenBonds) -> None:
+    def __init__(
+        self,
+        body: Body,
+        bonds: FailingBonds,
+        driving_variable: DrivingVariable,
+        finite: bool,
+        damageable: DamageableBonds,
+    ) -> None:
         self.body = body
         self.bonds = bonds
-        self.drive = drive
+        self.driving_variable = driving_variable
         self.finite = finite
-        self.driven_bonds = driven_bonds
+        self.damageable = damageable
         self.version = 0
         self.breaks = 0
         self.followers: list[Callable[[bool], None]] = []
-        self.torn: Callable[[State], Float] | None = None
+        self.family_strain: Callable[[State], Float] | None = None
 
     @property
     def softens(self) -> bool:
@@ -70,9 +77,9 @@ class Damage:
         return self.bonds.laws.softens
 
     @property
-    def heals(self) -> bool:
+    def reversible(self) -> bool:
         """Return whether bonds that have not broken may regain force (not collective)."""
-        return self.bonds.law.effect.heals
+        return self.bonds.law.effect.reversible
 
     @property
     def limit(self) -> Float:
@@ -83,25 +90,26 @@ class Damage:
         TypeError
             The drive is not linear in the elongation.
         """
-        if self.drive.limit is None:
-            raise TypeError(f"{type(self.drive).__name__} has no elongation of failure.")
-        limit = self.drive.limit.copy()
+        if self.driving_variable.limit is None:
+            raise TypeError(f"{type(self.driving_variable).__name__} has no elongation of failure.")
+        limit = self.driving_variable.limit.copy()
         limit[self.bonds.protected] = np.inf
         return limit
 
-    def driven(self, state: State) -> Float:
+    def driving_values(self, state: State) -> Float:
         """Return the drive of every bond (n_bonds,) [-], zero where it is protected."""
-        return state.kept("drive", lambda: self._spared(self.drive.at(state)))
+        return state.kept("drive", lambda: self._spared(self.driving_variable.at(state)))
 
-    def integrity(self, state: State) -> Float:
+    def phi(self, state: State) -> Float:
         """Return the integrity of every bond (n_bonds,) [-]."""
         return self._following(state)[0]
 
     def gradient(self, state: State) -> Gradient:
         """Return how the integrity of the bonds that lose it changes with the displacement."""
-        _, falling, slope = self._following(state)
+        _, softening, slope = self._following(state)
         return state.kept(
-            ("gradient", self.version, self.bonds.frozen), lambda: self.drive.gradient(state, falling, slope)
+            ("gradient", self.version, self.bonds.frozen),
+            lambda: self.driving_variable.gradient(state, softening, slope),
         )
 
     def _following(self, state: State) -> tuple[Float, GlobalIndex, Float]:
@@ -110,8 +118,8 @@ class Damage:
         def follow() -> tuple[Float, GlobalIndex, Float]:
             bonds = self.bonds
             if bonds.softens:
-                return bonds.following(self.driven(state))
-            return bonds.integrity, np.empty(0, dtype=np.int64), np.empty(0)
+                return bonds.following(self.driving_values(state))
+            return bonds.phi, np.empty(0, dtype=np.int64), np.empty(0)
 
         return state.kept(("integrity", self.version, self.bonds.frozen), follow)
 
@@ -142,7 +150,7 @@ class Damage:
     def commit(self, state: State) -> None:
         """Take the damage at a converged state for good."""
         self.soften(state)
-        self.drive.commit(state)
+        self.driving_variable.commit(state)
         self.bonds.commit()
 
     def revert(self) -> None:
@@ -155,12 +163,12 @@ class Damage:
     def break_bonds(self, state: State, most: int | None = None) -> int:
         """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs.
 
-        Where none is, bonds that the strain of a gradient drives past it break, if material (``torn``), effect and
-        drive say so.
+        If none is past it, bonds break by the strain of a family (``family_strain``), if the damage evolution and the
+        driving variable allow it.
         """
-        broken = self.bonds.break_bonds(self.driven(state), most)
-        if not broken and self.torn is not None and self.bonds.law.effect.tears:
-            over = self.drive.at_strain(self.torn(state))
+        broken = self.bonds.break_bonds(self.driving_values(state), most)
+        if not broken and self.family_strain is not None and self.bonds.law.effect.breaks_by_family_strain:
+            over = self.driving_variable.at_strain(self.family_strain(state))
             broken = 0 if over is None else self.bonds.tear(self._spared(over), most)
         if broken:
             self.changed(rebuild=True)
@@ -168,22 +176,22 @@ class Damage:
 
     def fading(self, state: State) -> float:
         """Return by how much the integrity of a bond would change at most [-]."""
-        return self.bonds.fading(self.driven(state))
+        return self.bonds.fading(self.driving_values(state))
 
     def soften(self, state: State) -> float:
         """Take the damage at a state for good; return the largest change of an integrity [-]."""
-        change = self.bonds.soften(self.driven(state))
+        change = self.bonds.soften(self.driving_values(state))
         if change > 0.0:
             self.changed(rebuild=False)
         return change
 
     def kept(self) -> tuple[Float, Float]:
         """Return a copy of the state of the bonds, integrity and largest drive, for ``take`` (not collective)."""
-        return self.bonds.integrity.copy(), self.bonds.worst.copy()
+        return self.bonds.phi.copy(), self.bonds.kappa.copy()
 
     def take(self, kept: tuple[Float, Float]) -> None:
         """Go back to a state of the bonds in which the same ones are broken."""
-        self.bonds.integrity[:], self.bonds.worst[:] = kept
+        self.bonds.phi[:], self.bonds.kappa[:] = kept
         self.changed(rebuild=False)
 
     def restored(self) -> None:
@@ -211,14 +219,14 @@ class Damage:
         """
         body, family, u_local = self.body, self.body.families, state.u_local
         f = np.zeros_like(u_local)
-        near, count, found = self.bonds.most_driven(self.driven(state), band)
-        gradient = self.drive.mean_gradient(state, near, count)
+        near, count, found = self.bonds.most_driven(self.driving_values(state), band)
+        gradient = self.driving_variable.mean_gradient(state, near, count)
         along = np.zeros(len(family.neighbours))
         along[near] = gradient.along
         kernel = bond_force_kernel(body.dim, int(self.finite))
         kernel(family.indptr, family.neighbours, body.cloud.x, u_local, along, f)
-        if gradient.beyond is not None:
-            np.add.at(f, gradient.beyond.particles, gradient.beyond.by)
+        if gradient.nonlocal_part is not None:
+            np.add.at(f, gradient.nonlocal_part.particles, gradient.nonlocal_part.by)
         for ends in gradient.ends:
             of_centre = np.bincount(family.centres[near], ends.factor, body.cloud.n_owned)
             members, ptr = body.with_centres.members, body.with_centres.point_ptr
@@ -228,7 +236,7 @@ class Damage:
     def dissipated(self, k: Float) -> float | None:
         """Return what linear bonds of stiffness k (n_bonds,) have dissipated [energy]; None where no drive tells."""
         lost = self.bonds.weakened
-        known = self.drive.elastic_energy(lost, k[lost])
+        known = self.driving_variable.elastic_energy(lost, k[lost])
         return None if known is None else self.bonds.dissipated(lost, *known)
 
     def lost_bonds(self) -> Float:
@@ -237,7 +245,7 @@ class Damage:
 
     def lost_volume(self) -> Float:
         """Return ``1 - sum_j T V_j / sum_j V_j`` (n_owned,) [-] with the integrity T of the bonds (not collective)."""
-        return self._lost(self.bonds.integrity)
+        return self._lost(self.bonds.phi)
 
     def _lost(self, left: Float) -> Float:
         cloud, families = self.body.cloud, self.body.families
@@ -285,15 +293,15 @@ def make_damage(
     -----
     Collective.
     """
-    bonds = DrivenBonds.of(body.cloud, body.families, omega, k, finite, material_of, factor)
+    bonds = DamageableBonds.of(body.cloud, body.families, omega, k, finite, material_of, factor)
     laws = assigned(law, bonds, mark or _nowhere).resolved(bonds)
     with agreed(body.cloud.comm):
-        drive = laws.build(bonds)
-        if drive.reaches and body.cloud.varies and not body.cloud.mutual:
+        driving_variable = laws.build(bonds)
+        if driving_variable.is_nonlocal and body.cloud.varies and not body.cloud.mutual:
             names = ", ".join(type(one.criterion).__name__ for one in laws.laws)
             raise CaseError(
                 f"{names} reads the families of both ends of a bond, and where the horizon "
                 f"differs from place to place not all have one; take a drive of the own elongation, or one horizon."
             )
     failing = FailingBonds(bonds, laws, protected, laws.shown_as(law))
-    return Damage(body, failing, drive, finite, bonds)
+    return Damage(body, failing, driving_variable, finite, bonds)

@@ -7,7 +7,7 @@ import numpy as np
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import LinearisedTerm, PointTangent, Term
 
@@ -33,9 +33,9 @@ class LooseSprings(Term):
 
     of_solver = True
 
-    def __init__(self, body: Body, matter: Matter, stiffness: float) -> None:
+    def __init__(self, body: Body, material_term: MaterialTerm, stiffness: float) -> None:
         self._body = body
-        self._matter = matter
+        self._material_term = material_term
         self._each = SOFT * stiffness
         self._anchor = np.zeros((body.cloud.n_rows, body.dim))
         self._held: Mask = np.zeros(body.cloud.n_owned, dtype=bool)
@@ -48,7 +48,7 @@ class LooseSprings(Term):
 
     def hold(self, u: Float) -> None:
         """Hold the particles that have lost bonds where they are at unknowns ``u`` (n_rows, dim) (collective)."""
-        held = self._matter.local_damage() > 0.0
+        held = self._material_term.local_damage() > 0.0
         self._anchor = u
         if int(total(self._body.cloud.comm, int(np.any(held != self._held)))):
             self.version += 1

@@ -9,12 +9,12 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
-from pdpetsc.problem.ahead import Ahead
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
+from pdpetsc.problem.staggered_field import StaggeredField
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Constraints, Entries, KeptArray, LinearisedTerm, Term
@@ -51,18 +51,23 @@ class Problem:
     """
 
     def __init__(
-        self, body: Body, matter: Matter, terms: Sequence[Term], supports: Supports, damage: Damage | None = None
+        self,
+        body: Body,
+        material_term: MaterialTerm,
+        terms: Sequence[Term],
+        supports: Supports,
+        damage: Damage | None = None,
     ) -> None:
         self.body = body
-        self.matter = matter
-        self.terms: list[Term] = [matter, *terms]
+        self.material_term = material_term
+        self.terms: list[Term] = [material_term, *terms]
         self.supports = supports
         self.damage = damage
         self.springs: LooseSprings | None = None
-        self.ahead: list[Ahead] = []
+        self.staggered: list[StaggeredField] = []
         # What has been cut off a cell, heated or damaged does not go on as in the step before.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
-        self.last_step = LastStep(self) if goes_on and matter.has_history else None
+        self.last_step = LastStep(self) if goes_on and material_term.has_history else None
         self._last: State | None = None
         self._last_version = -1
         self._unstrained: tuple[tuple[float, int, int], Float] | None = None
@@ -94,7 +99,7 @@ class Problem:
     @property
     def coupled(self) -> bool:
         """Return whether another field is found together with the displacement (not collective)."""
-        return any(one.together for one in self.ahead)
+        return any(one.monolithic for one in self.staggered)
 
     @property
     def constrained(self) -> bool:
@@ -179,7 +184,7 @@ class Problem:
         key = t, expansion.version, self.rebuilds
         if self._unstrained is None or self._unstrained[0] != key:
             zero = np.zeros((self.body.cloud.n_rows, self.dim))
-            self._unstrained = key, self.force_of([self.matter], State(self.body, zero, t))
+            self._unstrained = key, self.force_of([self.material_term], State(self.body, zero, t))
         return self._unstrained[1]
 
     def force_of(self, terms: Sequence[Term], state: State) -> Float:
@@ -247,13 +252,13 @@ class Problem:
         """Take back what failed since the last ``commit``."""
         if self.damage is not None:
             self.damage.revert()
-        for one in self.ahead:
+        for one in self.staggered:
             one.revert()
             self._last = None
 
     def advance(self, before: float, t: float) -> None:
         """Find what goes ahead of the equilibrium at step time ``t``, from the converged one at ``before``."""
-        for one in self.ahead:
+        for one in self.staggered:
             one.advance(before, t)
             self._last = None
 
@@ -263,7 +268,7 @@ class Problem:
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most if the step ends at a state [-]."""
-        return largest(self.body.cloud.comm, self.matter.plastic_growth(state))
+        return largest(self.body.cloud.comm, self.material_term.plastic_growth(state))
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
         """Break bonds past their final stretch (``Damage.break_bonds``); 0 where bonds do not fail."""

@@ -54,7 +54,7 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
                 f"the load goes up and down as equilibrium demands, which has no meaning for others."
             )
     for term in problem.terms:
-        if term is not problem.matter:
+        if term is not problem.material_term:
             _refuse_term(problem, term, who, times)
 
 

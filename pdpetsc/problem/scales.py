@@ -9,7 +9,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.kernels.sparsity import nearest_neighbours
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,18 @@ class Scales:
         return self.stiffness * self.length
 
 
-def scales_of(body: Body, matter: Matter) -> Scales:
+def scales_of(body: Body, material_term: MaterialTerm) -> Scales:
     """Return the scales of a body (collective)."""
     cloud = body.cloud
     length = float(total(cloud.comm, float(nearest_distances(body).sum()))) / cloud.n_global
-    return Scales(_power_of_two(length), _power_of_two(stiffness_scale(body, matter)))
+    return Scales(_power_of_two(length), _power_of_two(stiffness_scale(body, material_term)))
 
 
-def stiffness_scale(body: Body, matter: Matter) -> float:
+def stiffness_scale(body: Body, material_term: MaterialTerm) -> float:
     """Return a typical diagonal of the tangent, ``kappa V / horizon^2``, largest of the materials (collective)."""
     cloud = body.cloud
-    each = cloud.volume[: cloud.n_owned] / cloud.reach[: cloud.n_owned] ** 2
-    return matter.kappa * float(total(cloud.comm, each.sum())) / cloud.n_global
+    each = cloud.volume[: cloud.n_owned] / cloud.local_horizon[: cloud.n_owned] ** 2
+    return material_term.kappa * float(total(cloud.comm, each.sum())) / cloud.n_global
 
 
 def nearest_distances(body: Body) -> Float:
@@ -58,16 +58,16 @@ def nearest_distances(body: Body) -> Float:
     -----
     Not collective.
     """
-    cloud, family, repeats = body.cloud, body.families, body.families.repeats
-    nearest = cloud.reach[: cloud.n_owned].copy()
-    if repeats is None:
+    cloud, family, lattice = body.cloud, body.families, body.families.lattice
+    nearest = cloud.local_horizon[: cloud.n_owned].copy()
+    if lattice is None:
         nearest_neighbours(family.indptr, family.neighbours, cloud.x, nearest)
         return nearest
-    edge = repeats.edge
-    near = edge.cloud.reach[: edge.cloud.n_owned].copy()
-    nearest_neighbours(edge.indptr, edge.neighbours, edge.cloud.x, near)
-    nearest[repeats.shared] = repeats.of_shared(near[edge.n :])
-    nearest[edge.local[: edge.n]] = near[: edge.n]
+    irregular = lattice.irregular
+    near = irregular.cloud.local_horizon[: irregular.cloud.n_owned].copy()
+    nearest_neighbours(irregular.indptr, irregular.neighbours, irregular.cloud.x, near)
+    nearest[lattice.shared] = lattice.of_shared(near[irregular.n :])
+    nearest[irregular.local[: irregular.n]] = near[: irregular.n]
     return nearest
 
 

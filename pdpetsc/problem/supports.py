@@ -122,18 +122,18 @@ class Supports:
         There the gradient weights do not satisfy the divergence theorem: uniform stress is not in equilibrium, and the
         stress of the outermost layer comes out as 2/3 of the true one at the smallest horizon, whatever the spacing.
         """
-        cloud, families, repeats = self.body.cloud, self.body.families, self.body.families.repeats
+        cloud, families, lattice = self.body.cloud, self.body.families, self.body.families.lattice
         n, dim = cloud.n_owned, cloud.dim
         free = np.ones((cloud.n_local, dim))
         free[:n] = ~self.fixed[:n]
         cloud.halo.forward(free)
-        if repeats is None:
+        if lattice is None:
             one_sided = _one_sided(families.indptr, families.neighbours, cloud.x, cloud.volume)
         else:
-            edge, one_sided = repeats.edge, np.empty((n, dim), dtype=bool)
-            found = _one_sided(edge.indptr, edge.neighbours, edge.cloud.x, edge.cloud.volume)
-            one_sided[edge.local[: edge.n]] = found[: edge.n]
-            one_sided[repeats.shared] = repeats.of_shared(found[edge.n :])
+            irregular, one_sided = lattice.irregular, np.empty((n, dim), dtype=bool)
+            found = _one_sided(irregular.indptr, irregular.neighbours, irregular.cloud.x, irregular.cloud.volume)
+            one_sided[irregular.local[: irregular.n]] = found[: irregular.n]
+            one_sided[lattice.shared] = lattice.of_shared(found[irregular.n :])
         cut = self.fixed[:n] & one_sided
         for axis in np.flatnonzero(cut.any(axis=0)):
             cut[:, axis] &= families.with_any(free[:, axis] > 0.0)

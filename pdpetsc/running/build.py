@@ -13,8 +13,8 @@ from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.case import Case, isothermal, ungraded
 from pdpetsc.control.base import Control, ZeroEnergyControl
+from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
-from pdpetsc.control.repeated import RepeatedControl, of_edge, relative_scale
 from pdpetsc.damage import BondDamage, ConstantCritical, DamageOf, LinearSoftening
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
@@ -25,7 +25,7 @@ from pdpetsc.declared import called, numbers_from
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud, distribute
 from pdpetsc.discrete.communicator import Comm, agreed, alone, is_root, largest, offset, smallest, total
 from pdpetsc.discrete.families import Families, find_families
-from pdpetsc.discrete.lattice import Repeats, positions_on_lattice
+from pdpetsc.discrete.lattice_stencils import LatticeStencils, positions_on_lattice
 from pdpetsc.discrete.memory import (
     PER_BOND,
     PER_IMAGE,
@@ -39,8 +39,8 @@ from pdpetsc.discrete.surface import Surface, refuse_joined, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.axes import body_axes
 from pdpetsc.gradient.base import GradientOperator
+from pdpetsc.gradient.lattice_gradient import LatticeGradient
 from pdpetsc.gradient.mean_dilatation import boxes
-from pdpetsc.gradient.repeated import RepeatedOperator
 from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
 from pdpetsc.material import Graded, Material
@@ -51,22 +51,22 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage, make_damage
 from pdpetsc.problem.extra import build_extra
 from pdpetsc.problem.loose_springs import LooseSprings
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
-from pdpetsc.solvers.staggered import HeatMarch, HeatTogether
+from pdpetsc.solvers.staggered import MonolithicHeat, StaggeredHeat
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.expansion import stress_free
-from pdpetsc.terms.following import control_forces
 from pdpetsc.terms.heat import heat_of
+from pdpetsc.terms.lattice_bonds import LatticeBonds
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.mean_dilatation import material_points
-from pdpetsc.terms.repeated_bonds import RepeatedBonds
+from pdpetsc.terms.tangent_scaled import control_forces
 
 # Bonds are not listed where at least this share of the particles share one family.
 LEAST_REPEATED = 0.3
@@ -243,7 +243,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 problem.linearised(state)(state.u)
                 problem.energies(state)
                 problem.commit(state)
-                problem.matter.out_of_plane(state)
+                problem.material_term.out_of_plane(state)
                 nearest_distances(problem.body)
                 problem.supports.held_at_cut_families()
                 implementation(case.solver).rehearse(problem)
@@ -254,42 +254,42 @@ def _problem(
     options: Options | None = None,
 ) -> Problem:  # fmt: skip
     damage: Damage | None = None
-    matter: Matter
+    material_term: MaterialTerm
     others: list[Term]
     bonds: Neighbourhood | None = None
-    repeats = body.families.repeats
-    if repeats is not None:
+    lattice = body.families.lattice
+    if lattice is not None:
         made = _repeated_bonds if case.of_bonds else _repeated_points
-        matter, others = made(case, body, repeats, materials, material_of, factor)
+        material_term, others = made(case, body, lattice, materials, material_of, factor)
     else:
         bonds = _neighbourhood(case, body.cloud, body.families)
         listed = _bonds if case.of_bonds else partial(_points, options=options)
-        matter, others, damage = listed(case, body, bonds, materials, material_of, factor)
+        material_term, others, damage = listed(case, body, bonds, materials, material_of, factor)
     if case.expands and case.damage is not None and case.damage.reads_strain:
         raise CaseError(
             "What drives damage is the whole strain here, and part of it has no stress where a body expands or has "
             "strain without stress; take a criterion of stretch, bond energy or stress."
         )
-    applied = apply(body, matter, case.conditions, case.particles, case.steps.stops())
+    applied = apply(body, material_term, case.conditions, case.particles, case.steps.stops())
     supports, heat = applied.supports, None
     if case.expands:
         if case.heat is not None:
             assert bonds is not None
-            operator = (lambda: matter.operator) if isinstance(matter, MaterialPoints) else None
+            operator = (lambda: material_term.operator) if isinstance(material_term, MaterialPoints) else None
             heat = heat_of(case.heat, body, applied, case.thermals, material_of, operator, bonds.omega, damage)
         field = None if heat is None else heat.field
         body.expansion = stress_free(body, applied, case.thermals, material_of, materials, field)
-        matter.expand()
+        material_term.expand()
     extra = []
     for number, declared in enumerate(case.terms, 1):
         extra.append(build_extra(declared, number, body))
     conduction = [] if heat is None else [heat]
-    problem = Problem(body, matter, [*others, *applied.terms, *extra, *conduction], supports, damage)
+    problem = Problem(body, material_term, [*others, *applied.terms, *extra, *conduction], supports, damage)
     for one in conduction:
-        march = HeatTogether if one.declared.coupling == "monolithic" else HeatMarch
-        problem.ahead.append(march(one, Options({}) if options is None else options))
+        march = MonolithicHeat if one.declared.coupling == "monolithic" else StaggeredHeat
+        problem.staggered.append(march(one, Options({}) if options is None else options))
     if damage is not None:
-        problem.springs = LooseSprings(body, matter, scales_of(body, matter).stiffness)
+        problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
     return problem
 
@@ -298,7 +298,7 @@ def _neighbourhood(case: Case, cloud: Cloud, families: Families) -> Neighbourhoo
     """Return the bonds of a body with their influence (collective)."""
     length = np.linalg.norm(families.bonds(cloud.x), axis=1)
     with agreed(cloud.comm):
-        s = length / cloud.reach[families.centres]
+        s = length / cloud.local_horizon[families.centres]
         # Of bonds that only their second end reaches this one has no share.
         reached = s <= 1.0 + 2.0 * HORIZON_TOLERANCE
         omega = np.zeros(len(s))
@@ -345,71 +345,73 @@ def _in_order(case: Case) -> bool:
 
 
 def _repeated_points(
-    case: Case, body: Body, repeats: Repeats, materials: Sequence[Material | BondMaterial], material_of: LocalIndex,
-    factor: Float | None,
-) -> tuple[Matter, list[Term]]:  # fmt: skip
+    case: Case, body: Body, lattice: LatticeStencils, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> tuple[MaterialTerm, list[Term]]:  # fmt: skip
     """Return the terms of a body with deformation gradients most of whose families repeat (collective).
 
     Scheme and control see the other particles alone, and one of those whose family repeats.
     """
     continuum = cast(Sequence[Material], materials)
-    edge = repeats.edge
-    families = Families(edge.indptr, edge.neighbours)
-    omega = _neighbourhood(case, edge.cloud, families).omega
-    operator = RepeatedOperator(case.gradients.build(edge.cloud, families, omega), repeats)
-    matter = MaterialPoints(body, operator, continuum, material_of, factor)
+    irregular = lattice.irregular
+    families = Families(irregular.indptr, irregular.neighbours)
+    omega = _neighbourhood(case, irregular.cloud, families).omega
+    operator = LatticeGradient(case.gradients.build(irregular.cloud, families, omega), lattice)
+    material_term = MaterialPoints(body, operator, continuum, material_of, factor)
     control = control_of(case)
     if control is None:
-        return matter, []
+        return material_term, []
     stiffness = control.sees(stiffness_of(body, continuum, material_of, factor))
-    built = cast(NonUniform, control.build(edge.cloud, families, omega, of_edge(stiffness, repeats)))
+    built = cast(NonUniform, control.build(irregular.cloud, families, omega, of_irregular(stiffness, lattice)))
 
     def listed() -> Control:
         everything = _neighbourhood(case, body.cloud, body.families).omega
         return control.build(body.cloud, body.families, everything, stiffness)
 
-    repeated = RepeatedControl(repeats, built, relative_scale(stiffness, repeats), listed)
-    return matter, [control_forces(control, body, repeated, matter)]
+    repeated = LatticeControl(lattice, built, relative_scale(stiffness, lattice), listed)
+    return material_term, [control_forces(control, body, repeated, material_term)]
 
 
 def _repeated_bonds(
-    case: Case, body: Body, repeats: Repeats, materials: Sequence[Material | BondMaterial], material_of: LocalIndex,
-    factor: Float | None,
-) -> tuple[Matter, list[Term]]:  # fmt: skip
+    case: Case, body: Body, lattice: LatticeStencils, materials: Sequence[Material | BondMaterial],
+    material_of: LocalIndex, factor: Float | None,
+) -> tuple[MaterialTerm, list[Term]]:  # fmt: skip
     """Return the terms of a body whose forces act along bonds most of which repeat (collective)."""
-    edge = repeats.edge
-    families = Families(edge.indptr, edge.neighbours)
-    bonds, alike = _neighbourhood(case, edge.cloud, families), cast(Sequence[BondMaterial], materials)
-    of_edge = BondForces(Body(edge.cloud, families), bonds, alike, np.zeros(edge.cloud.n_owned, dtype=np.int32))
-    return RepeatedBonds(body, repeats, of_edge), []
+    irregular = lattice.irregular
+    families = Families(irregular.indptr, irregular.neighbours)
+    bonds, alike = _neighbourhood(case, irregular.cloud, families), cast(Sequence[BondMaterial], materials)
+    of_irregular = BondForces(
+        Body(irregular.cloud, families), bonds, alike, np.zeros(irregular.cloud.n_owned, dtype=np.int32)
+    )
+    return LatticeBonds(body, lattice, of_irregular), []
 
 
 def _bonds(
     case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
     material_of: LocalIndex, factor: Float | None,
-) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
+) -> tuple[MaterialTerm, list[Term], Damage | None]:  # fmt: skip
     """Return the terms of a body whose forces act along bonds (collective)."""
-    matter = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
+    material_term = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
     if case.damage is None:
-        return matter, [], None
+        return material_term, [], None
     _refuse_several(case.damage, materials, factor)
-    k = matter.k
-    if matter.a is not None:  # what a bond stores depends on the others of its family
-        alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in matter.materials]
+    k = material_term.k
+    if material_term.a is not None:  # what a bond stores depends on the others of its family
+        alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in material_term.materials]
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
-    damage = _failing(case.damage, body, bonds, k, matter.finite, material_of, factor)
-    matter.take_damage(damage)
-    return matter, [], damage
+    damage = _failing(case.damage, body, bonds, k, material_term.finite, material_of, factor)
+    material_term.take_damage(damage)
+    return material_term, [], damage
 
 
 def _points(
     case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
     material_of: LocalIndex, factor: Float | None, options: Options | None,
-) -> tuple[Matter, list[Term], Damage | None]:  # fmt: skip
+) -> tuple[MaterialTerm, list[Term], Damage | None]:  # fmt: skip
     """Return the terms of a body with deformation gradients (collective)."""
     continuum = cast(Sequence[Material], materials)
     damage: Damage | None = None
-    matter: Matter
+    material_term: MaterialTerm
 
     def weigh(operator: GradientOperator) -> GradientOperator:
         solve = partial(solve_scalar, options=options)
@@ -430,16 +432,16 @@ def _points(
         k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
         _refuse_several(case.damage, materials, factor)
         damage = _failing(case.damage, body, bonds, k, True, material_of, factor)
-        matter = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
+        material_term = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
     else:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
-        matter = material_points(case.gradients, body, operator, continuum, material_of, factor)
+        material_term = material_points(case.gradients, body, operator, continuum, material_of, factor)
     control = control_of(case)
     if control is None:
-        return matter, [], damage
+        return material_term, [], damage
     stiffness = control.sees(stiffness_of(body, continuum, material_of, factor))
     built = control.build(body.cloud, body.families, bonds.omega, stiffness)
-    return matter, [control_forces(control, body, built, matter, damage)], damage
+    return material_term, [control_forces(control, body, built, material_term, damage)], damage
 
 
 def _failing(

@@ -25,7 +25,7 @@ from pdpetsc.output.picture import draw_field, kept_picture
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.output.scene import broken_pairs
 from pdpetsc.output.surface import read_surface
-from pdpetsc.post.inside import Held, Inside, inside_of
+from pdpetsc.post.point_location import Held, Inside, inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
 from pdpetsc.running.checks import Check, compared, expected_of, failure, refuse_unchecked

@@ -27,31 +27,31 @@ from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, refuse_differing
 from pdpetsc.output.folder import holding, set_aside
-from pdpetsc.output.keeper import Keeper
 from pdpetsc.output.picture import draw
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.output.records import plain, write_summary
+from pdpetsc.output.run_writer import RunWriter
 from pdpetsc.output.surface import write_surface
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.petsc.options import refuse_files
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.post.solution import Field, Solution, displacement
-from pdpetsc.problem.apart import pieces_left
+from pdpetsc.problem.fragments import pieces_left
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
-from pdpetsc.running.confined import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
-from pdpetsc.running.confined import words as confined_words
-from pdpetsc.running.controlled import largest_share
 from pdpetsc.running.crack_energy import missed_fracture_energy
 from pdpetsc.running.notes import notes
 from pdpetsc.running.phases import Phases
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.result import Result
+from pdpetsc.running.run_totals import RunTotals, steps_before
 from pdpetsc.running.signals import Signals, watched
-from pdpetsc.running.so_far import SoFar, steps_before
+from pdpetsc.running.stabilisation_energy import largest_share
 from pdpetsc.running.suited import lame_ratio, locking_note
 from pdpetsc.running.suited import words as suited_words
+from pdpetsc.running.unbalanced_surface import Unbalanced, nearly_incompressible, unbalanced, unbalanced_areas
+from pdpetsc.running.unbalanced_surface import words as confined_words
 from pdpetsc.solvers.protocol import Converged, Solver, Start, StepResult
 
 
@@ -170,13 +170,13 @@ class _Run:
         self.steps: list[dict[str, Any]] = []
         # What a restart goes on from: the steps of the run before it, and what came up in them.
         self.earlier: list[Any] = []
-        self.so_far = SoFar()
+        self.so_far = RunTotals()
         self.history: dict[str, list[float]] = {}
         self.failed: list[StepResult] = []
         self.unit = "Newton"
         self.prepared: Prepared | None = None
         self.solver: Solver | None = None
-        self.keeper: Keeper | None = None
+        self.keeper: RunWriter | None = None
         self.taken = False  # whether the folder holds files of this run
         self.signals: Signals
         self.summary: dict[str, Any] = {"parameters": parameters, "versions": _versions(), "ranks": self.comm.size}
@@ -200,7 +200,7 @@ class _Run:
     def _free(self, solver: Solver) -> None:
         """Free what solver and problem hold outside Python."""
         solver.destroy()
-        for one in self.prepared.problem.ahead if self.prepared is not None else ():
+        for one in self.prepared.problem.staggered if self.prepared is not None else ():
             one.destroy()
 
     @property
@@ -346,11 +346,11 @@ class _Run:
             start = origin.start
             with prepared.options.active():
                 solver.resume(_start(start))
-            self.so_far = SoFar.of(origin)
+            self.so_far = RunTotals.of(origin)
             self.earlier = self.comm.bcast(steps_before(origin) if is_root(self.comm) else None)
             self.summary["restart"] = {"step": start.step, "t": start.t}
-            if problem.matter.n_detached:
-                self.summary["detached_particles"] = problem.matter.n_detached
+            if problem.material_term.n_detached:
+                self.summary["detached_particles"] = problem.material_term.n_detached
         step = start.step
         self.phases.now = "output"
         self._try_records(start)
@@ -369,7 +369,7 @@ class _Run:
                     raise
             self.taken = True
             write_summary(self.comm, self.folder, self._ended("running", {}, []))
-            keeper = Keeper(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
+            keeper = RunWriter(self.folder, case.history, self._fields(), checkpoints, start, order, origin, declared)
             self.keeper, self.history = keeper, keeper.history
             keeper.so_far = self.so_far.numbers
             self.summary["run"] = keeper.run
@@ -503,7 +503,7 @@ class _Run:
         return wanted
 
     def _say_detached(self, problem: Problem) -> None:
-        lost = problem.matter.n_detached
+        lost = problem.material_term.n_detached
         if lost > self.summary.get("detached_particles", 0):
             self.report.say(f"           {lost} particles have too few bonds left for a gradient; their stress is gone")
         if lost:
@@ -572,9 +572,9 @@ class _Run:
                     self.report.warn(f"The run is finished, but its picture could not be drawn: {described(error)}")
 
     def _describe(self, problem: Problem) -> None:
-        body, matter, comm = problem.body, problem.matter, self.comm
+        body, material_term, comm = problem.body, problem.material_term, self.comm
         cloud = body.cloud
-        bonds, points, ghosts = total(comm, [body.families.n_bonds, matter.n_points, cloud.n_ghost])
+        bonds, points, ghosts = total(comm, [body.families.n_bonds, material_term.n_points, cloud.n_ghost])
         counts = {"particles": cloud.n_global, "bonds": int(bonds), "gradient_points": int(points)}
         self.summary |= {**counts, "ghosts": int(ghosts), "dimension": cloud.dim, "horizon": cloud.horizon}
         if cloud.varies:
@@ -590,9 +590,9 @@ class _Run:
             planes = ", ".join(f"{plane.axis} = {plane.at:g}" for plane in self.case.symmetry)
             self.report.say(f"mirror planes {planes}; all numbers are those of the part before them")
         scheme = "bonds" if self.case.of_bonds else type(self.case.gradients).__name__
-        self.summary["scheme"] = {"name": scheme, "note": matter.note}
-        if matter.note:
-            self.report.say(f"scheme: {matter.note}")
+        self.summary["scheme"] = {"name": scheme, "note": material_term.note}
+        if material_term.note:
+            self.report.say(f"scheme: {material_term.note}")
         missed = missed_fracture_energy(self.case)
         if missed is not None:
             self.summary["fracture_energy"] = {"note": missed}

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import cast
 
 from pdpetsc.case import Case, ungraded
-from pdpetsc.control import CONTROLS, ByShear, Following, Silling, ZeroEnergyControl
+from pdpetsc.control import CONTROLS, ByShear, Silling, TangentScaled, ZeroEnergyControl
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.declare.horizon import spacings
 from pdpetsc.declare.particles import Chunk
@@ -79,7 +79,7 @@ def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
     patch = float(f"{PATCH * spacing:.9g}")
     control: ZeroEnergyControl = ByShear(Silling(0.5))
     if any(cast(Material, ungraded(material)).has_history for _, material in case.materials):
-        control = Following(control)
+        control = TangentScaled(control)
     return replace(case, scheme=MeanDilatation(Correspondence(), patch), control=control)
 
 
@@ -113,7 +113,7 @@ def locking_note(case: Case, problem: Problem) -> str:
     if not locks(lame):
         return ""
     locking = []
-    points = int(total(comm, problem.matter.n_points))
+    points = int(total(comm, problem.material_term.n_points))
     if case.gradients.patches is None and points > problem.body.cloud.n_global:
         locking.append(type(case.gradients).__name__)
     if case.control is not None and isinstance(case.control.elastic, BY_BULK):

@@ -62,7 +62,7 @@ class EnergyBalance:
         self._problem = problem
         silent = any(type(term).energy is Term.energy for term in problem.terms if not (term.load or term.of_solver))
         self.judges = problem.damage is not None and not silent
-        estimated = problem.softens and problem.matter.dissipated_energy() is None
+        estimated = problem.softens and problem.material_term.dissipated_energy() is None
         self._share = SHARE_WITHOUT_POTENTIAL if estimated else SHARE
         self._bends = self.judges and (problem.softens or not problem.piecewise_linear)
         self._u, self._force = start.u, self._acting(start)
@@ -122,5 +122,5 @@ class EnergyBalance:
 
     def _held(self, state: State) -> tuple[float, float]:
         """Return the energy that the body stores, and what the laws of its bonds have dissipated [energy]."""
-        by_laws = self._problem.matter.dissipated_energy()
+        by_laws = self._problem.material_term.dissipated_energy()
         return sum(self._problem.energies(state).values()), 0.0 if by_laws is None else by_laws

@@ -94,7 +94,7 @@ class Equilibrium:
         # The size of the body [length], and over the smallest distance of its particles [-].
         self._size = float(np.linalg.norm(sides)) + least
         self._slender = self._size / least
-        self.scales = scales_of(problem.body, problem.matter)
+        self.scales = scales_of(problem.body, problem.material_term)
         self.tangent = make_tangent(assembler, fixed, self.scales.stiffness)
         self.t = 0.0
         self.prescribed = np.zeros(fixed.shape)

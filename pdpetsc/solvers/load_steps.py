@@ -150,15 +150,15 @@ def equilibrium(
             broken += more
             attempt, result = solver.solve(attempt, target)
         return attempt, result, broken, 0
-    heals = problem.damage is not None and problem.damage.heals
+    reversible = problem.damage is not None and problem.damage.reversible
     while not stop() and result.converged:
         attempt, result, change = followed(solver, attempt, result, target)
         if not result.converged or change > LAST:
             break
-        more = problem.break_bonds(solver.state(attempt), bonds_at_once if heals else 1)
+        more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
         if not more:
             return attempt, result, broken, 0
-        if not heals:
+        if not reversible:
             break
         broken += more
         attempt, result = solver.solve(attempt, target)
@@ -230,7 +230,7 @@ def settle(
     As ``equilibrium``.
     """
     damage = damage_of(solver)
-    heals = damage.heals
+    reversible = damage.reversible
     damage.freeze(True)
     broken, iterations, linear = 0, 0, 0
     for sweep in range(1, most + 1):
@@ -239,19 +239,19 @@ def settle(
         if not result.converged:
             return u, result, broken, sweep
         change = damage.soften(solver.state(u))
-        more = 0 if heals and change >= SETTLED else fail(u)
+        more = 0 if reversible and change >= SETTLED else fail(u)
         if change < SETTLED and not more:
             damage.freeze(False)
             load = solver.load
             attempt, closed = solver.solve(u, target)
             if closed.converged:
-                attempt, closed, change = followed(solver, attempt, closed, target, 1.0 if heals else CLOSE)
+                attempt, closed, change = followed(solver, attempt, closed, target, 1.0 if reversible else CLOSE)
             damage.freeze(True)
             iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
             if closed.converged and change <= LAST:
                 u, result = attempt, closed
                 more = fail(u)
-            elif heals:
+            elif reversible:
                 reason = "damage settled with no bond healing, but no equilibrium was found in which bonds heal"
                 return u, replace(closed, converged=False, reason=reason), broken, sweep
             else:

@@ -17,7 +17,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.newton import ONE_STEP, StaticSolver
 from pdpetsc.solvers.protocol import StepResult
-from pdpetsc.solvers.staggered import HeatSystem, HeatTogether, no_temperature
+from pdpetsc.solvers.staggered import HeatSystem, MonolithicHeat, no_temperature
 from pdpetsc.terms.damaged_points import DamagedPoints
 from pdpetsc.terms.material_points import MaterialPoints
 
@@ -27,9 +27,9 @@ GOOD = 1e-10
 TEMPERATURE, DISPLACEMENT = "temperature", "displacement"
 
 
-def together(problem: Problem) -> HeatTogether | None:
+def monolithic_heat(problem: Problem) -> MonolithicHeat | None:
     """Return the heat conduction that is solved together with the equilibrium, None without (not collective)."""
-    return next((one for one in problem.ahead if isinstance(one, HeatTogether)), None)
+    return next((one for one in problem.staggered if isinstance(one, MonolithicHeat)), None)
 
 
 class MonolithicSolver(StaticSolver):
@@ -57,7 +57,7 @@ class MonolithicSolver(StaticSolver):
     def __init__(
         self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
     ) -> None:
-        heat = together(problem)
+        heat = monolithic_heat(problem)
         assert heat is not None
         self._heat = heat
         cloud = problem.body.cloud
@@ -74,8 +74,8 @@ class MonolithicSolver(StaticSolver):
     @classmethod
     def refuse(cls, problem: Problem) -> None:
         """Raise CaseError where temperature and displacement cannot be found together, on every rank."""
-        matter = problem.matter
-        if not isinstance(matter, MaterialPoints) or isinstance(matter, DamagedPoints):
+        material_term = problem.material_term
+        if not isinstance(material_term, MaterialPoints) or isinstance(material_term, DamagedPoints):
             raise CaseError(
                 'HeatConduction with coupling="monolithic" takes bodies of deformation gradients whose bonds stay; '
                 'take "staggered", which finds the same: no heat depends on the displacement.'
@@ -166,9 +166,9 @@ class MonolithicSolver(StaticSolver):
 
     def _forces_of(self, change: Float) -> Float:
         """Return how internal forces change with the temperature, as PETSc sees both (n_u,)."""
-        matter = self.problem.matter
-        assert isinstance(matter, MaterialPoints) and self._coupling is not None
-        operator, body = matter.operator, self.problem.body
+        material_term = self.problem.material_term
+        assert isinstance(material_term, MaterialPoints) and self._coupling is not None
+        operator, body = material_term.operator, self.problem.body
         f = np.zeros((body.cloud.n_local, body.dim))
         operator.divergence(self._coupling * (change * self._degree)[operator.owner][:, None, None], f)
         return np.where(self._equilibrium.free, body.gather(f), 0.0).ravel() / self._scales.force
@@ -213,9 +213,9 @@ class MonolithicSolver(StaticSolver):
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
     def _by_temperature(self, state: State) -> Float:
-        matter = self.problem.matter
-        assert isinstance(matter, MaterialPoints)
-        return matter.stress_by_temperature(state)
+        material_term = self.problem.material_term
+        assert isinstance(material_term, MaterialPoints)
+        return material_term.stress_by_temperature(state)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         self._take(x)

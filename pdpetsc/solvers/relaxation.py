@@ -179,6 +179,6 @@ def _courant_step(problem: Problem) -> float:
     """Return ``2 / n dx sqrt(rho / E_max)`` with unit density, half of it for several points per particle."""
     cloud = problem.body.cloud
     shortest = smallest(cloud.comm, float(nearest_distances(problem.body).min(initial=np.inf)))
-    stiffest = largest(cloud.comm, problem.matter.largest_modulus)
-    several = largest(cloud.comm, float(problem.matter.n_points > cloud.n_owned))
+    stiffest = largest(cloud.comm, problem.material_term.largest_modulus)
+    several = largest(cloud.comm, float(problem.material_term.n_points > cloud.n_owned))
     return float((1.0 if several else 2.0) / problem.dim * shortest / np.sqrt(stiffest))

@@ -44,7 +44,7 @@ def no_temperature(t: float) -> SolveError:
     )
 
 
-class HeatMarch:
+class StaggeredHeat:
     """The temperature of each load step, ``C (T - T_0) / dt + K (w T + (1 - w) T_0) = w Q + (1 - w) Q_0``.
 
     ``w`` is 1 for the backward Euler rule and 1/2 for Crank and Nicolson's; without a duration it is ``K T = Q``. ``K``
@@ -62,7 +62,7 @@ class HeatMarch:
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    together = False
+    monolithic = False
 
     def __init__(self, heat: Heat, options: Options) -> None:
         self.heat = heat
@@ -134,7 +134,7 @@ class HeatMarch:
         return self.heat.field.now
 
 
-class HeatTogether(HeatMarch):
+class MonolithicHeat(StaggeredHeat):
     """The temperature of each load step as an unknown of Newton's method beside the displacement.
 
     Attributes
@@ -143,7 +143,7 @@ class HeatTogether(HeatMarch):
         What the temperature of the present step solves.
     """
 
-    together = True
+    monolithic = True
 
     def __init__(self, heat: Heat, options: Options) -> None:
         super().__init__(heat, options)

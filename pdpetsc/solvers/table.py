@@ -7,7 +7,7 @@ from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
 from pdpetsc.solvers.event_driven.solver import EventSolver
-from pdpetsc.solvers.monolithic import MonolithicSolver, together
+from pdpetsc.solvers.monolithic import MonolithicSolver, monolithic_heat
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.path_following.solver import PathSolver
 from pdpetsc.solvers.protocol import Solver
@@ -31,7 +31,7 @@ def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
         The table has nothing, or what it has finds no temperature together with the displacement.
     """
     found = implementation(declared)
-    if together(problem) is None:
+    if monolithic_heat(problem) is None:
         return found
     if found is not StaticSolver:
         raise CaseError(
@@ -61,7 +61,7 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
             f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
             f"this body has a law that is not linear between failures, so take Newton."
         )
-    timed = problem.matter.timed or (problem.damage is not None and problem.damage.drive.timed)
+    timed = problem.material_term.timed or (problem.damage is not None and problem.damage.driving_variable.timed)
     if declared.finds_load and timed:
         raise CaseError(
             f"{declared.title} finds the load, which is no time; a material that depends on its rate, or fails by it, "

@@ -17,8 +17,8 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.files import write_whole
 from pdpetsc.output.reading import read_history
-from pdpetsc.studies.measured import Curve, read_curve, read_off, scaled_norm
-from pdpetsc.studies.place import Outcome
+from pdpetsc.studies.reference_curve import Curve, read_curve, read_off, scaled_norm
+from pdpetsc.studies.run_store import Outcome
 from pdpetsc.studies.sets import Set, text_of
 from pdpetsc.studies.study import How, Progress, Runs
 

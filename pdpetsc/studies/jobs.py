@@ -15,8 +15,8 @@ from pathlib import Path
 
 from pdpetsc.bounds import whole_number
 from pdpetsc.errors import CaseError
-from pdpetsc.studies.asking import environment
-from pdpetsc.studies.used import WORD
+from pdpetsc.studies.input_files import WORD
+from pdpetsc.studies.run_identity import environment
 
 # What starts ranks, unless the user says otherwise.
 LAUNCHER = "mpirun -n {ranks}"

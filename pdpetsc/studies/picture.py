@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pdpetsc.output.files import replacing
 from pdpetsc.running.comparison import results_figure
-from pdpetsc.studies.place import Outcome
+from pdpetsc.studies.run_store import Outcome
 from pdpetsc.studies.table import columns
 
 

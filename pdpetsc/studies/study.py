@@ -19,12 +19,12 @@ from pdpetsc.output.folder import holder_of, holding, set_aside
 from pdpetsc.running.comparison import working_seconds
 from pdpetsc.running.signals import held
 from pdpetsc.studies import table
-from pdpetsc.studies.asking import CaseFile, Question
+from pdpetsc.studies.input_files import Files, left, stamp_of, words
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
-from pdpetsc.studies.place import LOG, RECORD, Outcome, folder_of, keep, kept, named, take
 from pdpetsc.studies.refinement import NOISE, Convergence, converging
+from pdpetsc.studies.run_identity import CaseFile, Question
+from pdpetsc.studies.run_store import LOG, RECORD, Outcome, folder_of, keep, kept, named, take
 from pdpetsc.studies.sets import Set, grid, text_of
-from pdpetsc.studies.used import Files, left, stamp_of, words
 
 # How long a run that an earlier study left behind may take to end [s].
 PATIENCE = 60.0

@@ -12,8 +12,8 @@ from typing import Any
 from rich.table import Table
 
 from pdpetsc.output.files import write_whole
-from pdpetsc.studies.place import Outcome
 from pdpetsc.studies.refinement import Convergence
+from pdpetsc.studies.run_store import Outcome
 
 # The columns after those of parameters and results.
 COSTS = ("seconds", "peak_MiB", "unstable_steps", "status", "exit_status", "said", "folder")

@@ -20,14 +20,14 @@ from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
 from pdpetsc.material import LinearElastic, SaintVenantKirchhoff
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.falling import Falling, FallingFamilies, falling_beyond
+from pdpetsc.terms.softening import Softening, SofteningFamilies, softening_nonlocal
 
 
-class BondForces(Matter):
+class BondForces(MaterialTerm):
     """The energy ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, ``theta_i = sum_j mu_ij a_ij e_ij``.
 
     A pair of particles counts from both ends. The integrity ``mu`` is 1 without damage; at a given one forces are the
@@ -77,7 +77,7 @@ class BondForces(Matter):
         # Whether bonds that shorten have their whole stiffness, however damaged.
         self._closes = False
         # Whether damage makes bonds depend on more than their own elongation.
-        self._reaches = False
+        self._is_nonlocal = False
         self._elastic = [material.elastic(self.body.dim) for material in materials]
 
     @cached_property
@@ -123,7 +123,7 @@ class BondForces(Matter):
         CaseError
             What drives damage does not fit bonds, or needs gradients that a family is too small for; on every rank.
         """
-        if damage.drive.reads_flow:
+        if damage.driving_variable.reads_flow:
             raise CaseError(
                 "Plastic strain drives damage, and bonds do not flow; take a body of deformation gradients."
             )
@@ -131,16 +131,16 @@ class BondForces(Matter):
         if self._closes and self.a is not None:
             raise CaseError("Cracks that close take bond-based materials: a dilatation is of a whole family.")
         self.damage = damage
-        if damage.drive.reads_points:
+        if damage.driving_variable.reads_points:
             # The gradient of the bonds that are left, with the elastic material that the bonds stand for.
             kind = SaintVenantKirchhoff if self.finite else LinearElastic
             solids = [kind(one.E, one.nu, one.plane) for one in self._elastic]
             scheme, of, factor = Correspondence(), self._material_of, self._factor
             self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
             # Forces are those of bonds, which break by what drives them alone.
-            damage.torn = None
-        self._reaches = damage.drive.reaches
-        self.horizons = 2 if self._reaches or self.a is not None else 1
+            damage.family_strain = None
+        self._is_nonlocal = damage.driving_variable.is_nonlocal
+        self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
 
     def expand(self) -> None:
         """Take elongations as those beyond what bonds have without force, as states give them (collective).
@@ -178,7 +178,7 @@ class BondForces(Matter):
     def symmetric(self) -> bool:  # type: ignore[override]
         """Return whether what bonds that fade lose depends on their own elongation alone."""
         fades = self.damage is not None and self.damage.softens
-        return not self._reaches and not (fades and self.a is not None)
+        return not self._is_nonlocal and not (fades and self.a is not None)
 
     @property
     def within_families(self) -> bool:
@@ -188,7 +188,7 @@ class BondForces(Matter):
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
         """Return the bonds, or the families where there is a dilatation or what drives damage reaches further."""
-        if self.a is not None or self._reaches:
+        if self.a is not None or self._is_nonlocal:
             return self.body.with_centres.point_ptr, self.body.with_centres.members
         return self.ends_ptr, self.ends
 
@@ -228,7 +228,7 @@ class BondForces(Matter):
         """Return ``T k`` of every bond (n_bonds,) [force / length]; k of one that is short where cracks close."""
         if self.damage is None:
             return self.k
-        T = self.damage.integrity(state)
+        T = self.damage.phi(state)
         return np.asarray(self.k * (np.where(self.elongation(state) < 0.0, 1.0, T) if self._closes else T))
 
     def tangent(self, state: State) -> Float:
@@ -240,31 +240,31 @@ class BondForces(Matter):
         rate[gradient.bonds] += gradient.along * self._whole_tension(state)[gradient.bonds]
         return rate
 
-    def falling(self, state: State) -> list[Falling]:
+    def softening(self, state: State) -> list[Softening]:
         """Return what the tangent has besides where the integrity of a bond is in more than its own force.
 
         That is, where it depends on more than the elongation of the bond, or where there is a dilatation.
         """
-        if self.damage is None or not (self._reaches or (self.a is not None and self.damage.bonds.softens)):
+        if self.damage is None or not (self._is_nonlocal or (self.a is not None and self.damage.bonds.softens)):
             return []
         gradient, families = self.damage.gradient(state), self.body.families
         bonds = gradient.bonds
         y = families.bonds(self.body.cloud.x) + self.finite * families.bonds(state.u_local)
         n = y / np.linalg.norm(y, axis=1)[:, None]
         v = self._whole_tension(state)[:, None] * n
-        found = falling_beyond(self.body, gradient, v, self.damage.driven_bonds.opposite.of_vectors)
+        found = softening_nonlocal(self.body, gradient, v, self.damage.damageable.opposite.of_vectors)
         a = self.shares(state)
         if a is not None and self.a is not None and self.B is not None:
             force = (a * self.B[families.centres])[:, None] * n
             share = (self.a * self.elongation(state))[bonds]
-            found.append(FallingFamilies.of_dilatation(self.body, gradient, force, n, share))
+            found.append(SofteningFamilies.of_dilatation(self.body, gradient, force, n, share))
         return found
 
     def shares(self, state: State) -> Float | None:
         """Return what elongations add to the dilatation with the integrity of their bonds (n_bonds,) [1 / length]."""
         if self.a is None or self.damage is None:
             return self.a
-        return np.asarray(self.damage.integrity(state) * self.a)
+        return np.asarray(self.damage.phi(state) * self.a)
 
     def _whole_tension(self, state: State) -> Float:
         """Return what the tension of every bond is proportional to as its own integrity falls (n_bonds,) [force]."""
@@ -334,7 +334,7 @@ class BondForces(Matter):
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""
         centres, n = self.body.families.centres, self.body.cloud.n_owned
         whole = np.bincount(centres, self.k, n)
-        left = whole if self.damage is None else np.bincount(centres, self.k * self.damage.bonds.integrity, n)
+        left = whole if self.damage is None else np.bincount(centres, self.k * self.damage.bonds.phi, n)
         return np.asarray(1.0 - left / np.where(whole > 0.0, whole, 1.0))
 
     def deformation_gradient(self, state: State) -> Float:
@@ -409,7 +409,7 @@ class BondForces(Matter):
         """Refuse: a bond does not know the stress of its particle."""
         raise CaseError('Bonds have no consistent traction; use distribution="layer", or a correspondence material.')
 
-    def reach(self, marked: Float) -> Mask:
+    def dependents(self, marked: Float) -> Mask:
         """Return the own particles in a family with a marked local particle (collective)."""
         whole = self.body.with_centres
         return sharing_stencil(self.body.cloud, whole.point_ptr, whole.members, marked)
@@ -428,14 +428,14 @@ class BondTangent(LinearisedTerm):
         self._data = families.indptr, families.neighbours, term.body.cloud.x, self._u
         self._tangent, self._tension, self._secant = term.tangent(state), term.tension(state), term.secant(state)
         self._dilatation = a, B
-        self._falling = term.falling(state)
+        self._softening = term.softening(state)
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of all bonds of the particles."""
         kernel = bond_times_kernel(self._term.body.dim, int(self._term.finite))
         kernel(particles, *self._data, self._tangent, self._tension, *self._dilatation, du, f)
-        for falling in self._falling:
-            falling.add_product(du, f, particles)
+        for softening in self._softening:
+            softening.add_product(du, f, particles)
 
     def stiffness(self) -> Float:
         """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
@@ -464,8 +464,8 @@ class BondTangent(LinearisedTerm):
                 *term.ends_by_particle, term.ends, term.body.cloud.x, self._u, self._tangent, self._tension, own,
                 entries.off,
             )  # fmt: skip
-        for falling in self._falling:
-            falling.add_rows(entries)
+        for softening in self._softening:
+            softening.add_rows(entries)
         if term.a is not None:
             self._add_dilatation(entries)
 

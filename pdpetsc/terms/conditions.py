@@ -25,7 +25,7 @@ from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import Term
 from pdpetsc.terms.dead_loads import DeadLoads
@@ -51,13 +51,13 @@ class Applied:
     """
 
     def __init__(
-        self, body: Body, matter: Matter, particles: Particles, times: Sequence[float] = (1.0,)
+        self, body: Body, material_term: MaterialTerm, particles: Particles, times: Sequence[float] = (1.0,)
     ) -> None:  # fmt: skip
         self.body = body
         self.times = times
         self.cell = None if body.cloud.images is None else CellRows(body.cloud, particles.thickness)
         self.supports = Supports(body, self.cell)
-        self.loads = DeadLoads(body, matter, particles, self.cell)
+        self.loads = DeadLoads(body, material_term, particles, self.cell)
         self.surface_loads = SurfaceLoads(body)
         self._of_cell: set[int] = set()
         self.temperatures: list[tuple[str, Temperature, Mask]] = []
@@ -153,7 +153,7 @@ class Applied:
 
 
 def apply(
-    body: Body, matter: Matter, conditions: Sequence[Condition | ThermalCondition], particles: Particles,
+    body: Body, material_term: MaterialTerm, conditions: Sequence[Condition | ThermalCondition], particles: Particles,
     times: Sequence[float] = (1.0,),
 ) -> Applied:  # fmt: skip
     """Return supports, loads and what else conditions prescribe (collective).
@@ -173,7 +173,7 @@ def apply(
         A region selects nothing, two conditions prescribe different values of the same particle, a component is wrong,
         or a traction acts on a face whose area is not known.
     """
-    onto = Applied(body, matter, particles, times)
+    onto = Applied(body, material_term, particles, times)
     for number, condition in enumerate(conditions, 1):
         condition.put(onto, f"{type(condition).__name__} condition {number}")
     try:

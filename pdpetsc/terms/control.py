@@ -15,7 +15,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm, Term
-from pdpetsc.terms.falling import Falling, falling_parts
+from pdpetsc.terms.softening import Softening, softening_parts
 
 
 class ControlForces(Term):
@@ -86,7 +86,7 @@ class ControlForces(Term):
         """Return the control with the integrity of the bonds at a state."""
         if self.damage is None:
             return self.control
-        fading = self._effect.fading(self.damage.integrity(state))
+        fading = self._effect.fading(self.damage.phi(state))
         if fading is None:
             return self.control
         # Kept with the state, so that its matrix is made once.
@@ -109,12 +109,12 @@ class ControlForces(Term):
     def linearised(self, state: State) -> LinearisedTerm:
         """Return its constant matrix, and what the derivative of the integrity adds where it fades."""
         control = self.at(state)
-        falling: list[Falling] = []
+        softening: list[Softening] = []
         if self.damage is not None and self._fades and self.damage.bonds.softens:
             gradient = self.damage.gradient(state)
-            v, opposite = self.control.bond_forces(state.u_local), self.damage.driven_bonds.opposite
-            falling = falling_parts(state, gradient, v, opposite.of_vectors)
-        return ControlTangent(self, control, falling)
+            v, opposite = self.control.bond_forces(state.u_local), self.damage.damageable.opposite
+            softening = softening_parts(state, gradient, v, opposite.of_vectors)
+        return ControlTangent(self, control, softening)
 
     def matrix(self, control: Control, sparsity: Sparsity) -> ControlMatrix:
         """Return the matrix of the control, made once (collective)."""
@@ -131,27 +131,27 @@ class ControlForces(Term):
     def _follow(self, rebuild: bool) -> None:
         """Rebuild the control with the present integrity of the bonds."""
         assert self.damage is not None
-        self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.integrity))
+        self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.phi))
 
 
 class ControlTangent(LinearisedTerm):
     """The tangent of a zero-energy control."""
 
-    def __init__(self, term: ControlForces, control: Control, falling: list[Falling]) -> None:
-        self._term, self._control, self._falling = term, control, falling
+    def __init__(self, term: ControlForces, control: Control, softening: list[Softening]) -> None:
+        self._term, self._control, self._softening = term, control, softening
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the control."""
         self._control.force(du, f, particles)
-        for falling in self._falling:
-            falling.add_product(du, f, particles)
+        for softening in self._softening:
+            softening.add_product(du, f, particles)
 
     def add_rows(self, entries: Entries) -> None:
         """Add its constant matrix, and what its falling bonds add (collective)."""
         dim = self._term.body.dim
         self._term.matrix(self._control, entries.sparsity).add(dim, entries.diag, entries.off)
-        for falling in self._falling:
-            falling.add_rows(entries)
+        for softening in self._softening:
+            softening.add_rows(entries)
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add those of its constant matrix."""
@@ -159,7 +159,7 @@ class ControlTangent(LinearisedTerm):
 
     def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
         """Return what its forces take where they can share the loop over a gradient, else None."""
-        return None if self._falling else self._term.shared_gradient(self._control, operator)
+        return None if self._softening else self._term.shared_gradient(self._control, operator)
 
 
 def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIndex, factor: Float | None) -> Stiffness:

@@ -19,9 +19,9 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
-from pdpetsc.terms.falling import Falling, falling_parts
 from pdpetsc.terms.kept_history import KeptHistory
 from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
+from pdpetsc.terms.softening import Softening, softening_parts
 
 
 class DamagedPoints(MaterialPoints):
@@ -78,11 +78,11 @@ class DamagedPoints(MaterialPoints):
         self._effect = damage.bonds.law.effect
         self._take_operator(self.operator)
         damage.followers.append(self._follow)
-        damage.torn = self.tensile_strain
+        damage.family_strain = self.tensile_strain
         flows = [type(one).plastic_strain is not Material.plastic_strain for one in materials]
-        if damage.drive.reads_flow and not any(flows):
+        if damage.driving_variable.reads_flow and not any(flows):
             raise CaseError("Plastic strain drives damage, and no material of this body flows; take one that does.")
-        damage.drive.take(self)
+        damage.driving_variable.take(self)
 
     def _undeformed(self) -> KeptHistory | None:
         """Return the histories of the materials at the start, None where they have none (not collective)."""
@@ -157,7 +157,7 @@ class DamagedPoints(MaterialPoints):
         """Return the histories of the materials that have one, by its number, and what the drive remembers."""
         found = {} if self._history is None else self._history.arrays(self.materials)
         own = np.arange(self.body.cloud.n_owned, dtype=np.int32)
-        return found | {name: KeptArray(own, values) for name, values in self.damage.drive.arrays().items()}
+        return found | {name: KeptArray(own, values) for name, values in self.damage.driving_variable.arrays().items()}
 
     def restored(self) -> None:
         """Put the histories that have been read at the points of the bonds that are left."""
@@ -174,7 +174,7 @@ class DamagedPoints(MaterialPoints):
 
     def add_force(self, state: State, f: Float) -> None:
         """Add ``H^T (W P)`` with the integrity of the bonds at the state."""
-        T = self.damage.integrity(state)
+        T = self.damage.phi(state)
         operator, h = self.operator, self.scaled_weights(T)
         P = self.stress(self.deformation(state))
         add_divergence(operator, h, P, f)
@@ -187,14 +187,14 @@ class DamagedPoints(MaterialPoints):
         """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
         return DamagedTangent(self, state)
 
-    def falling(self, state: State) -> list[Falling]:
+    def softening(self, state: State) -> list[Softening]:
         """Return what the bonds whose integrity falls add to the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
         gradient = self.damage.gradient(state)
         v = self._forces(self.stress(self.deformation(state)), gradient)
-        return falling_parts(state, gradient, v, self.damage.driven_bonds.opposite.of_vectors)
+        return softening_parts(state, gradient, v, self.damage.damageable.opposite.of_vectors)
 
     def _forces(self, P: Float, gradient: Gradient) -> Float:
         """Return the force of the intact bond on its second end (n_bonds, dim) [force], of stresses at points.
@@ -202,9 +202,9 @@ class DamagedPoints(MaterialPoints):
         Zero for bonds that the gradient of the integrity is not of.
         """
         operator, n = self.operator, len(self.body.families.neighbours)
-        falling = np.zeros(n + 1, dtype=bool)
-        falling[gradient.bonds] = True
-        entries = np.flatnonzero(falling[self.bond_of_entry])
+        softening = np.zeros(n + 1, dtype=bool)
+        softening[gradient.bonds] = True
+        entries = np.flatnonzero(softening[self.bond_of_entry])
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))[entries]
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         return np.asarray(sum_by(self.bond_of_entry[entries], force, n))
@@ -244,7 +244,7 @@ class DamagedPoints(MaterialPoints):
 
     def energy(self, state: State) -> float:
         """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point."""
-        T = self.damage.integrity(state)
+        T = self.damage.phi(state)
         return float(self.operator.volume @ (self.point_energy(self.deformation(state)) * self._at_points(T)))
 
     def local_damage(self) -> Float:
@@ -253,7 +253,7 @@ class DamagedPoints(MaterialPoints):
 
     def mean_stress(self, stress: Float) -> Float:
         """Return the mean of ``T_p`` times the stress over the points of each own particle (not collective)."""
-        T = np.where(self._dead, 0.0, self._at_points(self.damage.bonds.integrity))
+        T = np.where(self._dead, 0.0, self._at_points(self.damage.bonds.phi))
         return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
 
     def _at_points(self, T: Float) -> Float:
@@ -349,22 +349,22 @@ class DamagedTangent(PointsTangent):
     points: DamagedPoints
 
     def __init__(self, points: DamagedPoints, state: State) -> None:
-        T = points.damage.integrity(state)
+        T = points.damage.phi(state)
         super().__init__(points, Moduli(points.moduli(points.deformation(state))), points.scaled_weights(T))
         self._T = T
-        self._falling = points.falling(state) if points.damage.bonds.softens else []
+        self._softening = points.softening(state) if points.damage.bonds.softens else []
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of moduli, and of the bonds whose integrity falls."""
         super().add_product(du, f, particles)
-        for falling in self._falling:
-            falling.add_product(du, f, particles)
+        for softening in self._softening:
+            softening.add_product(du, f, particles)
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of both."""
         super().add_rows(entries)
-        for falling in self._falling:
-            falling.add_rows(entries)
+        for softening in self._softening:
+            softening.add_rows(entries)
 
     def stiffness(self) -> Float:
         """Return the sum over the points of each particle, times the mean integrity of its bonds."""

@@ -16,7 +16,7 @@ from pdpetsc.discrete.surface import ON_MIRROR
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.terms.prescribed_loads import PrescribedLoads
 
 # The forces of a consistent traction add up to this share of traction times face, or the region is not one whole face.
@@ -67,9 +67,11 @@ class DeadLoads(PrescribedLoads):
     Construction and every method are collective.
     """
 
-    def __init__(self, body: Body, matter: Matter, particles: Particles, cell: CellRows | None = None) -> None:
+    def __init__(
+        self, body: Body, material_term: MaterialTerm, particles: Particles, cell: CellRows | None = None
+    ) -> None:
         super().__init__(body)
-        self._matter = matter
+        self._material_term = material_term
         self._particles = particles
         self._cell = cell
         self._x = body.cloud.x[: body.cloud.n_owned]
@@ -140,7 +142,7 @@ class DeadLoads(PrescribedLoads):
             stresses = [self._uniform(part, t) for part in consistent]
         n = len(self._x)
         for P, part in zip(stresses, consistent, strict=True):
-            f[:n] += self._matter.uniform_stress_force(P)[:n] * part.share[:, None]
+            f[:n] += self._material_term.uniform_stress_force(P)[:n] * part.share[:, None]
         return f
 
     def _uniform(self, part: _Consistent, t: float) -> Float:
@@ -194,7 +196,7 @@ class DeadLoads(PrescribedLoads):
         P = np.tile(np.outer(normal, normal), (len(self._x), 1, 1))
         reached = self._reach(mask)
         self._refuse_mirrored(normal, reached, name)
-        along = self._matter.uniform_stress_force(P)[: len(self._x)] @ normal
+        along = self._material_term.uniform_stress_force(P)[: len(self._x)] @ normal
         found, wanted = total(self.body.cloud.comm, [along[reached].sum(), face.sum()])
         if not WHOLE_FACE[0] * wanted <= found <= WHOLE_FACE[1] * wanted:
             raise CaseError(
@@ -223,4 +225,4 @@ class DeadLoads(PrescribedLoads):
         marked = np.zeros(self.body.cloud.n_local)
         marked[: len(mask)] = mask
         self.body.cloud.halo.forward(marked)
-        return self._matter.reach(marked)
+        return self._material_term.dependents(marked)

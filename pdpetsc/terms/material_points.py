@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.control.following import tangent_share
+from pdpetsc.control.tangent_scaled import tangent_share
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli
@@ -19,12 +19,12 @@ from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.material.expanded import ExpandedAtPoints
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
 
 
-class MaterialPoints(Matter):
+class MaterialPoints(MaterialTerm):
     """Internal forces ``f = G^T (W P)`` with the tangent ``K = G^T (W A) G``.
 
     Parameters
@@ -335,7 +335,7 @@ class MaterialPoints(Matter):
         """Return the largest entry of the small-strain stiffness on this rank [stress]."""
         return max(at_points.largest_modulus() for at_points in self.materials)
 
-    def reach(self, marked: Float) -> Mask:
+    def dependents(self, marked: Float) -> Mask:
         """Return the own particles that share a gradient point with a marked local one (collective)."""
         return sharing_stencil(self.body.cloud, self.operator.point_ptr, self.operator.members, marked)
 

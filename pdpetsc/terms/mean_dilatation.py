@@ -165,7 +165,7 @@ class PatchPoints(MaterialPoints):
         """Return False."""
         return False
 
-    def reach(self, marked: Float) -> Mask:
+    def dependents(self, marked: Float) -> Mask:
         """Return the own particles that share a patch with a marked local one (collective)."""
         return sharing_stencil(self.body.cloud, self._patch_ptr, self._patch_members, marked)
 

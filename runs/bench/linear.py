@@ -55,7 +55,7 @@ def failed_bonds(damage, share):
     """Break a share of the bonds, the same from both ends and on any ranks."""
     keys = damage.bonds.keys
     number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
-    damage.bonds.integrity[number % 1000 < 1000 * share] = 0.0
+    damage.bonds.phi[number % 1000 < 1000 * share] = 0.0
     damage.restored()
 
 
@@ -77,7 +77,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
         with clock("pattern"):
             filled = assembler(problem, choice)
         with clock("allocation"):
-            tangent = make_tangent(filled, supports.fixed, stiffness_scale(problem.body, problem.matter))
+            tangent = make_tangent(filled, supports.fixed, stiffness_scale(problem.body, problem.material_term))
         state = problem.state(np.zeros((cloud.n_rows, cloud.dim)))
         with clock("assembly"):
             tangent.update(state)

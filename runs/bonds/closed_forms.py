@@ -51,10 +51,10 @@ def patch(dim, plane, m, influence, calibration="continuum"):
 def errors(dim, plane, m, influence):
     """Return the relative errors of dilation energy, quadratic force and crack energy at the middle."""
     problem = patch(dim, plane, m, influence)
-    matter, cloud = problem.matter, problem.body.cloud
+    material_term, cloud = problem.material_term, problem.body.cloud
     middle = int(np.argmin((cloud.x**2).sum(axis=1)))
     lam, mu = pd.BondBased(E=E, plane=plane).elastic(dim).lame(dim)
-    energy = matter.energy_density(problem.state(cloud.x))[middle] / (0.5 * matter.kappa * dim**2) - 1.0
+    energy = material_term.energy_density(problem.state(cloud.x))[middle] / (0.5 * material_term.kappa * dim**2) - 1.0
     u = np.zeros_like(cloud.x)
     u[:, 0] = 0.5 * cloud.x[:, 0] ** 2
     force = -problem.internal_force(problem.state(u))[middle, 0] / cloud.volume[middle] / (lam + 2.0 * mu) - 1.0
@@ -73,7 +73,7 @@ def cut_energy(problem, middle):
     xi = families.bonds(cloud.x)[family]
     spacing = cloud.volume[middle] ** (1.0 / dim)
     each = (
-        2.0 * 0.5 * problem.matter.k[family] * (xi**2).sum(axis=1)
+        2.0 * 0.5 * problem.material_term.k[family] * (xi**2).sum(axis=1)
     )  # both directions of a bond, elongated by its length
     ahead = xi[:, 0] > 0.25 * spacing
     return float((each * xi[:, 0] / spacing)[ahead].sum() / spacing ** (dim - 1))

@@ -90,7 +90,7 @@ def by_newton(nx, G, steps=STEPS, **changes):
             u, most = after, max(most, result.iterations)
             problem.commit(solver.state(u))
             force.append(float(problem.internal_force(solver.state(u), of_solver=False)[right, 0].sum()))
-            damage.append(problem.matter.local_damage())
+            damage.append(problem.material_term.local_damage())
             problem.break_bonds(solver.state(u))
             bonds.commit()
         solver.destroy()
@@ -213,11 +213,11 @@ def figure_7():
     curves = {}
     for beta in (1.0, BETA, 10.0):
         law = pd.SmoothDegradation(critical, S_MIN / S_CR, beta, continuous=False)
-        inside = [float(value) for value in law.integrity(s / S_CR)]
+        inside = [float(value) for value in law.phi(s / S_CR)]
         curves[f"beta = {beta:g}"] = ([0.001, S_MIN, *s.tolist(), S_CR, 0.0022], [1.0, 1.0, *inside, 0.0, 0.0])
     study.write_curves(FOLDER, "fig_7", "Degradation of the bond force", ("stretch", "T_s"), curves)
     law = pd.SmoothDegradation(critical, S_MIN / S_CR, BETA, continuous=False)
-    ends = law.integrity(np.array([S_MIN, 0.5 * (S_MIN + S_CR), S_CR]) / S_CR)
+    ends = law.phi(np.array([S_MIN, 0.5 * (S_MIN + S_CR), S_CR]) / S_CR)
     step = 1e-8
     n = lambda s: BETA * (S_MIN + S_CR - 2.0 * s) / (S_MIN - S_CR)  # noqa: E731
     T = lambda s: 0.5 * (1.0 - np.tanh(n(s)))  # noqa: E731
@@ -340,8 +340,8 @@ class ControlFollows(pd.LargestStretch):
     def of_control(self, kept):
         return pd.PresentStretch().of_control(kept)
 
-    def fading(self, integrity):
-        return integrity
+    def fading(self, phi):
+        return phi
 
 
 class VolumeStays(pd.LargestStretch):
@@ -354,13 +354,13 @@ class VolumeStays(pd.LargestStretch):
 class StretchAlone(pd.LargestStretch):
     """The default, but no bond breaks with the strain of a gradient."""
 
-    tears = False
+    breaks_by_family_strain = False
 
 
 class Heals(pd.LargestStretch):
     """The default, but the integrity is that of the present stretch."""
 
-    heals = True
+    reversible = True
 
     def follows(self, present, kept):
         return np.ones(len(present), dtype=bool)

@@ -54,9 +54,9 @@ def share(model, law, criterion=pd.FractureEnergy, horizon=3.015, steps=301, dx=
     k = combine(bonds, [pd.BondBased(E, calibration="lattice")], one, np.ones(cloud.n_owned)).k
     damage = make_damage(LAWS[law](criterion(Gc=GC)), body, bonds.omega, k, scheme is not None)
     if scheme is None:
-        matter = BondForces(body, bonds, [material], one)
-        matter.take_damage(damage)
-        terms = [matter]
+        material_term = BondForces(body, bonds, [material], one)
+        material_term.take_damage(damage)
+        terms = [material_term]
     else:
         terms = [DamagedPoints(body, bonds.omega, scheme, [material], one, None, damage)]
     if control is not None:

@@ -20,8 +20,8 @@ class BrokenShare(pd.Quantity):
     """Share of the bonds that are broken."""
 
     def evaluate(self, solution):
-        integrity = solution.problem.damage.bonds.integrity
-        broken, every = solution.sum([float((integrity == 0.0).sum()), float(len(integrity))])
+        phi = solution.problem.damage.bonds.phi
+        broken, every = solution.sum([float((phi == 0.0).sum()), float(len(phi))])
         return broken / every
 
 

@@ -31,7 +31,7 @@ REALISATIONS = 3
 def cut_energy(n, critical, ratio):
     """Return the energy per length of breaking every bond across a plane between two layers."""
     problem = study.build(case(n, n * DX, critical=critical, ratio=ratio, perturbation=0.0))
-    each = 0.5 * problem.matter.k * problem.damage.limit**2 * ratio
+    each = 0.5 * problem.material_term.k * problem.damage.limit**2 * ratio
     # A bond that advances by a layers is cut by a of the n planes; bonds count from both ends.
     layers = np.abs(problem.body.families.bonds(problem.body.cloud.x)[:, 0]) / DX
     return float(each @ layers) / n / (n * DX)

@@ -76,7 +76,7 @@ class BrokenLinks(pd.Quantity):
 
     def evaluate(self, solution):
         # Each is in the family of both of its ends.
-        return float(solution.sum(np.count_nonzero(solution.problem.damage.bonds.integrity == 0.0)) // 2)
+        return float(solution.sum(np.count_nonzero(solution.problem.damage.bonds.phi == 0.0)) // 2)
 
 
 def section_counts(problem, n):
@@ -89,7 +89,7 @@ def section_counts(problem, n):
     span = np.rint(failure.length[once] * n / LENGTH).astype(int)
     start = np.rint((failure.middle[once, 0] - 0.5 * failure.length[once]) * n / LENGTH - 0.5).astype(int)
     counts = np.zeros((2, n))
-    for row, chosen in zip(counts, (failure.integrity[once] == 0.0, np.ones(len(span), dtype=bool)), strict=True):
+    for row, chosen in zip(counts, (failure.phi[once] == 0.0, np.ones(len(span), dtype=bool)), strict=True):
         steps = np.zeros(3 * n + 1)
         np.add.at(steps, start[chosen] + n, 1.0)
         np.add.at(steps, start[chosen] + span[chosen] + n, -1.0)

@@ -69,7 +69,7 @@ def case(ny=10, horizon=1.015, scheme="sub_horizons", control="none", steps=12):
         horizon=horizon * dx,
         material=pd.J2(E=E, nu=NU, yield_stress=YIELD, hardening=HARDENING),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        control=pd.choose("control", control, pd.CONTROLS | {"following": pd.Following(pd.Silling())}),
+        control=pd.choose("control", control, pd.CONTROLS | {"following": pd.TangentScaled(pd.Silling())}),
         conditions=[
             pd.Displacement(sections, x=turned),
             pd.Displacement(pd.region.Nearest((0.3 * dx, 0.3 * dx)), y=0.0),

@@ -117,7 +117,7 @@ def case(dx=4.0, horizon=1.015, scheme="sub_horizons", control="none", steps=10,
         horizon=horizon * dx,
         material=pd.J2(E=E, nu=NU, yield_stress=YIELD, hardening=HARDENING),
         scheme=pd.HigherOrder(order) if scheme == "higher_order" else pd.choose("scheme", scheme, pd.SCHEMES),
-        control=pd.choose("control", control, pd.CONTROLS | {"following": pd.Following(pd.Silling())}),
+        control=pd.choose("control", control, pd.CONTROLS | {"following": pd.TangentScaled(pd.Silling())}),
         conditions=[
             pd.Displacement(top, y=PULL),
             pd.Displacement(region.Slab("y", high=0.1 * dx - SIZE), y=-PULL),

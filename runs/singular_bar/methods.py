@@ -161,7 +161,7 @@ def chowdhury_1(folder):
         )
         problem = study.build(case)
         x = problem.body.cloud.x
-        F = 1.0 + problem.matter.operator.gradient(amplitude * np.sin(2.0 * np.pi * x / length))[:, 0, 0]
+        F = 1.0 + problem.material_term.operator.gradient(amplitude * np.sin(2.0 * np.pi * x / length))[:, 0, 0]
         middle = (x[:, 0] > length) & (x[:, 0] < 2.0 * length)
         found[name] = (x[middle, 0] - length, F[middle])
     s = found["plain"][0]

@@ -126,7 +126,9 @@ def symbol(folder):
                 xi = problem.body.cloud.x - 0.5
                 middle = np.abs(xi[: problem.body.cloud.n_owned, 0]) < 1e-6
                 k = waves * np.pi * 100.0
-                seen = [problem.matter.operator.gradient(np.sin(one * xi) / one)[middle, 0, 0].sum() for one in k]
+                seen = [
+                    problem.material_term.operator.gradient(np.sin(one * xi) / one)[middle, 0, 0].sum() for one in k
+                ]
                 seen = total(problem.body.cloud.comm, np.array(seen))
                 zero = waves[np.flatnonzero(seen < 1e-9)[0]]
                 rows.append((horizon, order, influence, zero))

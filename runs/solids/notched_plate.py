@@ -48,7 +48,7 @@ def case(n=10, horizon=2.015, scheme="correspondence", G=0.5, following=True, st
         horizon=horizon * dx,
         material=pd.J2(E=E, nu=NU, plane="stress", yield_stress=YIELD, hardening=HARDENING),
         scheme=pd.choose("scheme", scheme, pd.SCHEMES),
-        control=pd.Following(control) if control and following else control,
+        control=pd.TangentScaled(control) if control and following else control,
         conditions=[pd.Displacement(top, y=PULL * (1.0 - 0.5 * dx / LENGTH))],
         steps=pd.Steps(steps),
         history={"force": pd.Reaction("y", top)},

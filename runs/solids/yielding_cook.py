@@ -25,7 +25,7 @@ def case(n=16, method="following", horizon=2.015, steps=20, G=0.5, least=0.01):
     if method == "elastic":
         control = pd.Silling(G)
     if method == "following":
-        control = pd.Following(pd.Silling(G), least)
+        control = pd.TangentScaled(pd.Silling(G), least)
     points, block = common.grid(n, 0.0, 0, (1.0, 1.0), common.cubes)
     region = pd.region
     spacing = (0.5 * membrane.LENGTH * (44.0 + 16.0)) ** 0.5 / n

@@ -20,7 +20,7 @@ LENGTH, WIDTH, PULL = 3.0, 1.0, 0.95
 E, NU, YIELD, HARDENING = 200.0, 0.3, 1.0, 1.0
 METHODS = {
     "elastic": (pd.Correspondence(), pd.Silling()),
-    "following": (pd.Correspondence(), pd.Following(pd.Silling())),
+    "following": (pd.Correspondence(), pd.TangentScaled(pd.Silling())),
     "sub_horizons": (pd.SubHorizons(), None),
     "none": (pd.Correspondence(), None),
 }
@@ -56,7 +56,7 @@ def case(n=8, method="following", horizon=1.515, steps=30, G=0.5, least=0.01):
     if method == "elastic":
         control = pd.Silling(G)
     if method == "following":
-        control = pd.Following(pd.Silling(G), least)
+        control = pd.TangentScaled(pd.Silling(G), least)
     dx = WIDTH / n
     # Grips as deep as families reach see no free end.
     deep = 2 * int(horizon) * dx

@@ -65,7 +65,7 @@ class Changed:
         return self._columns[4, : self.n]
 
     @property
-    def integrity(self) -> Float:
+    def phi(self) -> Float:
         """Return the present force over the elastic one (n,) [-]."""
         return self._columns[5, : self.n]
 
@@ -77,9 +77,9 @@ class Changed:
     @property
     def force(self) -> Float:
         """Return the tensions (n,) [force]."""
-        return self.integrity * self.k * self.elongation
+        return self.phi * self.k * self.elongation
 
-    def append(self, row: Float, E: float, k: float, limit: float, integrity: float, softness: float) -> int:
+    def append(self, row: Float, E: float, k: float, limit: float, phi: float, softness: float) -> int:
         """Take in a bond that still has its stiffness in the factored matrix; return its number.
 
         Parameters
@@ -93,7 +93,7 @@ class Changed:
             self._columns = np.pad(self._columns, ((0, 0), (0, m)))
         self.n = m + 1
         self._S[m, : m + 1] = self._S[: m + 1, m] = row
-        self._columns[:, m] = E, k, limit, integrity * k, softness, integrity, 0.0
+        self._columns[:, m] = E, k, limit, phi * k, softness, phi, 0.0
         return m
 
 
@@ -196,7 +196,7 @@ def _worst(bonds: Changed, found: Direction, wrong: list[int], out: set[int]) ->
 
 def _along(bonds: Changed, failing: list[int]) -> Direction:
     """Return the direction in which ``failing`` lose force and all others keep their secant stiffness."""
-    change = bonds.integrity * bonds.k - bonds.base
+    change = bonds.phi * bonds.k - bonds.base
     change[failing] = 0.0
     elastic = np.flatnonzero(change)
     c = bonds.softness[failing]
@@ -217,7 +217,7 @@ def _along(bonds: Changed, failing: list[int]) -> Direction:
         p[numbers] = _solve(M, g)
         rate = 1.0
     elongation = rate * bonds.E - bonds.S @ p
-    force = bonds.integrity * bonds.k * elongation
+    force = bonds.phi * bonds.k * elongation
     force[failing] = p[failing] / factor
     return Direction(rate, p, force, elongation, list(failing))
 

@@ -60,7 +60,7 @@ class InelasticForces:
         self._free = ~fixed
         self._prescribed = problem.supports.prescribed(1.0)
         self._external = problem.external_force(problem.state(np.zeros(fixed.shape), 1.0))
-        self._scales = scales_of(problem.body, problem.matter)
+        self._scales = scales_of(problem.body, problem.material_term)
         self.matrix = TangentMatrix(assembler, fixed, self._scales.stiffness)
         self._x = self.matrix.mat.createVecRight()
         self._b = self._x.duplicate()

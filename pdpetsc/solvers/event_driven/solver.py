@@ -80,8 +80,8 @@ class EventSolver(Solver):
         self._stop = stop
         self._pairs: Pairs | None = None
         if damage is not None:
-            assert isinstance(problem.matter, BondForces)
-            self._pairs = make_pairs(problem.matter)
+            assert isinstance(problem.material_term, BondForces)
+            self._pairs = make_pairs(problem.material_term)
         self.solver = InelasticForces(problem, assembler, self._pairs)
         unknowns = problem.body.cloud.n_global * problem.dim
         automatic = int(np.clip(UPDATES * np.sqrt(unknowns), FEWEST, MOST))
@@ -89,7 +89,7 @@ class EventSolver(Solver):
         self.factored = 0
         self._touched: list[int] = []
         n = 0 if self._pairs is None else len(self._pairs.k)
-        self._e, self._integrity, self._able = np.zeros(n), np.ones(n), np.ones(n, dtype=bool)
+        self._e, self._phi, self._able = np.zeros(n), np.ones(n), np.ones(n, dtype=bool)
         self._reach = np.empty(0) if self._pairs is None else self._pairs.limit.copy()
 
     @property
@@ -114,13 +114,13 @@ class EventSolver(Solver):
     @classmethod
     def rehearse(cls, problem: Problem) -> None:
         """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
-        if problem.damage is not None and isinstance(problem.matter, BondForces):
-            rehearse_pairs(problem.matter)
+        if problem.damage is not None and isinstance(problem.material_term, BondForces):
+            rehearse_pairs(problem.material_term)
 
     @classmethod
     def refuse(cls, problem: Problem) -> None:
         """Raise CaseError on all ranks where bonds fail that carry no forces themselves (not collective)."""
-        if problem.damage is not None and not isinstance(problem.matter, BondForces):
+        if problem.damage is not None and not isinstance(problem.material_term, BondForces):
             raise CaseError(
                 "The event-driven solver follows the bonds of bond-based materials; those of deformation gradients "
                 "fail in load steps, with Newton."
@@ -196,8 +196,8 @@ class EventSolver(Solver):
         bonds = self._changed
         waiting = []
         if bonds.failing and self._law is not None:
-            near = np.flatnonzero((bonds.elongation >= bonds.limit * (1.0 - TIED)) & (bonds.integrity > 0.0))
-            reach = bonds.limit[near] * self._law.reached(bonds.integrity[near])
+            near = np.flatnonzero((bonds.elongation >= bonds.limit * (1.0 - TIED)) & (bonds.phi > 0.0))
+            reach = bonds.limit[near] * self._law.reached(bonds.phi[near])
             at_limit = near[bonds.elongation[near] >= reach * (1.0 - TIED)].tolist()
             waiting = [m for m in at_limit if m not in bonds.failing]
         try:
@@ -233,7 +233,7 @@ class EventSolver(Solver):
         mine = None
         if found >= 0:
             key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
-            state = float(self._reach[found]), float(self._integrity[found]), float(pairs.order[found])
+            state = float(self._reach[found]), float(self._phi[found]), float(pairs.order[found])
             mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), *state)
         found_by = [c for c in self._comm.allgather(mine) if c is not None]
         first: _Candidate = min(found_by, key=lambda c: c.order)
@@ -244,7 +244,7 @@ class EventSolver(Solver):
         bonds = self._changed
         force = bonds.force[ahead.failing] + step * ahead.force[ahead.failing]
         bonds.elongation[:] += step * ahead.elongation
-        bonds.integrity[ahead.failing] = force / (bonds.k * bonds.elongation)[ahead.failing]
+        bonds.phi[ahead.failing] = force / (bonds.k * bonds.elongation)[ahead.failing]
         for m in ahead.failing:
             self._mark(m)
 
@@ -256,7 +256,7 @@ class EventSolver(Solver):
             assert self._law is not None
             softness = -(self._law.final_ratio - 1.0) / found.k
             row, E = self.solver.add(found.key)
-            m = bonds.append(row, E, found.k, found.limit, found.integrity, softness)
+            m = bonds.append(row, E, found.k, found.limit, found.phi, softness)
             self._keys.append(found.key)
         bonds.elongation[m] = found.reach
         bonds.failing.append(m)
@@ -265,7 +265,7 @@ class EventSolver(Solver):
 
     def _break(self, m: int | None) -> str:
         assert m is not None
-        self._changed.integrity[m] = 0.0
+        self._changed.phi[m] = 0.0
         self._changed.failing.remove(m)
         self._mark(m)
         return f"bond {self._keys[m][0]}-{self._keys[m][1]} is broken"
@@ -277,10 +277,10 @@ class EventSolver(Solver):
             return
         assert self._law is not None
         bonds = self._changed
-        self._integrity[here] = bonds.integrity[m]
+        self._phi[here] = bonds.phi[m]
         self._touched.append(here)
-        self._reach[here] = bonds.limit[m] * self._law.reached(bonds.integrity[m : m + 1])[0]
-        self._able[here] = bonds.integrity[m] > 0.0 and m not in bonds.failing
+        self._reach[here] = bonds.limit[m] * self._law.reached(bonds.phi[m : m + 1])[0]
+        self._able[here] = bonds.phi[m] > 0.0 and m not in bonds.failing
 
     def _store(self) -> None:
         """Give the body the present integrity of the bonds that have changed."""
@@ -288,8 +288,8 @@ class EventSolver(Solver):
             damage = self._problem.damage
             assert damage is not None and self._law is not None
             touched = np.array(self._touched, dtype=np.int64)
-            damage.bonds.integrity[self._pairs.bonds[touched]] = self._integrity[touched, None]
-            damage.bonds.worst[self._pairs.bonds[touched]] = self._law.reached(self._integrity[touched])[:, None]
+            damage.bonds.phi[self._pairs.bonds[touched]] = self._phi[touched, None]
+            damage.bonds.kappa[self._pairs.bonds[touched]] = self._law.reached(self._phi[touched])[:, None]
             damage.version += 1
             self._touched.clear()
 
@@ -302,7 +302,7 @@ class _Candidate:
     k: float
     limit: float
     reach: float
-    integrity: float
+    phi: float
     order: float
 
 
@@ -313,7 +313,7 @@ def _law_of(damage: Damage) -> PiecewiseLinear:
             f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take Brittle, "
             f"LinearSoftening, or Newton."
         )
-    if damage.drive.limit is None:
+    if damage.driving_variable.limit is None:
         raise CaseError(
             f"The event-driven solver needs what drives damage to be linear in the elongation of the bond itself: "
             f"{type(law.criterion).__name__} is not; take a critical stretch, or Newton."

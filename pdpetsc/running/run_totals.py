@@ -12,7 +12,7 @@ from pdpetsc.solvers.protocol import Converged
 
 
 @dataclass
-class SoFar:
+class RunTotals:
     """What steps gave that is said at the end of a run; a checkpoint has it as numbers.
 
     Attributes
@@ -43,7 +43,7 @@ class SoFar:
     whole: bool = True
 
     @classmethod
-    def of(cls, origin: Origin | None) -> SoFar:
+    def of(cls, origin: Origin | None) -> RunTotals:
         """Return what the checkpoint that a run goes on from tells; nothing of a run from the beginning."""
         if origin is None:
             return cls()

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pdpetsc.errors import CaseError
-from pdpetsc.studies.used import Files, content
+from pdpetsc.studies.input_files import Files, content
 
 PACKAGE = Path(__file__).parent.parent
 # Rooms of the package that no number of a run depends on.

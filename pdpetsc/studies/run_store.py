@@ -12,8 +12,8 @@ from typing import Any
 
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import write_whole
+from pdpetsc.studies.input_files import Files, content, words
 from pdpetsc.studies.refinement import NOISE
-from pdpetsc.studies.used import Files, content, words
 
 # Marks a folder that a study has made: nothing is written to another one that is not empty.
 MARK = ".pdpetsc-study"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Protocol
 
 
-class Ahead(Protocol):
+class StaggeredField(Protocol):
     """A field that equilibrium depends on and that does not depend on the displacement of the step."""
 
     @property
-    def together(self) -> bool:
+    def monolithic(self) -> bool:
         """Return whether the solver finds it together with the displacement (not collective)."""
         ...
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declared import Declared
+from pdpetsc.renamed import accept_old_methods
 
 
-class DamageEffect(Declared, ABC):
+class DamageEvolution(Declared, ABC):
     """How force states ``T_s omega P K^-1 xi`` and the zero-energy control fade with their bonds, and when these break.
 
     A bond has the integrity ``T_s`` of the law at its present drive or the one that was kept at the last equilibrium.
@@ -19,14 +20,18 @@ class DamageEffect(Declared, ABC):
     and gradient.
     """
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        accept_old_methods(cls, {"heals": "reversible", "tears": "breaks_by_family_strain"})
+
     @property
     @abstractmethod
-    def heals(self) -> bool:
+    def reversible(self) -> bool:
         """Return whether a bond that has not broken regains force as it is driven less."""
 
     @property
     @abstractmethod
-    def tears(self) -> bool:
+    def breaks_by_family_strain(self) -> bool:
         """Return whether bonds also break with the strain of a gradient that has lost some, besides their drive."""
 
     @abstractmethod
@@ -34,7 +39,7 @@ class DamageEffect(Declared, ABC):
         """Return which bonds have the integrity of the present drive (n_bonds,), not the kept one."""
 
     @abstractmethod
-    def reached(self, x: Float, worst: Float) -> Float:
+    def reached(self, x: Float, kappa: Float) -> Float:
         """Return the drive by which a bond is judged to break (n_bonds,) [-].
 
         Parameters
@@ -55,12 +60,12 @@ class DamageEffect(Declared, ABC):
         """
 
     @abstractmethod
-    def fading(self, integrity: Float) -> Float | None:
+    def fading(self, phi: Float) -> Float | None:
         """Return what multiplies the control's forces besides, now (n_bonds,) [-]; None for nothing."""
 
 
 @dataclass(frozen=True)
-class LargestStretch(DamageEffect):
+class LargestStretch(DamageEvolution):
     """The integrity is that of the largest drive so far: what a bond has lost it does not regain.
 
     The control has the integrity of the last equilibrium in its stiffness and in the gradient that it measures from. A
@@ -74,12 +79,12 @@ class LargestStretch(DamageEffect):
     """
 
     @property
-    def heals(self) -> bool:
+    def reversible(self) -> bool:
         """Return False."""
         return False
 
     @property
-    def tears(self) -> bool:
+    def breaks_by_family_strain(self) -> bool:
         """Return True."""
         return True
 
@@ -87,9 +92,9 @@ class LargestStretch(DamageEffect):
         """Return where the present integrity is below the kept one."""
         return np.asarray(present < kept)
 
-    def reached(self, x: Float, worst: Float) -> Float:
+    def reached(self, x: Float, kappa: Float) -> Float:
         """Return the larger of the two."""
-        return np.maximum(x, worst)
+        return np.maximum(x, kappa)
 
     def volume_left(self, share: Float) -> Float:
         """Return the share of the family."""
@@ -99,13 +104,13 @@ class LargestStretch(DamageEffect):
         """Return the integrity."""
         return kept
 
-    def fading(self, integrity: Float) -> Float | None:
+    def fading(self, phi: Float) -> Float | None:
         """Return None."""
         return None
 
 
 @dataclass(frozen=True)
-class PresentStretch(DamageEffect):
+class PresentStretch(DamageEvolution):
     """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the integrity of the present drive everywhere.
 
     The control fades with its bonds at once, with the derivative of that in the tangent, and measures from the gradient
@@ -125,12 +130,12 @@ class PresentStretch(DamageEffect):
     """
 
     @property
-    def heals(self) -> bool:
+    def reversible(self) -> bool:
         """Return True."""
         return True
 
     @property
-    def tears(self) -> bool:
+    def breaks_by_family_strain(self) -> bool:
         """Return False."""
         return False
 
@@ -138,7 +143,7 @@ class PresentStretch(DamageEffect):
         """Return True for all."""
         return np.ones(len(present), dtype=bool)
 
-    def reached(self, x: Float, worst: Float) -> Float:
+    def reached(self, x: Float, kappa: Float) -> Float:
         """Return the present drive."""
         return x
 
@@ -150,6 +155,6 @@ class PresentStretch(DamageEffect):
         """Return 1 where bonds are not broken."""
         return np.asarray(kept > 0.0, dtype=np.float64)
 
-    def fading(self, integrity: Float) -> Float | None:
+    def fading(self, phi: Float) -> Float | None:
         """Return the integrity."""
-        return integrity
+        return phi

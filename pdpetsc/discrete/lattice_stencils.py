@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.discrete.communicator import agreed, total
-from pdpetsc.kernels.repeated import cells_with_any, families_of_cells, family_keys, onto_cells, order_keys
+from pdpetsc.kernels.lattice_stencils import cells_with_any, families_of_cells, family_keys, onto_cells, order_keys
 from pdpetsc.kernels.sparsity import families_with_any
 
 Number = TypeVar("Number", bound=np.generic)
@@ -151,7 +151,7 @@ def positions_on_lattice(x: Float, horizon: float) -> tuple[Float, GlobalIndex] 
 
 
 @dataclass(frozen=True)
-class Edge:
+class IrregularRest:
     """The own particles whose families do not repeat, and one of each pattern of the others, as a body of its own.
 
     Attributes
@@ -188,7 +188,7 @@ class Part:
     Attributes
     ----------
     alone : (n,) int32
-        Those whose families do not repeat, by their number in ``Edge``.
+        Those whose families do not repeat, by their number in ``IrregularRest``.
     rows : Rows
         The cells of the others.
     pattern : (n_rows,) int64
@@ -205,7 +205,7 @@ class Part:
         return self.rows.starts, self.rows.lengths, self.pattern
 
 
-class Repeats:
+class LatticeStencils:
     """Which own particles of a lattice share a family, and what is needed to treat the others by themselves.
 
     Particles have the same pattern where their families have the same steps: whole ones inside, and on a flat face or
@@ -249,10 +249,10 @@ class Repeats:
     def with_any(self, marked: Mask) -> Mask:
         """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
         found = np.zeros(self.cloud.n_owned, dtype=bool)
-        edge = self.edge
-        of_edge = np.empty(edge.cloud.n_owned, dtype=bool)
-        families_with_any(edge.indptr, edge.neighbours, marked[edge.local], of_edge)
-        found[edge.local[: edge.n]] = of_edge[: edge.n]
+        irregular = self.irregular
+        of_irregular = np.empty(irregular.cloud.n_owned, dtype=bool)
+        families_with_any(irregular.indptr, irregular.neighbours, marked[irregular.local], of_irregular)
+        found[irregular.local[: irregular.n]] = of_irregular[: irregular.n]
         for number, steps in enumerate(self.steps):
             own = np.flatnonzero(self.pattern_of == number)
             hit = np.empty(len(own), dtype=bool)
@@ -262,9 +262,9 @@ class Repeats:
 
     def connecting(self) -> tuple[LocalIndex, LocalIndex]:
         """Return both particles of bonds (n,) that connect what all bonds together do."""
-        edge, grid = self.edge, self.grid
-        number = np.repeat(np.arange(edge.n), np.diff(edge.indptr)[: edge.n])
-        one, other = [edge.local[number]], [edge.local[edge.neighbours[: len(number)]]]
+        irregular, grid = self.irregular, self.grid
+        number = np.repeat(np.arange(irregular.n), np.diff(irregular.indptr)[: irregular.n])
+        one, other = [irregular.local[number]], [irregular.local[irregular.neighbours[: len(number)]]]
         along = np.concatenate([grid.axis_steps, -grid.axis_steps])
         for pattern, steps in enumerate(self.steps):
             centres = np.flatnonzero(self.pattern_of == pattern).astype(np.int32)
@@ -277,7 +277,7 @@ class Repeats:
     def n_bonds(self) -> int:
         """Return the bonds of the own particles."""
         counts = np.bincount(self.pattern_of[self.shared], minlength=self.n_patterns)
-        return int(self.edge.indptr[self.edge.n]) + sum(
+        return int(self.irregular.indptr[self.irregular.n]) + sum(
             int(count) * len(steps) for count, steps in zip(counts, self.steps, strict=True)
         )
 
@@ -294,15 +294,15 @@ class Repeats:
     @cached_property
     def steps(self) -> list[GlobalIndex]:
         """Return the steps of the members of each pattern, in the order of the one that stands for it."""
-        edge = self.edge
-        cell = self.grid.cell[edge.local]
+        irregular = self.irregular
+        cell = self.grid.cell[irregular.local]
         return [
-            cell[edge.neighbours[edge.indptr[own] : edge.indptr[own + 1]]] - cell[own]
-            for own in range(edge.n, edge.n + self.n_patterns)
+            cell[irregular.neighbours[irregular.indptr[own] : irregular.indptr[own + 1]]] - cell[own]
+            for own in range(irregular.n, irregular.n + self.n_patterns)
         ]
 
     @cached_property
-    def edge(self) -> Edge:
+    def irregular(self) -> IrregularRest:
         """Return the particles whose families do not repeat, with one that stands for each pattern of the others."""
         cloud = self.cloud
         alone = np.flatnonzero(~self.shared)
@@ -325,10 +325,10 @@ class Repeats:
         stands_for[len(alone) :] = np.bincount(self.pattern_of[self.shared], minlength=self.n_patterns)
         part = replace(
             cloud, x=cloud.x[local], volume=cloud.volume[local], gid=cloud.gid[local], row=cloud.row[local], sets={},
-            n_owned=n, offset=offset, sign=sign, place=cloud.place[local], reach=cloud.reach[local],
+            n_owned=n, offset=offset, sign=sign, place=cloud.place[local], local_horizon=cloud.local_horizon[local],
             stands_for=stands_for,
         )  # fmt: skip
-        return Edge(part, local, indptr, number[neighbours], len(alone))
+        return IrregularRest(part, local, indptr, number[neighbours], len(alone))
 
     @cached_property
     def whole(self) -> Part:
@@ -346,7 +346,7 @@ class Repeats:
     def _divided(self, particles: LocalIndex) -> Part:
         chosen = np.zeros(self.cloud.n_owned, dtype=bool)
         chosen[particles] = True
-        alone = np.flatnonzero(chosen[self.edge.local[: self.edge.n]]).astype(np.int32)
+        alone = np.flatnonzero(chosen[self.irregular.local[: self.irregular.n]]).astype(np.int32)
         found = []
         for pattern in range(self.n_patterns):
             found.append(rows_of(self.grid.cell[: self.cloud.n_owned][chosen & (self.pattern_of == pattern)]))
@@ -354,9 +354,9 @@ class Repeats:
         return Part(alone, rows, np.repeat(np.arange(self.n_patterns), [len(one.starts) for one in found]))
 
 
-def find_repeats(
+def find_lattice(
     cloud: Cloud, cut: Callable[[LocalIndex], Mask] | None, least: float, in_order: bool = False
-) -> Repeats | None:
+) -> LatticeStencils | None:
     """Return which families repeat; None on all ranks where fewer than a share ``least`` of the particles share one.
 
     Parameters
@@ -379,7 +379,7 @@ def find_repeats(
     if int(counts[1]) or counts[0] < least * cloud.n_global:
         return None
     assert grid is not None
-    return Repeats(cloud, grid, found, cut)
+    return LatticeStencils(cloud, grid, found, cut)
 
 
 def _patterns(

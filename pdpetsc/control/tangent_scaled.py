@@ -18,7 +18,7 @@ ROUND = 1e-9
 
 
 @dataclass(frozen=True)
-class Following(ZeroEnergyControl):
+class TangentScaled(ZeroEnergyControl):
     """A zero-energy control whose stiffness falls with that of the material at each particle.
 
     A control with the stiffness of the elastic material holds a body that yields: what is not uniform in a family
@@ -64,8 +64,8 @@ class Following(ZeroEnergyControl):
     Examples
     --------
     >>> import pdpetsc as pd
-    >>> pd.Following(pd.Silling(0.5))
-    Following(control=Silling(G=0.5), least=0.01)
+    >>> pd.TangentScaled(pd.Silling(0.5))
+    TangentScaled(control=Silling(G=0.5), least=0.01)
     """
 
     control: ZeroEnergyControl

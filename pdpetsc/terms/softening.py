@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
-from pdpetsc.damage.criterion import Beyond, Gradient, OfEnds
+from pdpetsc.damage.criterion import EndpointMean, Gradient, NonlocalPart
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.bonds import outer_rows_kernel
 from pdpetsc.kernels.sparsity import sum_by, transpose
@@ -18,7 +18,7 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries
 
 
-class FallingBonds:
+class SofteningBonds:
     """``v (x) m`` of bonds whose integrity falls: force of the intact bond times the gradient of the integrity.
 
     Parameters
@@ -56,7 +56,7 @@ class FallingBonds:
             )  # fmt: skip
 
 
-class FallingBeyond:
+class SofteningNonlocal:
     """``v (x) dT/du`` of bonds whose integrity falls with the displacement of particles of the family of their centre.
 
     Parameters
@@ -71,30 +71,30 @@ class FallingBeyond:
         Derivative of the integrity of each.
     """
 
-    def __init__(self, body: Body, bonds: GlobalIndex, v: Float, beyond: Beyond) -> None:
-        self._body, self._v, self._beyond = body, np.asarray(v), beyond
+    def __init__(self, body: Body, bonds: GlobalIndex, v: Float, nonlocal_part: NonlocalPart) -> None:
+        self._body, self._v, self._nonlocal_part = body, np.asarray(v), nonlocal_part
         self._ends = np.stack([body.families.centres[bonds], body.families.neighbours[bonds]], axis=1)
-        self._bond_of = np.repeat(np.arange(len(bonds)), np.diff(beyond.ptr))
+        self._bond_of = np.repeat(np.arange(len(bonds)), np.diff(nonlocal_part.ptr))
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the families of some own particles (not collective)."""
         asked = np.zeros(self._body.cloud.n_owned, dtype=bool)
         asked[particles] = True
         entries = np.flatnonzero(asked[self._ends[self._bond_of, 0]])
-        each = np.einsum("ei,ei->e", self._beyond.by[entries], du[self._beyond.particles[entries]])
+        each = np.einsum("ei,ei->e", self._nonlocal_part.by[entries], du[self._nonlocal_part.particles[entries]])
         force = np.bincount(self._bond_of[entries], each, len(self._v))[:, None] * self._v
         np.add.at(f, self._ends[:, 1], force)
         np.subtract.at(f, self._ends[:, 0], force)
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the matrix (not collective)."""
-        dim, n, beyond, sparsity = self._body.dim, len(self._v), self._beyond, entries.sparsity
+        dim, n, nonlocal_part, sparsity = self._body.dim, len(self._v), self._nonlocal_part, entries.sparsity
         # Stencils begin with both ends, which have the forces, and go on with the particles that have the derivatives.
-        members = np.insert(beyond.particles, np.repeat(beyond.ptr[:-1], 2), self._ends.ravel())
-        ptr = beyond.ptr + 2 * np.arange(n + 1)
+        members = np.insert(nonlocal_part.particles, np.repeat(nonlocal_part.ptr[:-1], 2), self._ends.ravel())
+        ptr = nonlocal_part.ptr + 2 * np.arange(n + 1)
         h, g = np.zeros((len(members), dim)), np.zeros((len(members), dim))
         h[ptr[:-1], 0], h[ptr[:-1] + 1, 0] = -1.0, 1.0
-        g[np.arange(len(beyond.particles)) + 2 * (self._bond_of + 1)] = beyond.by
+        g[np.arange(len(nonlocal_part.particles)) + 2 * (self._bond_of + 1)] = nonlocal_part.by
         A = np.zeros((n, *(dim,) * 4))
         A[:, :, 0] = np.einsum("pi,kn->pikn", self._v, np.eye(dim))
         members = members.astype(self._body.families.neighbours.dtype)
@@ -106,7 +106,7 @@ class FallingBeyond:
             )  # fmt: skip
 
 
-class FallingFamilies:
+class SofteningFamilies:
     """``sum_b q_b (x) dc/du`` in every family: forces of its bonds with one number that depends on all its members.
 
     Parameters
@@ -127,7 +127,7 @@ class FallingFamilies:
         self._h = np.insert(q, families.indptr[:-1], -sum_by(families.centres, q, len(counts)), axis=0)
 
     @classmethod
-    def of_ends(cls, body: Body, bonds: GlobalIndex, v: Float, ends: OfEnds) -> FallingFamilies:
+    def of_ends(cls, body: Body, bonds: GlobalIndex, v: Float, ends: EndpointMean) -> SofteningFamilies:
         """Return the part of bonds whose integrity follows the mean of a number of each end.
 
         Parameters
@@ -146,7 +146,7 @@ class FallingFamilies:
         return cls(body, q, ends.by, counts)
 
     @classmethod
-    def of_dilatation(cls, body: Body, gradient: Gradient, q: Float, n: Float, s: Float) -> FallingFamilies:
+    def of_dilatation(cls, body: Body, gradient: Gradient, q: Float, n: Float, s: Float) -> SofteningFamilies:
         """Return what bonds whose integrity falls take from the dilatation that their family shares.
 
         Parameters
@@ -170,13 +170,16 @@ class FallingFamilies:
         own = (s * gradient.along)[:, None] * n[bonds]
         g[of_bond[bonds]] += own
         np.subtract.at(g, whole.point_ptr[:-1][centres[bonds]], own)
-        if gradient.beyond is not None:
-            count = np.diff(gradient.beyond.ptr)
+        if gradient.nonlocal_part is not None:
+            count = np.diff(gradient.nonlocal_part.ptr)
             key = np.repeat(np.arange(len(counts)), np.diff(whole.point_ptr)) * body.cloud.n_local + whole.members
             order = np.argsort(key)
-            asked = np.repeat(centres[bonds].astype(np.int64), count) * body.cloud.n_local + gradient.beyond.particles
+            asked = (
+                np.repeat(centres[bonds].astype(np.int64), count) * body.cloud.n_local
+                + gradient.nonlocal_part.particles
+            )
             at = order[np.searchsorted(key[order], asked)]
-            np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.beyond.by)
+            np.add.at(g, at, np.repeat(s, count)[:, None] * gradient.nonlocal_part.by)
         for ends in gradient.ends:
             # What the other ends of the bonds see is beyond the family; their own stands for it.
             sums = np.bincount(centres[bonds], s * ends.factor, len(counts))
@@ -209,10 +212,10 @@ class FallingFamilies:
             )  # fmt: skip
 
 
-Falling: TypeAlias = FallingBonds | FallingBeyond | FallingFamilies
+Softening: TypeAlias = SofteningBonds | SofteningNonlocal | SofteningFamilies
 
 
-def falling_parts(state: State, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Falling]:
+def softening_parts(state: State, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Softening]:
     """Return what the derivative of the integrity adds where elongations are those of the current length (collective).
 
     Parameters
@@ -230,20 +233,20 @@ def falling_parts(state: State, gradient: Gradient, v: Float, opposite: Callable
     centres, neighbours = body.families.centres[bonds], body.families.neighbours[bonds]
     y = body.cloud.x[neighbours] + u_local[neighbours] - body.cloud.x[centres] - u_local[centres]
     m = np.asarray(gradient.along[:, None] * y / np.linalg.norm(y, axis=1)[:, None])
-    found: list[Falling] = [FallingBonds(body, bonds, v[bonds], m)]
-    return [*found, *falling_beyond(body, gradient, v, opposite)]
+    found: list[Softening] = [SofteningBonds(body, bonds, v[bonds], m)]
+    return [*found, *softening_nonlocal(body, gradient, v, opposite)]
 
 
-def falling_beyond(body: Body, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Falling]:
+def softening_nonlocal(body: Body, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Softening]:
     """Return what is left where the part of the own elongation is counted elsewhere; nothing for most drives.
 
-    Arguments as for ``falling_parts`` (collective).
+    Arguments as for ``softening_parts`` (collective).
     """
     bonds = gradient.bonds
-    found: list[Falling] = []
-    if gradient.beyond is not None:
-        found.append(FallingBeyond(body, bonds, v[bonds], gradient.beyond))
+    found: list[Softening] = []
+    if gradient.nonlocal_part is not None:
+        found.append(SofteningNonlocal(body, bonds, v[bonds], gradient.nonlocal_part))
     if gradient.ends:
         both = 0.5 * (v - opposite(v))[bonds]
-        found += [FallingFamilies.of_ends(body, bonds, both, ends) for ends in gradient.ends]
+        found += [SofteningFamilies.of_ends(body, bonds, both, ends) for ends in gradient.ends]
     return found

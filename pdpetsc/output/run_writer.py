@@ -19,7 +19,7 @@ from pdpetsc.post.solution import Field, Solution
 from pdpetsc.problem.problem import Problem
 
 
-class Keeper:
+class RunWriter:
     """Writes converged steps to the folder of a run.
 
     Before it writes anything, what an earlier run left in the folder is set aside, unless this run goes on from there.

@@ -38,6 +38,6 @@ def largest_share(steps: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     note = (
         f"The zero-energy control stores {100.0 * share:.0f} % of the energy at step time {t:.6g}, so that "
         f"displacements depend on its coefficient: take a smaller one, more particles, a scheme that needs none, or "
-        f"pd.Following where the material yields."
+        f"pd.TangentScaled where the material yields."
     )
     return {"share": share, "t": t, "note": note}

@@ -9,10 +9,10 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.bond_based import BondStiffness
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.lattice import Part, Repeats
+from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import GradientOperator, from_bond_weights, stencil_weights, whole_families
-from pdpetsc.gradient.repeated import RepeatedOperator
-from pdpetsc.kernels.repeated import (
+from pdpetsc.gradient.lattice_gradient import LatticeGradient
+from pdpetsc.kernels.lattice_stencils import (
     add_from_cells,
     rows_bond_blocks_kernel,
     rows_bond_moduli_kernel,
@@ -21,13 +21,13 @@ from pdpetsc.kernels.repeated import (
     rows_least_length_kernel,
 )
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.matter import Matter
+from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, LinearisedTerm
 from pdpetsc.terms.bond_forces import BondForces, BondTangent
 
 
-class RepeatedBonds(BondForces):
+class LatticeBonds(BondForces):
     """``BondForces`` of one material without dilatation or damage, with one list of bonds for all that share a family.
 
     Parameters
@@ -37,39 +37,39 @@ class RepeatedBonds(BondForces):
     repeats : Repeats
         Which families repeat.
     edge : BondForces
-        The term of ``repeats.edge``.
+        The term of ``lattice.irregular``.
 
     Notes
     -----
     Construction is collective.
     """
 
-    def __init__(self, body: Body, repeats: Repeats, edge: BondForces) -> None:
-        Matter.__init__(self, body)
+    def __init__(self, body: Body, lattice: LatticeStencils, irregular: BondForces) -> None:
+        MaterialTerm.__init__(self, body)
         n = body.cloud.n_owned
-        self._take(edge.materials, np.zeros(n, dtype=np.int32), np.ones(n))
+        self._take(irregular.materials, np.zeros(n, dtype=np.int32), np.ones(n))
         self.horizons = 1
-        own = repeats.edge
+        own = lattice.irregular
         first = int(own.indptr[own.n])
-        steps = np.concatenate(repeats.steps)
-        centres = np.repeat(np.arange(own.n, own.n + repeats.n_patterns), [len(one) for one in repeats.steps])
+        steps = np.concatenate(lattice.steps)
+        centres = np.repeat(np.arange(own.n, own.n + lattice.n_patterns), [len(one) for one in lattice.steps])
         xi = own.cloud.x[own.neighbours[first:]] - own.cloud.x[centres]
         ptr: GlobalIndex = own.indptr[own.n :] - first
-        self._repeats, self._edge = repeats, edge
-        self._patterns = ptr, steps.astype(np.int64), xi, np.linalg.norm(xi, axis=1), edge.k[first:].copy()
+        self._lattice, self._irregular = lattice, irregular
+        self._patterns = ptr, steps.astype(np.int64), xi, np.linalg.norm(xi, axis=1), irregular.k[first:].copy()
         # The forces of particles that stand for a pattern are those of its rows.
-        edge.constants = BondStiffness(np.where(np.arange(len(edge.k)) < first, edge.k, 0.0))
+        irregular.constants = BondStiffness(np.where(np.arange(len(irregular.k)) < first, irregular.k, 0.0))
 
     @cached_property
     def constants(self) -> BondStiffness:
         """Return the stiffness of all bonds, listed (not collective)."""
-        families, repeats, own = self.body.families, self._repeats, self._repeats.edge
-        cell, k = repeats.grid.cell, np.empty(families.n_bonds)
-        pattern = repeats.pattern_of[families.centres]
+        families, lattice, own = self.body.families, self._lattice, self._lattice.irregular
+        cell, k = lattice.grid.cell, np.empty(families.n_bonds)
+        pattern = lattice.pattern_of[families.centres]
         step = cell[families.neighbours] - cell[families.centres]
-        k[pattern < 0] = self._edge.k[: own.indptr[own.n]]
+        k[pattern < 0] = self._irregular.k[: own.indptr[own.n]]
         ptr, steps, _, _, stiffness = self._patterns
-        for number in range(repeats.n_patterns):
+        for number in range(lattice.n_patterns):
             entries = slice(int(ptr[number]), int(ptr[number + 1]))
             order = np.argsort(steps[entries])
             mine = pattern == number
@@ -79,25 +79,25 @@ class RepeatedBonds(BondForces):
     @cached_property
     def _operator(self) -> GradientOperator:
         """Return the gradient that fits the families best, zero in directions that they lack."""
-        own = self._repeats.edge
+        own = self._lattice.irregular
         families = Families(own.indptr, own.neighbours)
-        stencils = whole_families(own.cloud, families, self._edge.omega * own.cloud.volume[own.neighbours])
+        stencils = whole_families(own.cloud, families, self._irregular.omega * own.cloud.volume[own.neighbours])
         K = stencils.shape_tensors(own.cloud.x)
         weights = stencil_weights(stencils, own.cloud.x, np.linalg.pinv(K, rcond=1e-10, hermitian=True))
         listed = np.delete(weights, stencils.point_ptr[:-1], axis=0)
-        return RepeatedOperator(from_bond_weights(own.cloud, families, listed), self._repeats)
+        return LatticeGradient(from_bond_weights(own.cloud, families, listed), self._lattice)
 
     def add_force(self, state: State, f: Float) -> None:
         """Add the forces of bonds under tension."""
-        edge = self.edge_state(state)
-        self._repeats.edge.add(f, lambda forces: self._edge.add_force(edge, forces))
-        self.add_row_forces(self._repeats.whole, state.u_local, None, f)
+        irregular = self.irregular_state(state)
+        self._lattice.irregular.add(f, lambda forces: self._irregular.add_force(irregular, forces))
+        self.add_row_forces(self._lattice.whole, state.u_local, None, f)
 
     def add_row_forces(self, part: Part, u: Float, du: Float | None, f: Float) -> None:
         """Add the forces of bonds that repeat at ``u``, or their change with ``du``, to ``f``, all (n_local, dim)."""
         if not part.rows.count:
             return
-        grid, forces, (ptr, steps, xi, length, k) = self._repeats.grid, self._repeats.forces_on_cells, self._patterns
+        grid, forces, (ptr, steps, xi, length, k) = self._lattice.grid, self._lattice.forces_on_cells, self._patterns
         u_cells = grid.onto(u)
         du_cells = u_cells if du is None else grid.onto(du)
         kernel = rows_bonds_kernel(self.body.dim, int(self.finite), int(du is not None))
@@ -106,54 +106,54 @@ class RepeatedBonds(BondForces):
 
     def add_row_blocks(self, u: Float, blocks: Float) -> None:
         """Add what couples each local particle to itself in bonds that repeat, at ``u`` (n_local, dim)."""
-        part, grid = self._repeats.whole, self._repeats.grid
+        part, grid = self._lattice.whole, self._lattice.grid
         kernel = rows_bond_blocks_kernel(self.body.dim, int(self.finite))
         kernel(*part.loop, grid.at, *self._patterns, grid.onto(u), blocks)
 
-    def edge_state(self, state: State) -> State:
+    def irregular_state(self, state: State) -> State:
         """Return the state of the particles whose families do not repeat (collective the first time)."""
         u_local = state.u_local
-        return state.kept(("edge", id(self)), lambda: self._edge_state(u_local))
+        return state.kept(("edge", id(self)), lambda: self._irregular_state(u_local))
 
-    def _edge_state(self, u_local: Float) -> State:
-        u = u_local[self._repeats.edge.local]
-        return State(self._edge.body, u[: self._repeats.edge.cloud.n_owned], u_local=u)
+    def _irregular_state(self, u_local: Float) -> State:
+        u = u_local[self._lattice.irregular.local]
+        return State(self._irregular.body, u[: self._lattice.irregular.cloud.n_owned], u_local=u)
 
     def admissible(self, state: State) -> bool:
         """Return whether every bond on this rank has a length above zero."""
         if not self.finite:
             return True
-        part, (ptr, steps, xi, _, _) = self._repeats.whole, self._patterns
-        u_cells = self._repeats.grid.onto(state.u_local)
+        part, (ptr, steps, xi, _, _) = self._lattice.whole, self._patterns
+        u_cells = self._lattice.grid.onto(state.u_local)
         least = rows_least_length_kernel(self.body.dim)(*part.loop, ptr, steps, xi, u_cells)
-        return self._edge.admissible(self.edge_state(state)) and bool(least > 0.0)
+        return self._irregular.admissible(self.irregular_state(state)) and bool(least > 0.0)
 
     def linearised(self, state: State) -> LinearisedTerm:
         """Return the tangent with the directions and tensions at a state."""
-        return RepeatedTangent(self, self._edge, self._repeats, state)
+        return LatticeBondTangent(self, self._irregular, self._lattice, state)
 
     def moduli(self, state: State) -> Float:
         """Return the derivative of ``sum_j t n (x) xi`` by F (n_owned, dim, dim, dim, dim) [energy]."""
-        own, part = self._repeats.edge, self._repeats.whole
+        own, part = self._lattice.irregular, self._lattice.whole
         D = np.empty((self.body.cloud.n_owned, *(self.body.dim,) * 4))
-        D[own.local[: own.n]] = BondTangent(self._edge, self.edge_state(state)).stiffness()[: own.n]
+        D[own.local[: own.n]] = BondTangent(self._irregular, self.irregular_state(state)).stiffness()[: own.n]
         kernel = rows_bond_moduli_kernel(self.body.dim, int(self.finite))
-        kernel(*part.loop, self._repeats.grid.at, *self._patterns, self._repeats.grid.onto(state.u_local), D)
+        kernel(*part.loop, self._lattice.grid.at, *self._patterns, self._lattice.grid.onto(state.u_local), D)
         return D
 
     def _sums(self, state: State) -> tuple[Float, Float]:
         """Return energy [energy] and ``sum_j t n (x) xi`` [energy] of the own particles (collective the first time)."""
-        u_local, edge = state.u_local, self.edge_state(state)
+        u_local, irregular = state.u_local, self.irregular_state(state)
 
         def make() -> tuple[Float, Float]:
-            own, part, dim = self._repeats.edge, self._repeats.whole, self.body.dim
+            own, part, dim = self._lattice.irregular, self._lattice.whole, self.body.dim
             n = self.body.cloud.n_owned
             energy, moment = np.empty(n), np.empty((n, dim, dim))
             V = own.cloud.volume[: own.n]
-            energy[own.local[: own.n]] = self._edge.energy_density(edge)[: own.n] * V
-            moment[own.local[: own.n]] = self._edge.first_piola_stress(edge)[: own.n] * V[:, None, None]
+            energy[own.local[: own.n]] = self._irregular.energy_density(irregular)[: own.n] * V
+            moment[own.local[: own.n]] = self._irregular.first_piola_stress(irregular)[: own.n] * V[:, None, None]
             kernel = rows_bond_sums_kernel(dim, int(self.finite))
-            kernel(*part.loop, self._repeats.grid.at, *self._patterns, self._repeats.grid.onto(u_local), energy, moment)
+            kernel(*part.loop, self._lattice.grid.at, *self._patterns, self._lattice.grid.onto(u_local), energy, moment)
             return energy, moment
 
         return state.kept(("sums", id(self)), make)
@@ -177,7 +177,7 @@ class RepeatedBonds(BondForces):
         return np.zeros(self.body.cloud.n_owned)
 
 
-class RepeatedTangent(LinearisedTerm):
+class LatticeBondTangent(LinearisedTerm):
     """The tangent of bonds that repeat.
 
     Parameters
@@ -192,16 +192,16 @@ class RepeatedTangent(LinearisedTerm):
         Where it is taken.
     """
 
-    def __init__(self, term: RepeatedBonds, edge: BondForces, repeats: Repeats, state: State) -> None:
-        self._term, self._repeats, self._state = term, repeats, state
+    def __init__(self, term: LatticeBonds, irregular: BondForces, lattice: LatticeStencils, state: State) -> None:
+        self._term, self._lattice, self._state = term, lattice, state
         self._u = state.u_local
-        self._edge = edge.linearised(term.edge_state(state))
+        self._irregular = irregular.linearised(term.irregular_state(state))
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of all bonds of the particles."""
-        part, own = self._repeats.part(particles), self._repeats.edge
+        part, own = self._lattice.part(particles), self._lattice.irregular
         if len(part.alone):
-            own.add(f, lambda forces: self._edge.add_product(du[own.local], forces, part.alone))
+            own.add(f, lambda forces: self._irregular.add_product(du[own.local], forces, part.alone))
         self._term.add_row_forces(part, self._u, du, f)
 
     def stiffness(self) -> Float:
@@ -210,7 +210,7 @@ class RepeatedTangent(LinearisedTerm):
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add those of all bonds to the blocks of local particles (n_local, dim, dim)."""
-        self._repeats.edge.add(blocks, self._edge.add_point_blocks)
+        self._lattice.irregular.add(blocks, self._irregular.add_point_blocks)
         self._term.add_row_blocks(self._u, blocks)
         return True
 

@@ -1,7 +1,7 @@
 """The gradient operator of a body on a lattice whose families repeat: one list of weights for all that share one.
 
-The particles whose families do not repeat are a body of their own (``discrete.lattice.Edge``), with one particle of
-each pattern of the others, from which the weights of that pattern are taken.
+The particles whose families do not repeat are a body of their own (``discrete.lattice_stencils.IrregularRest``), with
+one particle of each pattern of the others. The weights of a pattern are those of that particle.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.discrete.lattice import Part, Repeats
+from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, Product, SameGradient
-from pdpetsc.kernels.repeated import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
+from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
 # Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
 OPPOSITE = 1e-12
@@ -101,7 +101,7 @@ def _paired(steps: GlobalIndex, g: Float) -> tuple[GlobalIndex, GlobalIndex, Flo
     return steps[kept].astype(np.int64), minus[kept].astype(np.int64), np.ascontiguousarray(mean[kept])
 
 
-class RepeatedOperator(GradientOperator):
+class LatticeGradient(GradientOperator):
     """``GradientOperator`` that keeps one list of weights for all particles that share a family.
 
     ``g``, ``members`` and ``point_ptr`` list all weights for whoever asks for them.
@@ -109,126 +109,126 @@ class RepeatedOperator(GradientOperator):
     Parameters
     ----------
     edge : GradientOperator
-        The operator of ``repeats.edge``.
+        The operator of ``lattice.irregular``.
     repeats : Repeats
         Which families repeat.
     """
 
-    edge: GradientOperator
-    repeats: Repeats
+    irregular: GradientOperator
+    lattice: LatticeStencils
 
-    def __init__(self, edge: GradientOperator, repeats: Repeats) -> None:
-        own, shared = repeats.edge, repeats.shared
-        each = np.diff(edge.points_of)
+    def __init__(self, irregular: GradientOperator, lattice: LatticeStencils) -> None:
+        own, shared = lattice.irregular, lattice.shared
+        each = np.diff(irregular.points_of)
         count = np.empty(len(shared), dtype=np.int64)
         count[own.local[: own.n]] = each[: own.n]
-        count[shared] = repeats.of_shared(each[own.n :])
+        count[shared] = lattice.of_shared(each[own.n :])
         owner = np.repeat(np.arange(len(shared), dtype=np.int32), count)
-        self.__dict__.update(owner=owner, note=edge.note, edge=edge, repeats=repeats)
-        self.__dict__["volume"] = self._from_edge(edge.volume)
+        self.__dict__.update(owner=owner, note=irregular.note, irregular=irregular, lattice=lattice)
+        self.__dict__["volume"] = self._from_irregular(irregular.volume)
 
     @cached_property
     def points_of(self) -> GlobalIndex:
         """Return where the points of every own particle start (n_owned + 1,)."""
-        return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.repeats.shared)))])
+        return np.concatenate([[0], np.cumsum(np.bincount(self.owner, minlength=len(self.lattice.shared)))])
 
     @cached_property
     def alone(self) -> GlobalIndex:
         """Return the points of particles whose families do not repeat."""
-        return np.flatnonzero(~self.repeats.shared[self.owner])
+        return np.flatnonzero(~self.lattice.shared[self.owner])
 
     @cached_property
     def _members(self) -> list[list[tuple[GlobalIndex, Float]]]:
         """Return steps and weights of the members of each point of each pattern, without the centre."""
-        edge, own = self.edge, self.repeats.edge
-        cell = self.repeats.grid.cell[own.local]
+        irregular, own = self.irregular, self.lattice.irregular
+        cell = self.lattice.grid.cell[own.local]
         found = []
-        for number in range(own.n, own.n + self.repeats.n_patterns):
+        for number in range(own.n, own.n + self.lattice.n_patterns):
             lists = []
-            for p in range(int(edge.points_of[number]), int(edge.points_of[number + 1])):
-                entries = slice(int(edge.point_ptr[p]) + 1, int(edge.point_ptr[p + 1]))
-                lists.append((cell[edge.members[entries]] - cell[number], edge.g[entries]))
+            for p in range(int(irregular.points_of[number]), int(irregular.points_of[number + 1])):
+                entries = slice(int(irregular.point_ptr[p]) + 1, int(irregular.point_ptr[p + 1]))
+                lists.append((cell[irregular.members[entries]] - cell[number], irregular.g[entries]))
             found.append(lists)
         return found
 
     @cached_property
     def weights(self) -> Weights:
         """Return the weights of each pattern."""
-        return weights_of(self._members, self.repeats.cloud.dim)
+        return weights_of(self._members, self.lattice.cloud.dim)
 
     @cached_property
     def point_volumes(self) -> Float:
         """Return the volumes of the points of each pattern (n_lists,) [volume]."""
-        return self.edge.volume[self.edge.points_of[self.repeats.edge.n] :]
+        return self.irregular.volume[self.irregular.points_of[self.lattice.irregular.n] :]
 
     def row_points(self, P: Float) -> RowPoints:
         """Return what gives stresses P (n_points, dim, dim)."""
         return RowPoints(self.points_of, self.point_volumes, P.reshape(len(P), -1), NO_SETS)
 
-    def of_edge(self, values: Float) -> Float:
-        """Return values of points (n_points, ...) as ``edge`` takes them: zero for those that stand for a pattern."""
-        found = np.zeros((self.edge.n_points, *values.shape[1:]))
+    def of_irregular(self, values: Float) -> Float:
+        """Return values of points (n_points, ...) at the points of ``irregular``: zero for those of a pattern."""
+        found = np.zeros((self.irregular.n_points, *values.shape[1:]))
         found[: len(self.alone)] = values[self.alone]
         return found
 
-    def _from_edge(self, values: Float) -> Float:
-        """Return values at all points (n_points, ...) from those at the points of ``edge``."""
-        own, repeats, points = self.repeats.edge, self.repeats, self.edge.points_of
+    def _from_irregular(self, values: Float) -> Float:
+        """Return values at all points (n_points, ...) from those at the points of ``irregular``."""
+        own, lattice, points = self.lattice.irregular, self.lattice, self.irregular.points_of
         found = np.empty((self.n_points, *values.shape[1:]))
         found[self.alone] = values[: points[own.n]]
-        first = repeats.of_shared(points[own.n : -1])
-        size = repeats.of_shared(np.diff(points)[own.n :])
-        together = np.flatnonzero(repeats.shared[self.owner])
+        first = lattice.of_shared(points[own.n : -1])
+        size = lattice.of_shared(np.diff(points)[own.n :])
+        together = np.flatnonzero(lattice.shared[self.owner])
         found[together] = values[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(together))]
         return found
 
     def gradient(self, u: Float) -> Float:
         """Return ``H_p = sum_k u_k (x) g_pk`` (n_points, dim, dim) for ``u`` (n_local, dim)."""
-        repeats, dim = self.repeats, u.shape[1]
-        part = repeats.whole
+        lattice, dim = self.lattice, u.shape[1]
+        part = lattice.whole
         H = np.empty((self.n_points, dim, dim))
-        H[self.alone] = self.edge.gradient(u[repeats.edge.local])[: len(self.alone)]
-        data = repeats.grid.at, self.points_of, *self.weights.arrays, repeats.grid.onto(u)
+        H[self.alone] = self.irregular.gradient(u[lattice.irregular.local])[: len(self.alone)]
+        data = lattice.grid.at, self.points_of, *self.weights.arrays, lattice.grid.onto(u)
         rows_gradient_kernel(dim)(*part.loop, *data, H)
         return H
 
     def divergence(self, P: Float, f: Float, same: ControlledGradient | None = None) -> None:
         """Add ``sum_p W_p P_p g_pk`` to ``f`` (n_local, dim), and the forces of a control that ``adds_together``."""
-        own, control, u, of_edge = self.repeats.edge, None, None, None
-        if same is not None and isinstance(same.control, RepeatedGradient):
+        own, control, u, of_irregular = self.lattice.irregular, None, None, None
+        if same is not None and isinstance(same.control, LatticeSharedGradient):
             control, u = same.control, same.u
-            of_edge = ControlledGradient(control.edge, self.of_edge(same.H), u[own.local])
-        own.add(f, lambda forces: self.edge.divergence(self.of_edge(P), forces, of_edge))
-        add_row_forces(self.repeats, self.repeats.whole, self.weights, self.row_points(P), control, u, f)
+            of_irregular = ControlledGradient(control.irregular, self.of_irregular(same.H), u[own.local])
+        own.add(f, lambda forces: self.irregular.divergence(self.of_irregular(P), forces, of_irregular))
+        add_row_forces(self.lattice, self.lattice.whole, self.weights, self.row_points(P), control, u, f)
 
     def adds_together(self, same: SameGradient | None) -> bool:
         """Return whether a control repeats as the weights do."""
-        return isinstance(same, RepeatedGradient)
+        return isinstance(same, LatticeSharedGradient)
 
     def product(self, A: Moduli, h: Float | None = None) -> Product:
         """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
-        return RepeatedProduct(self, A) if h is None else self.listed.product(A, h)
+        return LatticeProduct(self, A) if h is None else self.listed.product(A, h)
 
     @cached_property
     def listed(self) -> GradientOperator:
         """Return the operator with all weights listed (not collective)."""
-        repeats, edge, own = self.repeats, self.edge, self.repeats.edge
-        at, cell = repeats.grid.at, repeats.grid.cell
-        sizes = self._from_edge(np.diff(edge.point_ptr).astype(float)).astype(np.int64)
+        lattice, irregular, own = self.lattice, self.irregular, self.lattice.irregular
+        at, cell = lattice.grid.at, lattice.grid.cell
+        sizes = self._from_irregular(np.diff(irregular.point_ptr).astype(float)).astype(np.int64)
         ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         members = np.empty(int(ptr[-1]), dtype=np.int32)
-        g = np.empty((int(ptr[-1]), repeats.cloud.dim))
+        g = np.empty((int(ptr[-1]), lattice.cloud.dim))
         of_alone = np.zeros(self.n_points, dtype=bool)
         of_alone[self.alone] = True
         entries = np.repeat(of_alone, sizes)
-        last = int(edge.point_ptr[len(self.alone)])
-        members[entries], g[entries] = own.local[edge.members[:last]], edge.g[:last]
+        last = int(irregular.point_ptr[len(self.alone)])
+        members[entries], g[entries] = own.local[irregular.members[:last]], irregular.g[:last]
         for pattern, lists in enumerate(self._members):
-            centres = np.flatnonzero(repeats.pattern_of == pattern)
-            first = int(edge.points_of[own.n + pattern])
+            centres = np.flatnonzero(lattice.pattern_of == pattern)
+            first = int(irregular.points_of[own.n + pattern])
             for number, (steps, weights) in enumerate(lists):
                 start = ptr[self.points_of[centres] + number]
-                members[start], g[start] = centres, edge.g[int(edge.point_ptr[first + number])]
+                members[start], g[start] = centres, irregular.g[int(irregular.point_ptr[first + number])]
                 for k, step in enumerate(steps):
                     members[start + 1 + k], g[start + 1 + k] = at[cell[centres] + step], weights[k]
         return GradientOperator(self.owner, ptr, members, g, self.volume, self.note)
@@ -271,7 +271,7 @@ class RowPoints:
     of: LocalIndex
 
 
-class RepeatedGradient(SameGradient):
+class LatticeSharedGradient(SameGradient):
     """A control on the gradient of a whole family, ``1/2 sum_i c_i sum_j w_ij |eta_ij - H_i xi_ij|^2``.
 
     Parameters
@@ -286,11 +286,11 @@ class RepeatedGradient(SameGradient):
         ``c_i`` [-].
     """
 
-    def __init__(self, edge: SameGradient, weight: Float, K: Float, scale: Float) -> None:
-        self.edge, self.weight, self.K, self.scale = edge, weight, K, scale
+    def __init__(self, irregular: SameGradient, weight: Float, K: Float, scale: Float) -> None:
+        self.irregular, self.weight, self.K, self.scale = irregular, weight, K, scale
 
 
-class RepeatedProduct(Product):
+class LatticeProduct(Product):
     """``G^T (W A) G`` of an operator whose weights repeat, with the forces of a control on the same gradient.
 
     Parameters
@@ -301,37 +301,41 @@ class RepeatedProduct(Product):
         Moduli of the points.
     """
 
-    def __init__(self, operator: RepeatedOperator, A: Moduli) -> None:
-        self._operator, dim = operator, operator.repeats.cloud.dim
+    def __init__(self, operator: LatticeGradient, A: Moduli) -> None:
+        self._operator, dim = operator, operator.lattice.cloud.dim
         self._points = RowPoints(
             operator.points_of, operator.point_volumes, A.values.reshape(-1, dim * dim, dim * dim),
             NO_SETS if A.of is None else A.of,
         )  # fmt: skip
-        of_edge = np.zeros((operator.edge.n_points, *A.values.shape[1:]))
-        of_edge[: len(operator.alone)] = A.at(operator.alone)
-        self._alone = operator.edge.product(Moduli(of_edge))
-        self._same: RepeatedGradient | None = None
+        of_irregular = np.zeros((operator.irregular.n_points, *A.values.shape[1:]))
+        of_irregular[: len(operator.alone)] = A.at(operator.alone)
+        self._alone = operator.irregular.product(Moduli(of_irregular))
+        self._same: LatticeSharedGradient | None = None
 
     def absorb(self, same: SameGradient | None) -> bool:
         """Add the forces of a control that uses the same gradient from now on; return whether it can."""
-        if self._same is not None or not isinstance(same, RepeatedGradient) or not self._alone.absorb(same.edge):
+        if (
+            self._same is not None
+            or not isinstance(same, LatticeSharedGradient)
+            or not self._alone.absorb(same.irregular)
+        ):
             return False
         self._same = same
         return True
 
     def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
         """Add the forces of the points of some own particles for displacements (n_local, dim)."""
-        operator, repeats = self._operator, self._operator.repeats
-        part, own = repeats.part(particles), repeats.edge
+        operator, lattice = self._operator, self._operator.lattice
+        part, own = lattice.part(particles), lattice.irregular
         if len(part.alone):
             own.add(f, lambda forces: self._alone.add(part.alone, u[own.local], forces))
-        add_row_forces(repeats, part, operator.weights, self._points, self._same, u, f)
+        add_row_forces(lattice, part, operator.weights, self._points, self._same, u, f)
 
     def add_point_blocks(self, blocks: Float) -> None:
         """Add ``sum_p W_p g_pk . A_p . g_pk`` of every local particle ``k`` (n_local, dim, dim)."""
-        operator, repeats, dim = self._operator, self._operator.repeats, blocks.shape[-1]
-        part, grid, weights = repeats.whole, repeats.grid, operator.weights
-        repeats.edge.add(blocks, self._alone.add_point_blocks)
+        operator, lattice, dim = self._operator, self._operator.lattice, blocks.shape[-1]
+        part, grid, weights = lattice.whole, lattice.grid, operator.weights
+        lattice.irregular.add(blocks, self._alone.add_point_blocks)
         on_cells, points = np.zeros((dim * dim, len(grid.at))), self._points
         data = weights.arrays[0], weights.g, weights.centre, points.volume, points.stress, points.of
         rows_blocks_kernel(dim)(*part.loop, grid.at, points.first, *data, on_cells)
@@ -339,8 +343,8 @@ class RepeatedProduct(Product):
 
 
 def add_row_forces(
-    repeats: Repeats, part: Part, weights: Weights, points: RowPoints | None, same: RepeatedGradient | None,
-    u: Float | None, f: Float,
+    lattice: LatticeStencils, part: Part, weights: Weights, points: RowPoints | None,
+    same: LatticeSharedGradient | None, u: Float | None, f: Float,
 ) -> None:  # fmt: skip
     """Add the forces of points whose weights repeat, and of a control on their gradient, to ``f`` (n_local, dim).
 
@@ -355,10 +359,10 @@ def add_row_forces(
     """
     if not part.rows.count:
         return
-    dim, grid, forces = f.shape[1], repeats.grid, repeats.forces_on_cells
+    dim, grid, forces = f.shape[1], lattice.grid, lattice.forces_on_cells
     if points is None:
         points = RowPoints(
-            np.zeros(repeats.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS, NO_SETS
+            np.zeros(lattice.cloud.n_owned, dtype=np.int64), np.ones(len(weights.centre)), NO_STRESS, NO_SETS
         )
     control = NO_CONTROL if same is None else (same.weight, same.scale, same.K)
     rows_force_kernel(dim, int(points.stress.ndim == 3), int(same is not None))(

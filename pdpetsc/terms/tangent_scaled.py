@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.control.base import Control, ZeroEnergyControl
-from pdpetsc.control.following import Yielding
+from pdpetsc.control.tangent_scaled import Yielding
 from pdpetsc.gradient.base import GradientOperator, ListedProduct, SameGradient
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.sparsity import transpose
@@ -19,8 +19,8 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm
 from pdpetsc.terms.control import ControlForces, ControlTangent
-from pdpetsc.terms.falling import Falling, falling_parts
 from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.softening import Softening, softening_parts
 
 
 class Families(NamedTuple):
@@ -41,8 +41,8 @@ class Families(NamedTuple):
     secant: Control
 
 
-class FollowingForces(ControlForces):
-    """Forces of a control that yields with the material of each particle (``control.following``).
+class TangentScaledForces(ControlForces):
+    """Forces of a control that yields with the material of each particle (``control.tangent_scaled``).
 
     The tangent is ``sum_i (q/e)_i M_i + b_i m_i (x) m_i`` with the matrices ``M_i`` of the families of the elastic
     control, their forces ``m_i = M_i u`` and the bend ``b_i`` of ``q(e)``.
@@ -62,14 +62,14 @@ class FollowingForces(ControlForces):
     """
 
     def __init__(
-        self, body: Body, name: str, control: Control, matter: MaterialPoints, least: float,
+        self, body: Body, name: str, control: Control, material_term: MaterialPoints, least: float,
         damage: Damage | None = None,
     ) -> None:  # fmt: skip
         super().__init__(body, name, control, damage)
-        self._matter, self._least = matter, least
+        self._material_term, self._least = material_term, least
         self._yielding = Yielding.unloaded(body.cloud.n_owned)
         self._share = np.ones(body.cloud.n_owned)
-        matter.followers.append(self._see)
+        material_term.followers.append(self._see)
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -125,13 +125,15 @@ class FollowingForces(ControlForces):
     def linearised(self, state: State) -> LinearisedTerm:
         """Return the tangent of the secant, of its change, and of the integrity where it fades."""
         families, fading = self.families(state), self._fading(state)
-        falling: list[Falling] = []
+        softening: list[Softening] = []
         if fading is not None and self.damage is not None and self.damage.bonds.softens:
             gradient = self.damage.gradient(state)
-            v, opposite = families.secant.bond_forces(state.u_local), self.damage.driven_bonds.opposite
-            falling = falling_parts(state, gradient, v, opposite.of_vectors)
+            v, opposite = families.secant.bond_forces(state.u_local), self.damage.damageable.opposite
+            softening = softening_parts(state, gradient, v, opposite.of_vectors)
         faded = None if fading is None else self.control.faded(fading).family_forces(state.u_local)
-        return FollowingTangent(self, self.at(state), falling, self._yielding.bend(families.e), families.forces, faded)
+        return TangentScaledTangent(
+            self, self.at(state), softening, self._yielding.bend(families.e), families.forces, faded
+        )
 
     def commit(self, state: State) -> None:
         """Take the sizes at a state for good, and the slope ahead from the material as it was found there."""
@@ -140,13 +142,13 @@ class FollowingForces(ControlForces):
 
     def _see(self, state: State) -> None:
         """Note the tangent modulus of a state that the material is about to take for good."""
-        self._share = self._matter.tangent_share(state)
+        self._share = self._material_term.tangent_share(state)
 
     def _fading(self, state: State) -> Float | None:
-        return None if self.damage is None else self._effect.fading(self.damage.integrity(state))
+        return None if self.damage is None else self._effect.fading(self.damage.phi(state))
 
 
-class FollowingTangent(ControlTangent):
+class TangentScaledTangent(ControlTangent):
     """The tangent of a control that follows: that of its secant, and ``b_i h_i (x) m_i`` of every family.
 
     Parameters
@@ -162,10 +164,10 @@ class FollowingTangent(ControlTangent):
     """
 
     def __init__(
-        self, term: FollowingForces, control: Control, falling: list[Falling], bend: Float,
+        self, term: TangentScaledForces, control: Control, softening: list[Softening], bend: Float,
         m: Float, h: Float | None,
     ) -> None:  # fmt: skip
-        super().__init__(term, control, falling)
+        super().__init__(term, control, softening)
         self._families = term
         n, dim = len(bend), term.body.dim
         ptr, members = term.entries
@@ -204,10 +206,14 @@ class FollowingTangent(ControlTangent):
 
 
 def control_forces(
-    declared: ZeroEnergyControl, body: Body, control: Control, matter: MaterialPoints, damage: Damage | None = None
+    declared: ZeroEnergyControl,
+    body: Body,
+    control: Control,
+    material_term: MaterialPoints,
+    damage: Damage | None = None,
 ) -> ControlForces:
     """Return the term of a built control: one that yields with the material where it is declared to (collective)."""
     name = type(declared).__name__
     if declared.least_share is None:
         return ControlForces(body, name, control, damage)
-    return FollowingForces(body, name, control, matter, declared.least_share, damage)
+    return TangentScaledForces(body, name, control, material_term, declared.least_share, damage)

@@ -13,7 +13,7 @@ from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
 
 
-class Matter(Term):
+class MaterialTerm(Term):
     """Material of a body, at gradient points or in bonds.
 
     Attributes
@@ -115,5 +115,5 @@ class Matter(Term):
         """
 
     @abstractmethod
-    def reach(self, marked: Float) -> Mask:
+    def dependents(self, marked: Float) -> Mask:
         """Return the own particles whose forces depend on a marked local particle: (n_local,) -> (n_owned,) bool."""

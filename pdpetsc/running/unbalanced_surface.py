@@ -90,7 +90,7 @@ def unbalanced_areas(case: Case, problem: Problem) -> Float:
     body = problem.body
     cloud, dim = body.cloud, body.dim
     n, fixed = cloud.n_owned, problem.supports.fixed[: cloud.n_owned]
-    areas = problem.matter.uniform_stress_force(np.tile(np.eye(dim), (n, 1, 1)))[:n].copy()
+    areas = problem.material_term.uniform_stress_force(np.tile(np.eye(dim), (n, 1, 1)))[:n].copy()
     surface = _surface(case, problem)
     if surface is None:
         held = np.zeros((cloud.n_local, dim))
@@ -102,7 +102,7 @@ def unbalanced_areas(case: Case, problem: Problem) -> Float:
         loaded = np.zeros((cloud.n_local, dim))
         surface.spread(surface.area * ~fixed[surface.owner], loaded)
         areas -= body.gather(loaded)[:n]
-    areas[fixed | (np.abs(areas) <= NONE * (cloud.volume[:n] / cloud.reach[:n])[:, None])] = 0.0
+    areas[fixed | (np.abs(areas) <= NONE * (cloud.volume[:n] / cloud.local_horizon[:n])[:, None])] = 0.0
     return areas
 
 
@@ -122,11 +122,11 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
     if pushed == 0:
         return Unbalanced(0, held, 0.0, 0.0)
     state = problem.state(u, t)
-    P = problem.matter.first_piola_stress(state).copy()
+    P = problem.material_term.first_piola_stress(state).copy()
     force = np.zeros_like(u)
     force[:n] = np.einsum("kij,kj->ki", P, areas)
     # The tangent of what has just flowed is elastic.
-    found = None if problem.matter.has_history else solver.response(u, t, force)
+    found = None if problem.material_term.has_history else solver.response(u, t, force)
     if found is None:
         return Unbalanced(pushed, held, None, None)
     far = largest(comm, float(np.abs(found[:n]).max(initial=0.0)))
@@ -137,7 +137,7 @@ def unbalanced(problem: Problem, solver: Solver, areas: Float, u: Float, t: floa
     moved = problem.state(u + part * found, t)
     if not problem.admissible(moved):
         return Unbalanced(pushed, held, None, None)
-    change = (problem.matter.first_piola_stress(moved) - P) / part
+    change = (problem.material_term.first_piola_stress(moved) - P) / part
     V = body.cloud.volume[:n]
     volume, mean = total(comm, V.sum()), total(comm, V @ u[:n])
     parts = [(V[:, None, None] * change**2).sum(), (V[:, None, None] * P**2).sum(), (V[:, None] * found[:n] ** 2).sum()]
@@ -168,7 +168,7 @@ def words(found: Unbalanced) -> str:
 def _surface(case: Case, problem: Problem) -> Surface | None:
     """Return the surface of the body; None where its particles do not know it, or share families (collective)."""
     body = problem.body
-    if body.surface is not None or body.families.repeats is not None or case.cracks:
+    if body.surface is not None or body.families.lattice is not None or case.cracks:
         return body.surface
     try:
         with agreed(body.cloud.comm):

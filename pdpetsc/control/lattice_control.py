@@ -10,14 +10,20 @@ from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.control.base import Control, ControlMatrix, Stencil, Stiffness
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.lattice import Repeats
+from pdpetsc.discrete.lattice_stencils import LatticeStencils
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import BondGradient, GradientOperator, SameGradient
-from pdpetsc.gradient.repeated import RepeatedGradient, RepeatedOperator, Weights, add_row_forces, weights_of
-from pdpetsc.kernels.repeated import add_from_cells, rows_control_blocks_kernel, rows_energy_kernel
+from pdpetsc.gradient.lattice_gradient import (
+    LatticeGradient,
+    LatticeSharedGradient,
+    Weights,
+    add_row_forces,
+    weights_of,
+)
+from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_control_blocks_kernel, rows_energy_kernel
 
 
-class RepeatedControl(Control):
+class LatticeControl(Control):
     """``NonUniform`` whose bond stiffness is ``c_i w_ij`` with one ``w`` for all particles that share a family.
 
     Parameters
@@ -32,31 +38,33 @@ class RepeatedControl(Control):
         Makes the control with all bonds listed, for whoever assembles its matrix (collective).
     """
 
-    def __init__(self, repeats: Repeats, edge: NonUniform, scale: Float, listed: Callable[[], Control]) -> None:
-        self._repeats, self._edge, self._scale, self._make = repeats, edge, scale, listed
+    def __init__(
+        self, lattice: LatticeStencils, irregular: NonUniform, scale: Float, listed: Callable[[], Control]
+    ) -> None:
+        self._lattice, self._irregular, self._scale, self._make = lattice, irregular, scale, listed
         self._all: Control | None = None
-        own = repeats.edge
+        own = lattice.irregular
         # The forces of particles that stand for a pattern are those of its rows.
-        stiffness = np.where(np.arange(len(edge.stiffness)) < own.indptr[own.n], edge.stiffness, 0.0)
-        self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, edge.K_inverse)
-        K_inverse = edge.K_inverse[own.n :]
+        stiffness = np.where(np.arange(len(irregular.stiffness)) < own.indptr[own.n], irregular.stiffness, 0.0)
+        self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, irregular.K_inverse)
+        K_inverse = irregular.K_inverse[own.n :]
         self._K = np.linalg.inv(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
         self._stiffness, points = [], []
-        for number, steps in enumerate(repeats.steps):
+        for number, steps in enumerate(lattice.steps):
             bonds = slice(int(own.indptr[own.n + number]), int(own.indptr[own.n + number + 1]))
             xi = own.cloud.x[own.neighbours[bonds]] - own.cloud.x[own.n + number]
-            self._stiffness.append(edge.stiffness[bonds])
-            points.append([(steps, edge.stiffness[bonds, None] * (xi @ K_inverse[number]))])
-        self._weights = weights_of(points, repeats.cloud.dim)
+            self._stiffness.append(irregular.stiffness[bonds])
+            points.append([(steps, irregular.stiffness[bonds, None] * (xi @ K_inverse[number]))])
+        self._weights = weights_of(points, lattice.cloud.dim)
         found = self._of(self._weights, SameGradient())
         if found is None:
             raise ValueError("Opposite bonds of a family that repeats have different stiffnesses.")
         self._same = found
 
-    def _of(self, weights: Weights, edge: SameGradient) -> RepeatedGradient | None:
+    def _of(self, weights: Weights, irregular: SameGradient) -> LatticeSharedGradient | None:
         """Return what loops over some weights take; None where opposite bonds of an entry are not alike."""
-        of_bonds = weights.of_members(self._repeats.steps, self._stiffness)
-        return None if of_bonds is None else RepeatedGradient(edge, of_bonds, self._K, self._scale)
+        of_bonds = weights.of_members(self._lattice.steps, self._stiffness)
+        return None if of_bonds is None else LatticeSharedGradient(irregular, of_bonds, self._K, self._scale)
 
     @property
     def _listed(self) -> Control:
@@ -75,16 +83,18 @@ class RepeatedControl(Control):
 
     def of_gradient(self, operator: GradientOperator) -> SameGradient | None:
         """Return what a loop over the gradient of the scheme needs where it is that of the control."""
-        if not isinstance(operator, RepeatedOperator):
+        if not isinstance(operator, LatticeGradient):
             return None
-        edge = self._edge.of_gradient(operator.edge)
-        return None if edge is None else self._of(operator.weights, BondGradient(self._alone.stiffness, edge.K))
+        irregular = self._irregular.of_gradient(operator.irregular)
+        return (
+            None if irregular is None else self._of(operator.weights, BondGradient(self._alone.stiffness, irregular.K))
+        )
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add multiples of the identity to the blocks of local particles (n_local, dim, dim)."""
-        repeats, dim, same, weights = self._repeats, blocks.shape[-1], self._same, self._weights
-        part, grid = repeats.whole, repeats.grid
-        repeats.edge.add(blocks, self._alone.add_point_blocks)
+        lattice, dim, same, weights = self._lattice, blocks.shape[-1], self._same, self._weights
+        part, grid = lattice.whole, lattice.grid
+        lattice.irregular.add(blocks, self._alone.add_point_blocks)
         diagonal, sums = np.zeros((1, len(grid.at))), np.zeros((len(blocks), 1))
         data = weights.arrays[0], weights.g, weights.centre, same.weight, same.scale, same.K
         rows_control_blocks_kernel(dim)(*part.loop, grid.at, *data, diagonal)
@@ -94,28 +104,28 @@ class RepeatedControl(Control):
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""
-        repeats, dim, same = self._repeats, u.shape[1], self._same
-        part, own = repeats.part(particles), repeats.edge
+        lattice, dim, same = self._lattice, u.shape[1], self._same
+        part, own = lattice.part(particles), lattice.irregular
         energy = 0.0
         if len(part.alone):
-            energy = own.add(f, lambda forces: self._edge.force(u[own.local], forces, part.alone))
+            energy = own.add(f, lambda forces: self._irregular.force(u[own.local], forces, part.alone))
         if part.rows.count:
             control = same.weight, same.scale, same.K
-            data = repeats.grid.at, *self._weights.arrays, *control, repeats.grid.onto(u)
+            data = lattice.grid.at, *self._weights.arrays, *control, lattice.grid.onto(u)
             energy += float(rows_energy_kernel(dim)(*part.loop, *data))
-            add_row_forces(repeats, part, self._weights, None, same, u, f)
+            add_row_forces(lattice, part, self._weights, None, same, u, f)
         return energy
 
 
-def of_edge(stiffness: Stiffness, repeats: Repeats) -> Stiffness:
+def of_irregular(stiffness: Stiffness, lattice: LatticeStencils) -> Stiffness:
     """Return the stiffness of the particles whose families do not repeat, and of the one that stands for the others."""
-    own = repeats.edge.local[: repeats.edge.cloud.n_owned]
+    own = lattice.irregular.local[: lattice.irregular.cloud.n_owned]
     return Stiffness(stiffness.kappa[own], stiffness.moduli, stiffness.material_of[own], stiffness.factor[own])
 
 
-def relative_scale(stiffness: Stiffness, repeats: Repeats) -> Float:
+def relative_scale(stiffness: Stiffness, lattice: LatticeStencils) -> Float:
     """Return ``kappa_i`` over that of the particle that stands for its pattern (n_owned,) [-]; 1 where none does."""
-    own, scale = repeats.edge, np.ones(repeats.cloud.n_owned)
-    of_patterns = stiffness.kappa[own.local[own.n : own.n + repeats.n_patterns]]
-    scale[repeats.shared] = stiffness.kappa[repeats.shared] / repeats.of_shared(of_patterns)
+    own, scale = lattice.irregular, np.ones(lattice.cloud.n_owned)
+    of_patterns = stiffness.kappa[own.local[own.n : own.n + lattice.n_patterns]]
+    scale[lattice.shared] = stiffness.kappa[lattice.shared] / lattice.of_shared(of_patterns)
     return scale

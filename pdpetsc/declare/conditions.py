@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeAlias
@@ -21,7 +22,19 @@ Value: TypeAlias = float | Callable[[Float, float], Float]
 
 
 @dataclass(frozen=True)
-class _Vector(Declared):
+class Condition(Declared, ABC):
+    """A prescribed displacement, a load, or the mean strain or stress of a cell; derive from it for another one."""
+
+    @abstractmethod
+    def put(self, onto: Any, name: str) -> None:
+        """Apply it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective).
+
+        ``onto.body`` has the particles, ``onto.supports`` prescribes or ties unknowns, ``onto.loads`` adds forces.
+        """
+
+
+@dataclass(frozen=True)
+class _Vector(Condition):
     region: Region
     x: Value | None = None
     y: Value | None = None
@@ -121,7 +134,7 @@ class Displacement(_Vector):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Prescribe the displacement."""
         onto.displacement(self, name)
 
 
@@ -143,7 +156,7 @@ class Force(_Vector):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Add the force."""
         onto.force(self, name)
 
 
@@ -165,7 +178,7 @@ class BodyForce(_Vector):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Add the force per volume."""
         onto.body_force(self, name)
 
 
@@ -209,7 +222,7 @@ class Traction(_Vector):
     area: float | None = field(default=None, kw_only=True)
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Add the traction."""
         onto.surface_traction(self, name) if self.on_surface else onto.traction(self, name)
 
     def __post_init__(self) -> None:
@@ -240,7 +253,7 @@ class Traction(_Vector):
 
 
 @dataclass(frozen=True)
-class SurfacePressure(Declared):
+class SurfacePressure(Condition):
     """Dead pressure on facets of the surface, ``t = -p n`` with the reference normal of each; ``Pressure`` makes it.
 
     Parameters
@@ -265,7 +278,7 @@ class SurfacePressure(Declared):
     on_surface: ClassVar[bool] = True
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Add the pressure."""
         onto.surface_pressure(self, name)
 
     def values(self, x: Float, t: float) -> Float:
@@ -309,7 +322,7 @@ def Pressure(
 
 
 @dataclass(frozen=True)
-class _Tensor(Declared):
+class _Tensor(Condition):
     xx: float | None = None
     yy: float | None = None
     zz: float | None = None
@@ -353,7 +366,7 @@ class MeanStrain(_Tensor):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Prescribe the mean strain."""
         onto.mean_strain(self, name)
 
 
@@ -370,8 +383,5 @@ class MeanStress(_Tensor):
     """
 
     def put(self, onto: Any, name: str) -> None:
-        """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
+        """Add the mean stress."""
         onto.mean_stress(self, name)
-
-
-Condition: TypeAlias = Displacement | Force | BodyForce | Traction | SurfacePressure | MeanStrain | MeanStress

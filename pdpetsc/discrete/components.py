@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
@@ -42,13 +44,14 @@ def find_pieces(cloud: Cloud, families: Families) -> GlobalIndex:
             return np.asarray(label[: cloud.n_owned])
 
 
-def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
+def refuse_rigid_motion(cloud: Cloud, families: Families, resisted: Callable[[Float], Float]) -> None:
     """Raise on all ranks if a piece of the body can move rigidly.
 
     Parameters
     ----------
-    fixed : (n_owned, dim) bool
-        Prescribed degrees of freedom. A mirror plane holds the pieces that it crosses in the body: they cannot move
+    resisted : callable
+        Returns how far displacements (n_owned, dim) violate the constraints, 0 where nothing constrains them
+        (collective). A mirror plane holds the pieces that it crosses in the body: they cannot move
         along its normal, nor turn it.
 
     Raises
@@ -64,7 +67,7 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, fixed: Mask) -> None:
     modes = rigid_modes(cloud)
     labels, index = np.unique(pieces, return_inverse=True)
     n_modes = modes.shape[2]
-    held = np.where(fixed[:, :, None], modes, 0.0)
+    held = np.stack([resisted(mode) for mode in np.moveaxis(modes, 2, 0)], axis=2)
     gram = np.zeros((len(labels), n_modes, n_modes))
     np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
     centres, members = families.connecting()

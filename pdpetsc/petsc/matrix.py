@@ -10,6 +10,7 @@ from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.components import rigid_modes
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.kernels.sparsity import scalar_rows
+from pdpetsc.petsc.combination import combination_matrix
 from pdpetsc.petsc.library import seq_blocks, values_of
 from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.assembly import Assembler
@@ -32,8 +33,8 @@ def predicted_bytes(sparsity: Sparsity, dim: int) -> int:
 class TangentMatrix(PetscTangent):
     """An AIJ matrix of block size ``dim`` that an assembler fills in place.
 
-    It holds ``K / scale``. Rows and columns of prescribed degrees of freedom hold only 1 on the diagonal, so that the
-    matrix stays symmetric.
+    It holds ``C^T K C / scale`` with the constraints ``u = C q + g``. Rows and columns of prescribed and tied degrees
+    of freedom hold only 1 on the diagonal, so that the matrix stays symmetric.
 
     Parameters
     ----------
@@ -55,7 +56,9 @@ class TangentMatrix(PetscTangent):
         self._fixed = fixed.ravel()
         problem, sparsity = assembler.problem, assembler.pattern
         dim, n = problem.dim, problem.body.cloud.n_rows
-        self.mat = _allocate(problem, sparsity)
+        self._whole = _allocate(problem, sparsity)
+        self._tied = None if problem.supports.ties is None else combination_matrix(problem.supports)
+        self.mat = self._whole if self._tied is None else self._combined(None)
         self.preconditioner = self.mat
         rows = sparsity.rows
         self._n_diag = int(rows.diag_ptr[-1]) * dim * dim
@@ -65,7 +68,7 @@ class TangentMatrix(PetscTangent):
         self._zero_diag = _constrained(rows.diag_ptr, rows.columns[is_diag], fixed, fixed)
         self._zero_off = _constrained(rows.off_ptr, rows.columns[~is_diag] - n, fixed, other)
         self._diagonal = _diagonal(rows.diag_ptr, rows.columns[is_diag], dim)
-        self._handles = seq_blocks(self.mat)
+        self._handles = seq_blocks(self._whole)
         self._filled = -1
         self.diagonal = np.zeros(n * dim)
 
@@ -79,12 +82,28 @@ class TangentMatrix(PetscTangent):
             self.diagonal = diag[self._diagonal]
             diag *= 1.0 / self._scale
             off *= 1.0 / self._scale
-            diag[self._zero_diag] = 0.0
-            off[self._zero_off] = 0.0
-            diag[self._diagonal[self._fixed]] = 1.0
-        self.mat.assemble()
+            if self._tied is None:
+                diag[self._zero_diag] = 0.0
+                off[self._zero_off] = 0.0
+                diag[self._diagonal[self._fixed]] = 1.0
+        self._whole.assemble()
+        if self._tied is not None:
+            self._combined(self.mat)
         self.mat.stateIncrease()
         self._filled = version
+
+    def _combined(self, mat: PETSc.Mat | None) -> PETSc.Mat:
+        """Return ``C^T K C`` with 1 on the diagonal of prescribed and tied degrees of freedom, in ``mat`` if given."""
+        if mat is None:
+            self._whole.assemble()
+        found = self._whole.ptap(self._tied, result=mat)
+        diagonal = found.getDiagonal()
+        diagonal.setArray(np.where(self._fixed, 1.0, diagonal.array_r))
+        found.setDiagonal(diagonal)
+        diagonal.destroy()
+        if mat is None:
+            _describe(found, self._assembler.problem)
+        return found
 
     def renew(self) -> bool:
         """Return False: the sparsity is that of the whole families."""
@@ -105,8 +124,11 @@ class TangentMatrix(PetscTangent):
         return int(entries) * (8 + np.dtype(PETSc.IntType).itemsize)
 
     def destroy(self) -> None:
-        """Free the PETSc object."""
+        """Free the PETSc objects."""
         self.mat.destroy()
+        if self._tied is not None:
+            self._whole.destroy()
+            self._tied.destroy()
 
 
 def _allocate(problem: Problem, sparsity: Sparsity) -> PETSc.Mat:
@@ -122,11 +144,16 @@ def _allocate(problem: Problem, sparsity: Sparsity) -> PETSc.Mat:
     mat.setSizes((size, size), bsize=dim)
     mat.setType("aij")
     mat.setPreallocationCSR((row_ptr, scalar))
+    _describe(mat, problem)
+    return mat
+
+
+def _describe(mat: PETSc.Mat, problem: Problem) -> None:
+    """Tell PETSc whether the matrix is symmetric, and its near-null space."""
     if problem.symmetric:
         mat.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         mat.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
     _attach_rigid_modes(mat, problem)
-    return mat
 
 
 def _global_columns(sparsity: Sparsity) -> GlobalIndex:

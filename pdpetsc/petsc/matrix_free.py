@@ -15,6 +15,7 @@ from pdpetsc.petsc.tangent import PetscTangent
 from pdpetsc.problem.nearest_neighbours import NearAssembler
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
+from pdpetsc.problem.supports import Supports
 
 # The preconditioner is made anew when a solve takes this many times the iterations per digit of the first one with it.
 HARDER = 1.3
@@ -86,7 +87,7 @@ class MatrixFreeTangent(PetscTangent):
         self._rebuilds = problem.rebuilds
         self._made_from = preconditioning
         self.preconditioner, self.diagonal = preconditioning.mat, preconditioning.diagonal
-        self._product = _Product(fixed, scale)
+        self._product = _Product(problem.supports, scale)
         sizes = self.preconditioner.getSizes()
         self.mat = PETSc.Mat().createPython(sizes, context=self._product, comm=problem.body.cloud.comm)
         if problem.symmetric:
@@ -203,12 +204,13 @@ class NearMatrix(Preconditioning):
 
 
 class _Product:
-    """The tangent times a vector, with the rows of prescribed degrees of freedom."""
+    """``C^T K C`` times a vector, with the rows of prescribed and tied degrees of freedom."""
 
-    def __init__(self, fixed: Mask, scale: float) -> None:
-        self._fixed, self._free = fixed, ~fixed
+    def __init__(self, supports: Supports, scale: float) -> None:
+        self._supports, self._fixed, self._free = supports, supports.fixed, ~supports.fixed
         self._weight = self._free / scale
-        self._masked = np.zeros(fixed.shape)
+        self._masked = np.zeros(self._fixed.shape)
+        self._no_change = np.zeros(self._fixed.shape)
         self.tangent: Tangent | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -216,7 +218,10 @@ class _Product:
         assert self.tangent is not None
         values = x.array_r.reshape(self._free.shape)
         np.multiply(values, self._free, out=self._masked)
-        product = self.tangent(self._masked)
+        if self._supports.ties is None:
+            product = self.tangent(self._masked)
+        else:
+            product = self._supports.reduced(self.tangent(self._supports.completed(self._masked, self._no_change)))
         result = y.array_w.reshape(self._free.shape)
         np.multiply(product, self._weight, out=result)
         np.copyto(result, values, where=self._fixed)

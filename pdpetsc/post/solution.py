@@ -96,7 +96,7 @@ class Solution:
     @cached_property
     def reaction(self) -> Float:
         """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
-        return np.where(self.problem.supports.fixed, self.internal_force - self._loads, 0.0)
+        return np.where(self.problem.supports.held, self.internal_force - self._loads, 0.0)
 
     def follow(self, before: Solution, work: float | None = None) -> None:
         """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
@@ -118,7 +118,7 @@ class Solution:
     @cached_property
     def _acting(self) -> Float:
         """Return the forces of loads and supports (n_rows, dim) [force]."""
-        return np.where(self.problem.supports.fixed, self.internal_force, self._loads)
+        return np.where(self.problem.supports.held, self.internal_force, self._loads)
 
     @cached_property
     def energies(self) -> dict[str, float]:

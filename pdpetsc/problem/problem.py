@@ -135,6 +135,14 @@ class Problem:
                 held |= term.grounded
         return held
 
+    def resisted(self, modes: Float) -> Float:
+        """Return what supports and grounded terms resist of displacements (n_owned, dim) [length], 0 where nothing."""
+        found = self.supports.resisted(modes)
+        for term in self.terms:
+            if term.grounded is not None:
+                found = np.where(term.grounded, modes, found)
+        return found
+
     @property
     def parts(self) -> list[str]:
         """Return what it is made of, for the record (not collective)."""

@@ -1,19 +1,22 @@
-"""Prescribed unknowns."""
+"""Prescribed and tied unknowns: ``u = C q + g(t)``."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declare.conditions import Displacement, MeanStrain, Value, evaluated
 from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.errors import CaseError
 from pdpetsc.kernels.sparsity import first_moments
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.cell import CellRows
 from pdpetsc.problem.prescribed import Prescribed
+from pdpetsc.problem.ties import Combination, Ties
 
 # A family is cut in a direction where its first moment is more than this share of what one side alone would have.
 ONE_SIDED = 0.9
@@ -31,7 +34,11 @@ class _Held:
 
 
 class Supports:
-    """Prescribed unknowns of a case on this rank.
+    """Constraints ``u = C q + g(t)`` of the unknowns ``u`` by independent ones ``q``, on this rank.
+
+    A prescribed component has the value g. A tied component is ``sum_m c_sm u_m + g``. Every other component is
+    independent. Solvers keep vectors of the size of u, in which the entries of prescribed and tied components are not
+    used; residuals are ``C^T r`` and tangents ``C^T K C`` with 1 on the diagonal of those components.
 
     Parameters
     ----------
@@ -43,7 +50,7 @@ class Supports:
     Attributes
     ----------
     fixed : (n_rows, dim) bool
-        Prescribed degrees of freedom.
+        Prescribed and tied degrees of freedom.
     given : Prescribed
         Which conditions prescribe them.
 
@@ -59,6 +66,7 @@ class Supports:
         self._held: list[_Held] = []
         self.given = Prescribed(body.cloud)
         self._strains: list[tuple[MeanStrain, int, float]] = []
+        self._combinations: list[tuple[Combination, Callable[[float], Float]]] = []
         if cell is not None and cell.here:
             # Entries of the virtual rows that stand for no component.
             cell.rows(self.fixed)[len(cell.sizes) :] = True
@@ -83,8 +91,77 @@ class Supports:
             if self.cell.here:
                 self.cell.rows(self.fixed)[unknown] = True
 
+    def tie(self, combination: Combination, values: Callable[[float], Float], name: str) -> None:
+        """Tie components of own particles to others, ``u_s = sum_m c_sm u_m + g_s(t)``.
+
+        Parameters
+        ----------
+        combination : Combination
+            The components of own particles, and what they depend on.
+        values : callable
+            ``g_s`` at a load parameter (n,) [length].
+        name : str
+            The condition, for messages.
+
+        Raises
+        ------
+        CaseError
+            A component is prescribed or tied already, or depends on one that is tied.
+        """
+        cloud, where = self.body.cloud, (combination.particle, combination.axis)
+        twice = int(total(cloud.comm, np.count_nonzero(self.fixed[where])))
+        if twice:
+            raise CaseError(f"{name} ties {twice} displacements that another condition prescribes or ties already.")
+        self.fixed[where] = True
+        self._combinations.append((combination, values))
+        self.__dict__.pop("ties", None)
+        ties = self.ties
+        assert ties is not None
+        chained = int(total(cloud.comm, np.count_nonzero(ties.tied & ties.independent)))
+        if chained:
+            raise CaseError(f"{name} leaves {chained} tied displacements on which other tied ones depend.")
+
+    @cached_property
+    def ties(self) -> Ties | None:
+        """Return the tied components of the body, None without any."""
+        if not self._combinations:
+            return None
+        return Ties(self.body.cloud, [combination for combination, _ in self._combinations])
+
+    @property
+    def held(self) -> Mask:
+        """Return the components on which constraints act with a force (n_rows, dim)."""
+        return self.fixed if self.ties is None else self.fixed | self.ties.independent
+
+    def completed(self, u: Float, g: Float) -> Float:
+        """Return ``C q + g`` (n_rows, dim) [length] for the independent entries of ``u`` (n_rows, dim)."""
+        values = np.where(self.fixed, g, u)
+        if self.ties is not None:
+            values[self.ties.all.particle, self.ties.all.axis] += self.ties.combined(values)
+        return values
+
+    def reduced(self, f: Float) -> Float:
+        """Return ``C^T f`` (n_rows, dim) [force], 0 for prescribed and tied components."""
+        values = np.where(self.fixed, 0.0, f)
+        if self.ties is not None:
+            n = self.body.cloud.n_owned
+            forces = self.ties.added(f[self.ties.all.particle, self.ties.all.axis])
+            values[:n] += np.where(self.fixed[:n], 0.0, forces)
+        return values
+
+    def resisted(self, modes: Float) -> Float:
+        """Return how far displacements (n_owned, dim) violate constraints [length], 0 for independent components."""
+        u = np.zeros(self.fixed.shape)
+        u[: len(modes)] = modes
+        free = np.where(self.fixed, 0.0, u)
+        violated = np.where(self.fixed, u, 0.0)
+        if self.ties is not None:
+            tied = self.ties.all.particle, self.ties.all.axis
+            violated[tied] -= self.ties.combined(free + np.where(self.ties.tied, 0.0, violated))
+        return violated[: len(modes)]
+
     def prescribed(self, t: float) -> Float:
-        """Return the prescribed unknowns at step time ``t`` (n_rows, dim) [length], 0 where free.
+        """Return ``g`` at step time ``t`` (n_rows, dim) [length], 0 where independent.
 
         Raises
         ------
@@ -104,6 +181,9 @@ class Supports:
         if self.cell is not None and self.cell.here:
             for (_, unknown, value), factor in zip(self._strains, factors, strict=True):
                 self.cell.rows(u)[unknown] += self.cell.sizes[unknown] * value * factor
+        with agreed(cloud.comm):
+            for combination, g in self._combinations:
+                u[combination.particle, combination.axis] = g(t)
         return u
 
     def held_by_condition(self) -> list[tuple[str, str, int]]:

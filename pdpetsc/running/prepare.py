@@ -205,7 +205,7 @@ def prepare(
         del chunk
     with phases.timed("model"):
         problem = make_problem(weighed, cloud, families, chosen)
-        refuse_rigid_motion(cloud, families, problem.held)
+        refuse_rigid_motion(cloud, families, problem.resisted)
     return Prepared(case, problem, chosen, phases)
 
 

@@ -83,6 +83,8 @@ class Equilibrium:
         cloud, fixed = problem.body.cloud, problem.supports.fixed
         self.problem = problem
         self.free = ~fixed
+        ties = problem.supports.ties
+        self._tied = np.zeros_like(fixed) if ties is None else ties.tied
         spacing = nearest_distances(problem.body)[:, None]
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
@@ -123,8 +125,8 @@ class Equilibrium:
         self._loads = loads
 
     def at_prescribed(self, x: Float) -> Float:
-        """Return unknowns with the prescribed ones at their values (n_rows, dim) (not collective)."""
-        return np.where(self.free, x.reshape(self.free.shape), self.prescribed)
+        """Return unknowns that satisfy the constraints (n_rows, dim), from the independent ones."""
+        return self.problem.supports.completed(x.reshape(self.free.shape), self.prescribed)
 
     def state(self, x: Float) -> State:
         """Return the state at unknowns with the prescribed ones at their values."""
@@ -141,7 +143,9 @@ class Equilibrium:
             self.external = self.problem.external_force(state) if self._loads is None else self._loads
         residual = force - self.external
         self._reaction = np.where(self.free, 0.0, residual)
-        return np.where(self.free, residual, self.scales.stiffness * (values - self.prescribed))
+        # Tied components follow the independent ones, so that nothing is left of them.
+        off = np.where(self._tied, 0.0, self.scales.stiffness * (values - self.prescribed))
+        return np.where(self.free, self.problem.supports.reduced(residual), off)
 
     def held_in_place(self, step: Float, x: Float, solve: Callable[[Float], Float], rtol: float) -> Float:
         """Return a step of Newton's method without the motion that nothing but the springs of loose particles resists.

@@ -43,7 +43,8 @@ def growth_of_deviation(
     -----
     Collective. The number is a lower bound, which factors close to the largest one lower by a few per cent.
     """
-    damage, free = problem.damage, ~problem.supports.fixed
+    damage, supports = problem.damage, problem.supports
+    free, no_change = ~supports.fixed, np.zeros(supports.fixed.shape)
     assert damage is not None
     frozen = damage.bonds.frozen
     damage.freeze(True)
@@ -59,7 +60,7 @@ def growth_of_deviation(
     tolerance = ksp.getTolerances()[0]
     ksp.setTolerances(rtol=RTOL)
     for _ in range(POWERS):
-        b.array = np.where(free, loading(v), 0.0).ravel() / scale
+        b.array = supports.reduced(loading(supports.completed(v, no_change))).ravel() / scale
         ksp.solve(b, x)
         v = v - x.array_r.reshape(u.shape)
         norms.append(float(np.sqrt(total(problem.body.cloud.comm, float((v**2).sum())))))

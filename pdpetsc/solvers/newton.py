@@ -119,7 +119,7 @@ class StaticSolver(LoadStepSolver):
         if sought.begin(u):
             self.snes.setJacobian(self._jacobian, sought.tangent.mat, sought.tangent.preconditioner)
             self._equip()
-        jump = np.where(self._fixed, sought.prescribed - u, 0.0)
+        jump = np.where(self._fixed, sought.at_prescribed(u) - u, 0.0)
         sought.resist(jump)
         if self._all_prescribed:
             return self._without_solve()
@@ -187,7 +187,7 @@ class StaticSolver(LoadStepSolver):
         ksp.setTolerances(rtol=RESPONSE)
         try:
             sought.tangent.update(self.problem.state(u, t))
-            found, _ = self._linear_step(u, self.problem.state(u, t), np.where(sought.free, force, 0.0))
+            found, _ = self._linear_step(u, self.problem.state(u, t), self.problem.supports.reduced(force))
         except PETSc.Error:  # the run has ended, and stands without it
             return None
         return None if ksp.getConvergedReason() < 0 else found
@@ -289,10 +289,10 @@ class StaticSolver(LoadStepSolver):
             sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
         b = -(sought.unbalanced + sought.resisted)
-        more, iterations = self._linear_step(u, self.problem.state(u, sought.t), np.where(sought.free, b, 0.0))
+        more, iterations = self._linear_step(u, self.problem.state(u, sought.t), self.problem.supports.reduced(b))
         change = sought.held_in_place(more.ravel(), u, self._answer, self._rtol).reshape(u.shape) + jump
         finite = np.isfinite(float(total(self._comm, float(change.sum()))))
-        return u + (change if finite else jump), iterations
+        return sought.at_prescribed(u + (change if finite else jump)), iterations
 
     def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
         """Return the displacements that the tangent answers forces ``b`` with, and the iterations."""

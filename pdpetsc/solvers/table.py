@@ -54,7 +54,10 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks where a problem lacks what a solver declares to need (collective)."""
-    solver_of(problem, declared).refuse(problem)
+    solver = solver_of(problem, declared)
+    solver.refuse(problem)
+    if problem.supports.ties is not None and solver is not StaticSolver:
+        raise CaseError(f"{declared.title} cannot solve for tied displacements; use load steps with Newton.")
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(

@@ -1,0 +1,32 @@
+"""The matrix ``C`` of tied displacements in PETSc."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.sparse import coo_array
+
+from pdpetsc.problem.supports import Supports
+
+
+def combination_matrix(supports: Supports) -> PETSc.Mat:
+    """Return ``C`` of ``u = C q + g`` over the components of all unknowns (collective).
+
+    Columns of prescribed and tied components hold a zero on the diagonal alone, so that ``C^T K C`` has a place there.
+    """
+    ties, cloud = supports.ties, supports.body.cloud
+    assert ties is not None
+    dim, width = cloud.dim, (cloud.n_global + cloud.n_virtual_global) * cloud.dim
+    tied = ties.all
+    on_terms = np.repeat(tied.particle.astype(np.int64) * dim + tied.axis, np.diff(tied.ptr))
+    depends = tied.row * dim + tied.of_axis
+    # Prescribed components are a part of g.
+    coefficient = np.where(ties.at_terms(supports.fixed.astype(float)) > 0.0, 0.0, tied.coefficient)
+    own = np.arange(supports.fixed.size)
+    rows = np.concatenate([own, on_terms])
+    columns = np.concatenate([own + cloud.first * dim, depends])
+    values = np.concatenate([np.where(supports.fixed.ravel(), 0.0, 1.0), coefficient])
+    csr = coo_array((values, (rows, columns)), shape=(supports.fixed.size, width)).tocsr()
+    arrays = csr.indptr.astype(PETSc.IntType), csr.indices.astype(PETSc.IntType), csr.data
+    size = (supports.fixed.size, width)
+    return PETSc.Mat().createAIJ((size, size), bsize=dim, csr=arrays, comm=cloud.comm)

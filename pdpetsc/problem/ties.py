@@ -1,0 +1,106 @@
+"""Displacements that are linear combinations of other displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.discrete.cloud import Cloud
+from pdpetsc.discrete.halo import Halo
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Tied displacement components of own particles, ``u_s = sum_m c_sm u_m + g_s(t)``.
+
+    Attributes
+    ----------
+    particle, axis : (n,) int
+        Own particle and component of each tied displacement.
+    ptr : (n + 1,) int64
+        Start of the terms of each sum.
+    row : (n_terms,) int64
+        Global row (``Cloud.row``) of the particle of each term, on any rank.
+    of_axis : (n_terms,) int
+        Component of each term.
+    coefficient : (n_terms,) float64
+        ``c_sm`` [-].
+    """
+
+    particle: LocalIndex
+    axis: LocalIndex
+    ptr: GlobalIndex
+    row: GlobalIndex
+    of_axis: LocalIndex
+    coefficient: Float
+
+
+class Ties:
+    """All tied displacements of a body.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The particles.
+    parts : sequence of Combination
+        Those of each condition on this rank.
+
+    Attributes
+    ----------
+    all : Combination
+        All of them.
+    tied : (n_rows, dim) bool
+        Components that are tied.
+    independent : (n_rows, dim) bool
+        Components that a tied one depends on, on any rank.
+
+    Notes
+    -----
+    Construction and every method are collective.
+    """
+
+    def __init__(self, cloud: Cloud, parts: Sequence[Combination]) -> None:
+        self._cloud = cloud
+        starts = np.cumsum([0, *(part.ptr[-1] for part in parts)])
+        ptr = [part.ptr[1:] + start for part, start in zip(parts, starts, strict=False)]
+        self.all = Combination(
+            np.concatenate([part.particle for part in parts]),
+            np.concatenate([part.axis for part in parts]),
+            np.concatenate([[0], *ptr]).astype(np.int64),
+            np.concatenate([part.row for part in parts]),
+            np.concatenate([part.of_axis for part in parts]),
+            np.concatenate([part.coefficient for part in parts]),
+        )
+        rows, self._place = np.unique(self.all.row, return_inverse=True)
+        firsts = np.array(cloud.comm.allgather(cloud.first), dtype=np.int64)
+        owner = np.searchsorted(firsts, rows, side="right") - 1
+        self._halo = Halo(cloud.comm, cloud.n_owned, owner.astype(np.int32), (rows - firsts[owner]).astype(np.int32))
+        self._sum_of = np.repeat(np.arange(len(self.all.axis)), np.diff(self.all.ptr))
+        self.tied: Mask = np.zeros((cloud.n_rows, cloud.dim), dtype=bool)
+        self.tied[self.all.particle, self.all.axis] = True
+        self.independent: Mask = np.zeros_like(self.tied)
+        self.independent[: cloud.n_owned] = self.added(np.ones(len(self.all.axis)), np.ones(len(self._sum_of))) > 0.0
+
+    def combined(self, u: Float) -> Float:
+        """Return ``sum_m c_sm u_m`` (n,) for unknowns ``u`` (n_rows, dim) [length]."""
+        return np.asarray(np.bincount(self._sum_of, self.all.coefficient * self.at_terms(u), len(self.all.axis)), float)
+
+    def at_terms(self, u: Float) -> Float:
+        """Return the component that each term depends on (n_terms,) of ``u`` (n_rows, dim)."""
+        n = self._cloud.n_owned
+        local = np.empty((n + self._halo.n_ghost, self._cloud.dim))
+        local[:n] = u[:n]
+        self._halo.forward(local)
+        return np.asarray(local[n + self._place, self.all.of_axis])
+
+    def added(self, forces: Float, coefficient: Float | None = None) -> Float:
+        """Return what forces (n,) on the tied components put on the independent ones (n_owned, dim) [force]."""
+        n = self._cloud.n_owned
+        local = np.zeros((n + self._halo.n_ghost, self._cloud.dim))
+        coefficient = self.all.coefficient if coefficient is None else coefficient
+        np.add.at(local, (n + self._place, self.all.of_axis), coefficient * forces[self._sum_of])
+        self._halo.reverse(local)
+        return local[:n]

@@ -23,7 +23,7 @@ from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.fingerprint import declared_parts, fingerprint
 from pdpetsc.output.index import Index, Step, part_of, storable
-from pdpetsc.output.records import whole_rows, write_summary
+from pdpetsc.output.records import rows_of, write_summary
 from pdpetsc.output.report import write_report
 from pdpetsc.running.build import make_cloud, make_problem
 from tests.commands import ROOT, Stop, command, field, run
@@ -261,14 +261,16 @@ def test_links_are_not_followed(name, tmp_path):
 
 
 def test_the_history_of_another_run_is_not_taken_over(tmp_path):
-    """A checkpoint that was copied into another folder finds a history with the same columns there."""
+    """A checkpoint that was copied into another folder brings its own history."""
     with pytest.raises(pd.Interrupted):
         pd.run(stopped(0.5), output=tmp_path / "one")
     with pytest.raises(pd.Interrupted):
         pd.run(stopped(0.5, E=20.0), output=tmp_path / "two")
     shutil.copy(tmp_path / "one" / "checkpoint.h5", tmp_path / "two" / "checkpoint.h5")
     pd.run(strip(), output=tmp_path / "rest", restart=tmp_path / "two")
-    assert [line.split(",")[0] for line in history(tmp_path / "rest").split()] == ["step", "2", "3"]
+    pd.run(strip(), output=tmp_path / "whole")
+    assert [line.split(",")[0] for line in history(tmp_path / "rest").split()] == ["step", "0", "1", "2", "3"]
+    assert history(tmp_path / "rest") == history(tmp_path / "whole")
 
 
 # Two runs in one folder.
@@ -498,8 +500,7 @@ def test_a_torn_row_costs_itself_only(tmp_path):
             assert (place / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-def test_rows_are_taken_up_to_the_first_that_is_not_whole(tmp_path):
-    path = tmp_path / "t.csv"
+def test_rows_are_taken_up_to_the_first_that_is_not_whole():
     for text, rows in (
         ("step,t\r\n0,0.0\r\n1,0.5\r\n", 2),
         ("step,t\r\n0,0.0\r\n1,0.5", 1),
@@ -510,12 +511,10 @@ def test_rows_are_taken_up_to_the_first_that_is_not_whole(tmp_path):
         ("step,t", None),
         ("step,u\r\n0,0.0\r\n", None),
     ):
-        path.write_text(text, newline="")
-        found = whole_rows(path, ["step", "t"])
+        found = rows_of(text, ["step", "t"])
         assert (None if found is None else len(found)) == rows, text
-    path.write_bytes(b"step,t\r\n0,0.0\r\n\xff\xfe,1\r\n")
-    assert whole_rows(path, ["step", "t"]) == [[0.0, 0.0]]
-    assert whole_rows(tmp_path / "none.csv", ["step", "t"]) is None
+    assert rows_of(b"step,t\r\n0,0.0\r\n\xff\xfe,1\r\n".decode(errors="replace"), ["step", "t"]) == [[0.0, 0.0]]
+    assert rows_of("", ["step", "t"]) is None
 
 
 def test_a_summary_that_cannot_be_written_is_one_error_and_the_one_before_stays(tmp_path, monkeypatch):
@@ -583,6 +582,21 @@ def instead(name, **options):
     return change
 
 
+def read_text(file, name):
+    return file[f"texts/{name}"][:].tobytes().decode()
+
+
+def text(file, name, words):
+    """Put a text in place of another one."""
+    file["texts"].pop(name, None)
+    data = np.frombuffer(words.encode(), np.uint8)
+    file.create_dataset(f"texts/{name}", data=data, chunks=True, maxshape=(None,), fletcher32=True)
+
+
+def instead_of_text(file, name):
+    file.create_dataset(f"texts/{name}", data=np.ones(3), chunks=True, maxshape=(None,), fletcher32=True)
+
+
 def linked(file):
     del file["u"]
     file["u"] = h5py.ExternalLink("elsewhere.h5", "/u")
@@ -630,8 +644,13 @@ NONSENSE = {
     "format is an array": attribute("format", np.array([5, 5])),
     "declared": attribute("declared", "{"),
     "declared a list": attribute("declared", "[]"),
-    "row": attribute("row", "{"),
-    "row a list": attribute("row", "[1]"),
+    "steps": entry("texts/steps", 0, ord("{")),
+    "a step too few": lambda file: text(file, "steps", json.dumps(json.loads(read_text(file, "steps"))[:-1])),
+    "steps of numbers": lambda file: text(file, "steps", "[1, 2, 3]"),
+    "no steps": lambda file: file["texts"].__delitem__("steps"),
+    "no texts": lambda file: file.__delitem__("texts"),
+    "a text too many": lambda file: text(file, "more", "more"),
+    "texts of numbers": lambda file: (file["texts"].__delitem__("history"), instead_of_text(file, "history")),
     "no t": lambda file: file.attrs.__delitem__("t"),
     "attribute too many": attribute("more", 1.0),
     "group too many": lambda file: file.create_group("more"),
@@ -949,26 +968,44 @@ def test_what_is_counted_goes_on_from_the_checkpoint(killed, caplog, tmp_path):
     one, other = whole.summary, rest.summary
     assert other["pieces"] == one["pieces"] and other.get("detached_particles") == one.get("detached_particles")
     assert other["restart"]["step"] == 6
-    known = one["steps"][6:] if killed else one["steps"]
-    assert [dict(step, norms=0) for step in other["steps"]] == [dict(step, norms=0) for step in known]
+    assert [dict(step, norms=0) for step in other["steps"]] == [dict(step, norms=0) for step in one["steps"]]
     page = write_report(out).read_text()
     assert "since the restart at step 6." in page
-    assert ("no record of the steps before step 7" in page) == killed and ("<p>8 steps," in page) != killed
+    assert "no record of the steps before" not in page and "<p>8 steps," in page
 
 
-def test_a_checkpoint_without_its_history_warns_that_results_know_nothing_before(caplog, tmp_path):
-    """What was broken is listed all the same: values between particles are on one side of the crack."""
+def test_a_checkpoint_alone_is_enough(caplog, tmp_path):
+    """History, broken bonds and the records of all steps are those of the run in one go."""
     family_strain = {"pull": 0.9, "steps": 4}
-    pd.run(strip(**family_strain), output=tmp_path / "whole")
+    whole = pd.run(strip(**family_strain), output=tmp_path / "whole")
     with pytest.raises(pd.Interrupted):
         pd.run(stopped(0.6, **family_strain), output=tmp_path / "part")
     (tmp_path / "alone").mkdir()
     shutil.copy(tmp_path / "part" / "checkpoint.h5", tmp_path / "alone")
-    pd.run(strip(**family_strain), output=tmp_path / "rest", restart=tmp_path / "alone")
+    rest = pd.run(strip(**family_strain), output=tmp_path / "rest", restart=tmp_path / "alone")
+    warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert not any("know of nothing before" in line for line in warned)
+    for name in ("history.csv", "broken_bonds.csv"):
+        assert (tmp_path / "rest" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert [dict(step, norms=0) for step in rest.summary["steps"]] == [
+        dict(step, norms=0) for step in whole.summary["steps"]
+    ]
+    assert rest.results == whole.results
+
+
+def test_a_history_of_other_columns_warns_that_results_know_nothing_before(caplog, tmp_path):
+    """Bonds that broke in a run without their table are listed all the same, at the step of the checkpoint."""
+    family_strain = {"pull": 0.9, "steps": 4}
+    pd.run(strip(**family_strain), output=tmp_path / "whole")
+    with pytest.raises(pd.Interrupted):
+        pd.run(stopped(0.6, **family_strain), output=tmp_path / "part")
+    changed(tmp_path / "part" / "checkpoint.h5", tmp_path / "c.h5", lambda file: text(file, "broken_bonds", "step\n"))
+    other = dataclasses.replace(strip(**family_strain), history={"E": pd.StrainEnergy()}, results=None)
+    pd.run(other, output=tmp_path / "rest", restart=tmp_path / "c.h5")
     warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert any("know of nothing before" in line for line in warned)
     header = ["step", "t", "i", "j", "length", "x", "y"]
-    listed = [whole_rows(tmp_path / name / "broken_bonds.csv", header) for name in ("whole", "rest")]
+    listed = [rows_of((tmp_path / name / "broken_bonds.csv").read_text(), header) for name in ("whole", "rest")]
     assert len(listed[0]) > 10 and min(row[0] for row in listed[1]) == 3
     assert sorted(row[2:] for row in listed[1]) == sorted(row[2:] for row in listed[0])
     at = pd.grid((0.2, 0.2), (9.8, 3.8), (40, 8))

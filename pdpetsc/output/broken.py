@@ -2,70 +2,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.state import FailingBonds
-from pdpetsc.discrete.communicator import Comm, total
-from pdpetsc.output.records import Table
+from pdpetsc.discrete.communicator import is_root, total
+from pdpetsc.output.observer import Observed, Observer
+from pdpetsc.output.records import Table, rows_of
+from pdpetsc.post.solution import Solution
+from pdpetsc.solvers.protocol import Converged
 
 
-class BrokenBonds:
-    """Appends a row for every bond that has broken since the last step, in the order of the ids within a step.
+class BrokenBonds(Observer):
+    """Lists every bond that breaks in a step, in the order of the ids.
 
     Parameters
     ----------
-    comm : Comm
-        All ranks.
-    folder : Path
-        Where the file goes.
-    failure : FailingBonds
-        The state of the bonds; those that are broken already count as listed.
-    kept : sequence of rows
-        What an earlier run wrote before this one goes on.
+    bonds : FailingBonds
+        The state of the bonds; those that are broken at the start of the run are listed already.
 
-    Notes
-    -----
-    Construction and every method are collective; rank 0 writes.
+    Attributes
+    ----------
+    table : Table
+        The file.
     """
 
-    def __init__(self, comm: Comm, folder: Path, failure: FailingBonds, kept: Sequence[Sequence[float]] = ()) -> None:
-        self._comm = comm
-        self._failure = failure
-        self._listed = ~failure.intact
-        self._table = Table(comm, folder / "broken_bonds.csv", [broken_header(failure), *map(_row, kept)])
+    table: Table
 
-    def write(self, step: int, t: float) -> None:
-        """Append the bonds that broke in a step, with the ids of their ends, their length and their middle."""
-        failure = self._failure
-        new = np.flatnonzero((failure.phi == 0.0) & ~self._listed)
-        if int(total(self._comm, len(new))) == 0:
+    def __init__(self, bonds: FailingBonds) -> None:
+        self._bonds = bonds
+
+    def begin(self, observed: Observed) -> None:
+        """Write the rows before a restart."""
+        super().begin(observed)
+        comm, origin = observed.comm, observed.origin
+        header = ["step", "t", "i", "j", "length", *"xyz"[: self._bonds.middle.shape[1]]]
+        rows: list[list[float]] = []
+        if origin is not None and is_root(comm):
+            earlier = rows_of(origin.tables.get("broken_bonds", ""), header) or []
+            rows = [row for row in earlier if row[0] <= origin.start.step]
+        self._listed = ~self._bonds.intact
+        self.table = Table(comm, observed.folder / "broken_bonds.csv", [header, *map(_row, rows)])
+        if origin is not None and not comm.bcast(len(rows)):
+            # Pictures and values between particles know of cracks from this table alone.
+            self._listed[:] = False
+            self._append(origin.start.step, origin.start.t)
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Append the bonds that broke in a step."""
+        self._append(solution.step, solution.t)
+        return {}
+
+    def end(self, converged: bool) -> None:
+        """Wait until all rows are on the disk."""
+        self.table.flush()
+
+    def _append(self, step: int, t: float) -> None:
+        """Append the broken bonds that are not listed, with the ids of their ends, their length and their middle."""
+        bonds, comm = self._bonds, self.observed.comm
+        new = np.flatnonzero((bonds.phi == 0.0) & ~self._listed)
+        if int(total(comm, len(new))) == 0:
             return
         self._listed[new] = True
-        rows = np.column_stack([failure.keys[new], failure.length[new], failure.middle[new]])
-        parts: list[Float] | None = self._comm.gather(rows)
-        found: list[list[str]] = []
+        rows = np.column_stack([bonds.keys[new], bonds.length[new], bonds.middle[new]])
+        parts: list[Float] | None = comm.gather(rows)
+        written: list[list[str]] = []
         if parts is not None:
-            _, first = np.unique(np.concatenate(parts)[:, :3], axis=0, return_index=True)
-            found = [_row([step, t, r[0], r[1], *r[3:]]) for r in np.concatenate(parts)[first].tolist()]
-        self._table.append(found)
-
-    def list_again(self, step: int, t: float) -> None:
-        """Append all bonds that are broken already, as of a step: where nothing is known of when they broke."""
-        self._listed[:] = False
-        self.write(step, t)
-
-    def flush(self) -> None:
-        """Wait until all rows are on the disk."""
-        self._table.flush()
-
-
-def broken_header(failure: FailingBonds) -> list[str]:
-    """Return the columns of the table (not collective)."""
-    return ["step", "t", "i", "j", "length", *"xyz"[: failure.middle.shape[1]]]
+            gathered = np.concatenate(parts)
+            _, first = np.unique(gathered[:, :3], axis=0, return_index=True)
+            written = [_row([step, t, r[0], r[1], *r[3:]]) for r in gathered[first].tolist()]
+        self.table.append(written)
 
 
 def _row(values: Sequence[float]) -> list[str]:

@@ -6,10 +6,8 @@ import hashlib
 import itertools
 import json
 import math
-import platform
 import stat
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
@@ -20,6 +18,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root, largest, total
 from pdpetsc.errors import CaseError, OutputError
+from pdpetsc.output.broken import BrokenBonds
 from pdpetsc.output.files import (
     WRITE_ERRORS,
     InCreationOrder,
@@ -30,13 +29,19 @@ from pdpetsc.output.files import (
     writing_hdf5,
 )
 from pdpetsc.output.fingerprint import differing
+from pdpetsc.output.history import History
+from pdpetsc.output.observer import Observed, Observer, Origin
+from pdpetsc.output.records import plain
 from pdpetsc.post.solution import Solution
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.term import KeptArray
+from pdpetsc.solvers.protocol import Converged
 
-FORMAT = 9
-# Those of format 8 do not know what a run has come across so far.
-READABLE = (8, FORMAT)
+FORMAT = 10
+_OTHER_VERSION = (
+    f"is not a checkpoint of this version (format {FORMAT}); continue with the version of pdpetsc that wrote it, or "
+    f"run the case from its beginning."
+)
 # What the file begins with, before the HDF5 in it: the checksum of all that follows. HDF5 is not given a file whose
 # checksum is wrong, because it does not survive every damage.
 HEAD = 512
@@ -52,51 +57,84 @@ ATTRIBUTES = {
     "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
     "resume": "text", "identity": "numbers", "virtual": "numbers",
     "tangent_virtual": "numbers", "damage": "text", "frozen": "whole",
-    "declared": "text", "row": "text", "so_far": "text", "checksum": "text",
+    "declared": "text", "checksum": "text",
 }  # fmt: skip
+# Texts: the records of all steps, and the tables of the run.
+STEPS, TABLES = "steps", ("history", "broken_bonds")
 
 
-@dataclass(frozen=True)
-class Record:
-    """What a checkpoint says of the run it is of, besides the state of the body.
+class Checkpoints(Observer):
+    """Writes a checkpoint every so many steps and at the end.
 
-    Attributes
+    What the checkpoint holds of other files is on the disk before it.
+
+    Parameters
     ----------
-    run : str
-        Tells the files of one run from those of another.
+    every : int
+        Steps between checkpoints; 0 for none.
     declared : mapping of str to str
         Fingerprints of the parts of the case.
-    row : mapping of str to float
-        The last row of ``history.csv``.
-    so_far : mapping of str to float
-        What the run has counted and come across from its first step on, for what it says at its end; empty where the
-        checkpoint does not tell.
+    tables : sequence of observer
+        Those that write the tables of the run.
     """
 
-    run: str = ""
-    declared: Mapping[str, str] = field(default_factory=dict)
-    row: Mapping[str, float] = field(default_factory=dict)
-    so_far: Mapping[str, float] = field(default_factory=dict)
+    def __init__(self, every: int, declared: Mapping[str, str], tables: Sequence[History | BrokenBonds]) -> None:
+        self._every = every
+        self._declared = declared
+        self._tables = tables
+        # The records of the steps as text: a run does not change them.
+        self._records: list[str] = []
+
+    def begin(self, observed: Observed) -> None:
+        """Leave the checkpoint of the start as it is."""
+        super().begin(observed)
+        self._saved = observed.last.step
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Write a checkpoint if its turn has come."""
+        if self._every > 0 and solution.step % self._every == 0:
+            self._write(solution)
+        return {}
+
+    def end(self, converged: bool) -> None:
+        """Write the checkpoint of the last step, unless it is there or not wanted."""
+        if self._every > 0 and self._saved != self.observed.last.step:
+            self._write(self.observed.last)
+
+    def _write(self, solution: Solution) -> None:
+        tables = [observer.table for observer in self._tables]
+        for table in tables:
+            table.flush()
+        texts: dict[str, bytes] = {}
+        if is_root(self.observed.comm):
+            new = self.observed.steps[len(self._records) : solution.step]
+            self._records += [json.dumps(plain(record)) for record in new]
+            texts[STEPS] = f"[{','.join(self._records)}]".encode()
+        with agreed(self.observed.comm):
+            if is_root(self.observed.comm):
+                texts |= {table.path.stem: table.path.read_bytes() for table in tables}
+        path, run = self.observed.folder / "checkpoint.h5", self.observed.run
+        write_checkpoint(solution, self.observed.order, path, run, self._declared, texts)
+        self._saved = solution.step
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Where a run goes on from: the state, the checkpoint it was in, and what that says of its run."""
-
-    start: Solution
-    path: Path
-    record: Record
-
-    def inside(self, folder: Path) -> bool:
-        """Return whether the checkpoint lies in a folder."""
-        return self.path.parent.resolve() == folder.resolve()
-
-
-def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, record: Record) -> None:
+def write_checkpoint(
+    solution: Solution, order: InCreationOrder, path: Path, run: str, declared: Mapping[str, str],
+    texts: Mapping[str, bytes],
+) -> None:  # fmt: skip
     """Write the converged state aside, then rename it over ``path`` (collective).
 
     It holds the unknowns, the bonds that are damaged, and the displacement whose tangent the next step begins with, so
     that this begins on the same way to the last digit. All have checksums.
+
+    Parameters
+    ----------
+    run : str
+        Identifies the run.
+    declared : mapping of str to str
+        Fingerprints of the parts of the case.
+    texts : mapping of str to bytes
+        The records of the steps and the tables, on rank 0.
 
     Raises
     ------
@@ -124,11 +162,13 @@ def write_checkpoint(solution: Solution, order: InCreationOrder, path: Path, rec
     failure: OutputError | None = None
     if is_root(cloud.comm):
         size = 2 * cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
-        size += sum(8 * cloud.n_global * table.shape[1] for table in tables.values())
+        size += sum(8 * cloud.n_global * table.shape[1] for table in tables.values()) + sum(map(len, texts.values()))
         try:
             with replacing(path) as aside:
                 with writing_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD) as file:
-                    _write_attributes(file, solution, record, identity, virtual)
+                    _write_attributes(file, solution, run, declared, identity, virtual)
+                    for name, text in texts.items():
+                        _dataset(file, f"texts/{name}", (len(text),), np.uint8)[:] = np.frombuffer(text, np.uint8)
                     dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
                     for rows, part in parts:
                         dataset[rows] = part
@@ -189,7 +229,7 @@ def _check_seal(path: Path) -> None:
         with path.open("rb") as file:
             head = file.read(HEAD)
             if head.startswith(b"\x89HDF"):
-                raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
+                raise CaseError(f"{path} {_OTHER_VERSION}")
             if not head.startswith(SEAL.encode()):
                 raise CaseError(f"Cannot read the checkpoint {path}: it is none of pdpetsc, or its beginning is lost.")
             if not whole(path):
@@ -201,16 +241,15 @@ def _check_seal(path: Path) -> None:
 
 
 def _write_attributes(
-    file: h5py.File, solution: Solution, record: Record, identity: Float, virtual: Sequence[Float]
-) -> None:
+    file: h5py.File, solution: Solution, run: str, declared: Mapping[str, str], identity: Float,
+    virtual: Sequence[Float],
+) -> None:  # fmt: skip
     damage = solution.problem.damage
     frozen = damage is not None and damage.bonds.frozen
-    file.attrs.update(format=FORMAT, run=record.run, t=solution.t, step=solution.step, work=solution.work)
+    file.attrs.update(format=FORMAT, run=run, t=solution.t, step=solution.step, work=solution.work)
     file.attrs.update(resume=json.dumps(solution.resume), identity=identity)
     file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
-    file.attrs.update(damage=_law(solution.problem), frozen=int(frozen), row=json.dumps(dict(record.row)))
-    file.attrs["declared"] = json.dumps({**record.declared, "python": _python()})
-    file.attrs["so_far"] = json.dumps({name: float(value) for name, value in record.so_far.items()})
+    file.attrs.update(damage=_law(solution.problem), frozen=int(frozen), declared=json.dumps(dict(declared)))
 
 
 def _dataset(file: h5py.File, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
@@ -279,6 +318,7 @@ def read_checkpoint(
     widths = {name: width for name, width in widths.items() if width}
     arrays = {name: arrays[name] for name in widths}
     tables: dict[str, Float] = {}
+    texts: dict[str, str] = {}
     with agreed(comm):
         path = find_checkpoint(path)
         if is_root(comm):
@@ -286,13 +326,16 @@ def read_checkpoint(
     with agreed(comm):
         try:
             with open_hdf5(path) as file:
-                if "format" not in file.attrs or not any(np.array_equal(file.attrs["format"], n) for n in READABLE):
-                    raise CaseError(f"{path} is not a checkpoint of this version (format {FORMAT}).")
+                if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
+                    raise CaseError(f"{path} {_OTHER_VERSION}")
                 values = _attributes(file)
                 _refuse_other_body(path, values, identity, anyway)
                 _refuse_other_case(path, values, problem, declared, anyway)
                 _check_values(values, n_virtual * cloud.dim, any_load)
                 _check_datasets(file, cloud, widths)
+                steps = _steps(file, int(values["step"]))
+                if is_root(comm):
+                    texts = {name: _text(file, name) for name in file["texts"] if name != STEPS}
                 mine = slice(int(order.starts[rank]), int(order.starts[rank + 1]))
                 part = np.asarray(file["u"][mine])
                 tangent = np.asarray(file["tangent"][mine]) if "tangent" in file else None
@@ -324,7 +367,7 @@ def read_checkpoint(
     if not problem.admissible(problem.state(u, float(values["t"]))):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
     start = Solution(problem, u, float(values["t"]), int(values["step"]), float(values["work"]), values["resume"], at)
-    return Origin(start, path, Record(values["run"], values["declared"], values["row"], values["so_far"]))
+    return Origin(start, path, values["run"], steps, texts)
 
 
 def _with_virtual(cloud: Cloud, u: Float, virtual: Float) -> Float:
@@ -339,13 +382,10 @@ def _must(condition: bool, what: str) -> None:
 def _attributes(file: h5py.File) -> dict[str, Any]:
     """Return the attributes of a checkpoint; raises where one is missing, too many, of a wrong kind, or changed."""
     names = set(file.attrs)
-    if np.array_equal(file.attrs["format"], 8):
-        _must("so_far" not in names, "so_far is too many")
-        names.add("so_far")
     _must(names == set(ATTRIBUTES), f"attributes {sorted(names ^ set(ATTRIBUTES))} are missing or too many")
     values: dict[str, Any] = {}
     for name, kind in ATTRIBUTES.items():
-        value = file.attrs.get(name, "{}")
+        value = file.attrs[name]
         if kind == "text":
             _must(isinstance(value, str), f"{name} is no text")
             values[name] = value
@@ -356,15 +396,26 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
         _must(bool(np.isfinite(array).all()), f"{name} is not finite")
         values[name] = array
     _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
-    for name in ("declared", "row", "resume", "so_far"):
+    for name in ("declared", "resume"):
         values[name] = json.loads(values[name])
         _must(isinstance(values[name], dict), f"{name} is no table")
-    for name, what in (("resume", "what it resumes"), ("so_far", "what it has come across")):
-        numbers = values[name].values()
-        _must(all(type(number) is float and math.isfinite(number) for number in numbers), f"{what} is no number")
-    python = values["declared"].pop("python", None)
-    values["python"] = python if isinstance(python, str) else ""
+    numbers = values["resume"].values()
+    _must(all(type(number) is float and math.isfinite(number) for number in numbers), "what it resumes is no number")
     return values
+
+
+def _text(file: h5py.File, name: str) -> str:
+    return np.asarray(file[f"texts/{name}"]).tobytes().decode(errors="replace")
+
+
+def _steps(file: h5py.File, count: int) -> list[dict[str, Any]]:
+    """Return the records of the steps; raises unless there is one of each step."""
+    steps = json.loads(_text(file, STEPS))
+    needed = {"step", "t", "reference", "negative_pivots"}
+    known = isinstance(steps, list) and all(isinstance(record, dict) and needed <= set(record) for record in steps)
+    _must(known, "its steps are no records")
+    _must([record["step"] for record in steps] == [*range(1, count + 1)], f"it lacks records of its {count} steps")
+    return list(steps)
 
 
 def _checksum(file: h5py.File) -> str:
@@ -396,17 +447,11 @@ def _refuse_other_case(
         return
     other = differing(values["declared"], declared)
     if other:
-        changed = values["python"] != _python()
-        why = f" (or only Python {values['python']}, which wrote it, reads functions otherwise)" if changed else ""
         verb = "differ" if len(other) > 1 or other[0].endswith("s") else "differs"
         raise CaseError(
-            f"{path} is of another case: its {_listed(other)} {verb}{why}; declare the same, or go on with it by "
+            f"{path} is of another case: its {_listed(other)} {verb}; declare the same, or go on with it by "
             f"--restart-anyway (restart_anyway=True)."
         )
-
-
-def _python() -> str:
-    return ".".join(platform.python_version_tuple()[:2])
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -417,10 +462,7 @@ def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> 
     """Raise where a value has no meaning."""
     t = float(values["t"])
     _must(any_load or 0.0 <= t <= 1.0, f"its step time {t:g} is not in 0 to 1")
-    step, so_far = int(values["step"]), values["so_far"]
-    _must(0 <= step < MOST_STEPS, f"its step is {step}")
-    counted = so_far.get("steps", step) if so_far.get("whole") else step
-    _must(counted == step, f"its step is {step}, and its run has counted {counted:g}")
+    _must(0 <= int(values["step"]) < MOST_STEPS, f"its step is {int(values['step'])}")
     _must(int(values["frozen"]) in (0, 1), f"frozen is {int(values['frozen'])}")
     _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
 
@@ -430,7 +472,7 @@ def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int]) ->
     broken = ["bonds"] if "bonds" in file else []
     tangent = ["tangent"] if "tangent" in file else []
     terms = ["terms"] if widths else []
-    _must(sorted(file) == sorted(["u", *broken, *tangent, *terms]), f"it holds {', '.join(sorted(file))}")
+    _must(sorted(file) == sorted(["u", "texts", *broken, *tangent, *terms]), f"it holds {', '.join(sorted(file))}")
     size = len(file.attrs["virtual"]) if tangent else 0
     _must(len(file.attrs["tangent_virtual"]) == size, f"its tangent is not of {size} numbers of a cell")
     for name in file:
@@ -445,6 +487,12 @@ def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int]) ->
         for name, width in widths.items():
             _must(isinstance(of_terms.get(name, getlink=True), h5py.HardLink), f"terms/{name} is a link")
             shapes[f"terms/{name}"] = (cloud.n_global, width), np.float64
+    texts = file["texts"]
+    _must(isinstance(texts, h5py.Group) and {STEPS} <= set(texts) <= {STEPS, *TABLES}, "its texts are incomplete")
+    for name in texts:
+        _must(isinstance(texts.get(name, getlink=True), h5py.HardLink), f"texts/{name} is a link")
+        _must(isinstance(texts[name], h5py.Dataset) and texts[name].ndim == 1, f"texts/{name} has the wrong shape")
+        shapes[f"texts/{name}"] = texts[name].shape, np.uint8
     if broken:
         bonds = file["bonds"]
         _must(isinstance(bonds, h5py.Group) and sorted(bonds) == ["keys", "states"], "its bonds are incomplete")

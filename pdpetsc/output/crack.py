@@ -3,34 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.discrete.communicator import Comm, agreed, is_root
+from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.output.files import write_whole
+from pdpetsc.output.observer import Observer
 from pdpetsc.post.quantities import Quantity
-from pdpetsc.post.solution import Solution
 
 FILE = "crack.vtk"
 
 
-def write_crack(comm: Comm, folder: Path, quantities: Iterable[Quantity], solution: Solution) -> None:
-    """Write what the first of the quantities that draws lines or surfaces draws of a state, if any does (collective).
+class CrackLines(Observer):
+    """Writes what the first of the quantities that draws lines or surfaces draws of the last state, if any does."""
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written, on all ranks.
-    """
-    for quantity in quantities:
-        drawn = quantity.drawn(solution)
-        if drawn is not None:
-            with agreed(comm):
-                if is_root(comm):
-                    write_whole(folder / FILE, polydata(*drawn, title=f"pdpetsc, step {solution.step}"))
-            return
+    def __init__(self, quantities: Iterable[Quantity]) -> None:
+        self._quantities = quantities
+
+    def end(self, converged: bool) -> None:
+        """Write the file; raises OutputError on all ranks if that fails."""
+        last, comm = self.observed.last, self.observed.comm
+        for quantity in self._quantities:
+            drawn = quantity.drawn(last)
+            if drawn is not None:
+                with agreed(comm):
+                    if is_root(comm):
+                        text = polydata(*drawn, title=f"pdpetsc, step {last.step}")
+                        write_whole(self.observed.folder / FILE, text)
+                return
 
 
 def polydata(parts: Sequence[Float], closed: bool, title: str) -> str:

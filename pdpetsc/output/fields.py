@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from pdpetsc.declare.particles import Particles
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import CaseError
@@ -27,7 +28,62 @@ from pdpetsc.output.files import (
 )
 from pdpetsc.output.folder import FIELDS
 from pdpetsc.output.index import Index, Step, entries, part_of, remove, steps_in, storable
+from pdpetsc.output.observer import Observed, Observer
+from pdpetsc.output.progress import Report
+from pdpetsc.output.surface import write_surface
 from pdpetsc.post.solution import Field, Solution, in_space
+from pdpetsc.solvers.protocol import Converged
+
+
+class Fields(Observer):
+    """Writes the declared fields of the steps whose fields are wanted.
+
+    Parameters
+    ----------
+    fields : sequence of Field
+        At least one.
+    particles : Particles
+        Their surface is written beside the fields.
+    """
+
+    def __init__(self, fields: Sequence[Field], particles: Particles) -> None:
+        self._fields = fields
+        self._particles = particles
+
+    def rehearse(self, start: Solution, report: Report) -> None:
+        """Evaluate the fields, which must have a row for each particle."""
+        for field in self._fields:
+            evaluated = field(start)
+            with agreed(start.cloud.comm):
+                try:
+                    values = np.asarray(evaluated)
+                except ValueError:  # rows of different lengths
+                    values = np.empty(0, dtype=object)
+                name = getattr(field, "__name__", repr(field))
+                if values.shape[:1] != start.u.shape[:1] or values.dtype.kind not in "fiub" or values.ndim > 3:
+                    raise CaseError(
+                        f"The field {name} must return numbers, a row for each of the {len(start.u)} particles of this "
+                        f"rank, not an array of {values.dtype} of shape {values.shape}."
+                    )
+
+    def begin(self, observed: Observed) -> None:
+        """Write the fields of the start, and the surface."""
+        super().begin(observed)
+        start, folder, run = observed.last, observed.folder, observed.run
+        first = start.step if observed.in_own_folder else 0
+        self._writer = FieldWriter(start.cloud, observed.order, folder, self._fields, run, first)
+        self._writer.write(start)
+        write_surface(observed.comm, folder, run, self._particles)
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Write the fields of a step."""
+        if converged.write_fields:
+            self._writer.write(solution)
+        return {}
+
+    def end(self, converged: bool) -> None:
+        """Wait until everything is on the disk."""
+        self._writer.flush()
 
 
 class FieldWriter:

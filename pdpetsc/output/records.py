@@ -1,4 +1,4 @@
-"""Tables of rows per step, among them ``history.csv``, and ``summary.json``."""
+"""Tables of rows per step, and ``summary.json``."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Table:
 
     def __init__(self, comm: Comm, path: Path, rows: Sequence[Sequence[Any]]) -> None:
         self._comm = comm
-        self._path = path
+        self.path = path
         self._flushed = time.monotonic()
         self._waiting = False
         with agreed(comm):
@@ -52,7 +52,7 @@ class Table:
         """Add rows, those of rank 0."""
         with agreed(self._comm):
             if is_root(self._comm):
-                append(self._path, _text(rows))
+                append(self.path, _text(rows))
                 self._waiting = True
                 if time.monotonic() - self._flushed > WAIT:
                     self._flush()
@@ -65,9 +65,9 @@ class Table:
 
     def _flush(self) -> None:
         try:
-            flush(self._path)
+            flush(self.path)
         except OSError as error:
-            raise cannot_write(self._path, error) from error
+            raise cannot_write(self.path, error) from error
         self._flushed, self._waiting = time.monotonic(), False
 
 
@@ -77,12 +77,8 @@ def _text(rows: Sequence[Sequence[Any]]) -> str:
     return text.getvalue()
 
 
-def whole_rows(path: Path, header: Sequence[str]) -> list[list[float]] | None:
-    """Return the rows of numbers of a table up to the first one that is torn; None where no such table is there."""
-    try:
-        text = path.read_bytes().decode(errors="replace")
-    except OSError:
-        return None
+def rows_of(text: str, header: Sequence[str]) -> list[list[float]] | None:
+    """Return the rows of numbers of a table up to the first one that is torn; None if it has other columns."""
     whole = text[: text.rfind("\n") + 1]
     found: list[list[float]] = []
     try:
@@ -97,41 +93,6 @@ def whole_rows(path: Path, header: Sequence[str]) -> list[list[float]] | None:
     except (ValueError, csv.Error):
         pass
     return found
-
-
-class HistoryWriter:
-    """Appends one row of numbers per step to ``history.csv``.
-
-    Parameters
-    ----------
-    comm : Comm
-        All ranks.
-    folder : Path
-        Where the file goes.
-    names : sequence of str
-        The columns.
-    kept : sequence of rows
-        What an earlier run wrote before this one goes on.
-
-    Notes
-    -----
-    Construction and every method are collective; rank 0 writes.
-    """
-
-    def __init__(self, comm: Comm, folder: Path, names: Sequence[str], kept: Sequence[Sequence[float]] = ()) -> None:
-        self._table = Table(comm, folder / "history.csv", [names, *map(_history_row, kept)])
-
-    def write(self, row: Sequence[float]) -> None:
-        """Append a row: step, step time and the values in the order of the names."""
-        self._table.append([_history_row(row)])
-
-    def flush(self) -> None:
-        """Wait until all rows are on the disk."""
-        self._table.flush()
-
-
-def _history_row(row: Sequence[float]) -> list[Any]:
-    return [int(row[0]), *(repr(float(value)) for value in row[1:])]
 
 
 def write_summary(comm: Comm, folder: Path, summary: Mapping[str, Any]) -> None:

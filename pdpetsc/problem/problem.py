@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -234,11 +235,17 @@ class Problem:
         return {name: float(value) for name, value in zip(sums, found, strict=True)}
 
     def arrays(self) -> dict[str, KeptArray]:
-        """Return what a continued run needs besides unknowns and bonds, by names of term and array (not collective)."""
-        found = {}
-        for number, term in enumerate(self.terms):
-            for name, array in term.arrays().items():
-                found[f"{number}_{type(term).__name__}_{name}"] = array
+        """Return what a continued run needs besides unknowns and bonds, by names of term and array (not collective).
+
+        Terms of one name are numbered from the second on.
+        """
+        found: dict[str, KeptArray] = {}
+        count: Counter[str] = Counter()
+        for term in self.terms:
+            name = type(term).__name__
+            count[name] += 1
+            unique = name if count[name] == 1 else f"{name}_{count[name]}"
+            found |= {f"{unique}.{of}": array for of, array in term.arrays().items()}
         return found if self.last_step is None else {**found, **self.last_step.arrays()}
 
     def restored(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import importlib
+import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from pdpetsc.arrays import Float
 from pdpetsc.declare.cracks import crack_of
 from pdpetsc.declare.expected import Expected
-from pdpetsc.errors import CaseError
+from pdpetsc.errors import CaseError, RunError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import PRINCIPAL, Labels
 from pdpetsc.output.picture import draw_field, kept_picture
@@ -332,6 +333,23 @@ class Result(Mapping[str, float]):
         if self.solution is None:
             raise CaseError("A run opened from its folder has the fields that it wrote, by name: use field(name).")
         return gathered(self.solution, field)
+
+
+def named_numbers(results: Any) -> dict[str, float]:
+    """Return the results that a function of a case gave as finite numbers; raises RunError if one is none."""
+    if not isinstance(results, Mapping):
+        raise RunError(f"results must return a mapping of names to numbers, not {type(results).__name__}", of_user=True)
+    numbers = {}
+    for name, value in results.items():
+        if getattr(value, "ndim", 0):
+            raise RunError(f"results must return numbers; {name!r} is an array of shape {value.shape}", of_user=True)
+        try:
+            numbers[str(name)] = number = float(value)
+        except (TypeError, ValueError):
+            raise RunError(f"results must return numbers; {name!r} is {type(value).__name__}", of_user=True) from None
+        if not math.isfinite(number):
+            raise RunError(f"results must return finite numbers; {name!r} is {number}", of_user=True)
+    return numbers
 
 
 def optional_module(name: str, otherwise: str) -> Any:

@@ -1,4 +1,4 @@
-"""What share of the energy of a body its zero-energy control stores."""
+"""The share of the energy of a body that its zero-energy control stores."""
 
 from __future__ import annotations
 
@@ -6,9 +6,29 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pdpetsc.output.observer import Observer, StepRecords
+from pdpetsc.post.solution import Solution
+from pdpetsc.solvers.protocol import Converged
+
 # A control that stores more than the first share of the energy is no small disturbance. Steps with less energy than
 # the second share of the largest are not judged: what a torn body is left with is round-off.
 MUCH, LITTLE = 0.2, 0.01
+
+
+class StabilisationEnergy(Observer):
+    """Records the energies of each step, and warns if the control stores much of them."""
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Return the energies."""
+        return {"energies": solution.energies}
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return the largest share."""
+        return {"control": largest_share(steps)}
+
+    def warnings(self, steps: StepRecords) -> list[str]:
+        """Return the sentence about it."""
+        return [note] if (note := largest_share(steps)["note"]) else []
 
 
 def largest_share(steps: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import cast
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, cast
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.surface import Surface, surface_of
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import Material
+from pdpetsc.output.observer import Observer, StepRecords
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.protocol import Solver
 
@@ -54,6 +56,36 @@ class Unbalanced:
         if self.stress is None or self.displacement is None:
             return self.particles > MANY * self.held
         return not max(self.stress, self.displacement) <= WRONG
+
+
+class UnbalancedForces(Observer):
+    """Estimates what unbalanced forces make of the last state of a nearly incompressible body."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._found: Unbalanced | None = None
+
+    def end(self, converged: bool) -> None:
+        """Solve for their effect if the run has converged."""
+        observed = self.observed
+        problem, last, origin = observed.problem, observed.last, observed.origin
+        if not converged or last.step == (0 if origin is None else origin.start.step):
+            return
+        with agreed(observed.comm):
+            asked = nearly_incompressible(self._case, problem.dim)
+        if asked:
+            areas = unbalanced_areas(self._case, problem)
+            self._found = unbalanced(problem, observed.solver, areas, last.unknowns, last.t)
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return the estimate, with the warning as its note."""
+        if self._found is None:
+            return {}
+        return {"unbalanced": asdict(self._found) | {"note": "".join(self.warnings(steps))}}
+
+    def warnings(self, steps: StepRecords) -> list[str]:
+        """Return the sentence about it if numbers are wrong."""
+        return [words(self._found)] if self._found is not None and self._found.wrong else []
 
 
 def nearly_incompressible(case: Case, dim: int) -> bool:

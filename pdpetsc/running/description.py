@@ -1,0 +1,149 @@
+"""What a run says of its case before the first step, in the log and in ``summary.json``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from pdpetsc.case import Case
+from pdpetsc.declare.cracks import recorded as recorded_crack
+from pdpetsc.discrete.communicator import agreed, total
+from pdpetsc.machine import OF_NUMBERS, versions
+from pdpetsc.output.progress import Report
+from pdpetsc.petsc.library import petsc_version
+from pdpetsc.post.quantities import dimension_of
+from pdpetsc.post.solution import Field
+from pdpetsc.problem.problem import Problem
+from pdpetsc.running.crack_energy import missed_fracture_energy
+from pdpetsc.running.notes import notes
+from pdpetsc.running.suited import lame_ratio, locking_note
+from pdpetsc.running.suited import words as suited_words
+from pdpetsc.running.unbalanced_surface import unbalanced_areas
+
+
+def versions_in_use() -> dict[str, str]:
+    """Return the versions of Python, PETSc and the packages that numbers depend on."""
+    packages = ("pdpetsc", *OF_NUMBERS)
+    # Those that are missing are named too: pdpetsc is if it runs from a checkout.
+    found = {"python": "", "petsc": petsc_version(), **dict.fromkeys(packages, "not installed")}
+    return found | versions(packages)
+
+
+def describe(case: Case, problem: Problem, fields: Sequence[Field], chosen: bool, report: Report) -> dict[str, Any]:
+    """Print what a built problem is, and return its entries of the summary.
+
+    Parameters
+    ----------
+    case : Case
+        What is solved.
+    problem : Problem
+        The problem of that case.
+    fields : sequence of Field
+        What is written.
+    chosen : bool
+        The scheme is not the declared one.
+    report : Report
+        Takes the lines.
+
+    Notes
+    -----
+    Collective.
+    """
+    return {
+        **_model(case, problem, report),
+        **_labels(case, fields),
+        **_scheme(case, problem, chosen, report),
+        **_notes(case, problem, report),
+        **_loads(problem, report),
+        **_supports(case, problem, report),
+    }
+
+
+def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
+    body, comm = problem.body, problem.body.cloud.comm
+    cloud = body.cloud
+    bonds, points, ghosts = map(
+        int, total(comm, [body.families.n_bonds, problem.material_term.n_points, cloud.n_ghost])
+    )
+    entries = {
+        "particles": cloud.n_global, "bonds": bonds, "gradient_points": points, "ghosts": ghosts,
+        "dimension": cloud.dim, "horizon": cloud.horizon, "allocated": list(problem.parts),
+    }  # fmt: skip
+    if cloud.varies:
+        entries["least_horizon"] = cloud.least_horizon
+        report.say(f"horizons from {cloud.least_horizon:.6g} to {cloud.horizon:.6g}")
+    report.say(
+        f"{cloud.n_global} particles in {cloud.dim}D, {bonds} bonds, "
+        f"{f'{points} gradient points, ' if points else ''}{comm.size} rank{'s' if comm.size > 1 else ''}"
+    )
+    if case.symmetry:
+        planes = ", ".join(f"{plane.axis} = {plane.at:g}" for plane in case.symmetry)
+        report.say(f"mirror planes {planes}; all numbers are those of the part before them")
+    return entries
+
+
+def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
+    """Return what pictures and tables need of numbers: units, kinds of number, cracks of a plane body."""
+    return {
+        "units": {} if case.units is None else dataclasses.asdict(case.units),
+        "dimensions": {
+            "history": {name: quantity.dimension for name, quantity in case.history.items()},
+            "fields": {field.__name__: dimension_of(field) for field in fields},
+        },
+        "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
+        "cuts": [recorded_crack(crack) for crack in case.cracks],
+        "thickness": case.particles.thickness,
+    }
+
+
+def _scheme(case: Case, problem: Problem, chosen: bool, report: Report) -> dict[str, Any]:
+    note = problem.material_term.note
+    scheme = {"name": "bonds" if case.of_bonds else type(case.gradients).__name__, "note": note}
+    entries: dict[str, Any] = {"scheme": scheme}
+    if note:
+        report.say(f"scheme: {note}")
+    missed = missed_fracture_energy(case)
+    if missed is not None:
+        entries["fracture_energy"] = {"note": missed}
+        report.warn(missed)
+    if chosen:
+        with agreed(problem.body.cloud.comm):
+            scheme["chosen"] = suited_words(case, lame_ratio(case, problem.dim))
+        report.say(scheme["chosen"])
+    return entries
+
+
+def _notes(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
+    """Return what a user should know before relying on the numbers."""
+    locking = locking_note(case, problem)
+    if locking:
+        report.warn(locking)
+    found = notes(case, problem)
+    for note in found:
+        report.say(f"note: {note}")
+    return {"notes": [*filter(None, [locking]), *found]}
+
+
+def _loads(problem: Problem, report: Report) -> dict[str, Any]:
+    resultants = [resultant for term in problem.terms for resultant in term.resultants]
+    for name, t, force in resultants:
+        report.say(f"{name}: resultant {' '.join(f'{f:.6g}' for f in force)} at step time {t:g}")
+    return {"loads": [{"condition": name, "t": t, "resultant": force.tolist()} for name, t, force in resultants]}
+
+
+def _supports(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
+    held = problem.supports.held_by_condition()
+    for name, axes, count in held:
+        report.say(f"{name}: {count} particle{'s' if count != 1 else ''} held in {' and '.join(axes)}")
+    cut = problem.supports.held_at_cut_families()
+    if cut and problem.body.surface is not None and not case.of_bonds:
+        # With weights that conform to the surface uniform stress is in equilibrium with what holds it.
+        cut *= int(any(problem.body.cloud.comm.allgather(bool(unbalanced_areas(case, problem).any()))))
+    if cut:
+        report.say(
+            f"note: {cut} particles are held at a face that cuts their families; stresses within two horizons of "
+            f"it are those of no continuum, hold a layer two horizons deep where they matter"
+        )
+    supports = [{"condition": name, "components": axes, "particles": count} for name, axes, count in held]
+    return {"supports": supports, "held_at_cut_families": cut}

@@ -1,0 +1,95 @@
+"""The end of a run by an error: one sentence on every rank, the right exit status, records up to the last step."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+import traceback
+from typing import NoReturn
+
+from pdpetsc.discrete.communicator import is_root
+from pdpetsc.discrete.failure import all_failed, give_up
+from pdpetsc.errors import CaseError, Interrupted, OutputError, PdpetscError, RunError, described, users_line
+from pdpetsc.running.record import RunRecord
+from pdpetsc.running.signals import Signals
+
+
+def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> PdpetscError:
+    """Leave everything in order after an error and return it as one sentence; abort if this rank fails alone."""
+    comm, phase = record.comm, record.phases.now
+    failure = described(error)
+    if isinstance(failure, RunError):
+        failure.phase = failure.phase or phase
+        if failure.rank is None and comm.size > 1 and failure.agreed < comm.size:
+            failure.rank = comm.rank
+    if isinstance(error, KeyboardInterrupt):
+        kept = "results are complete up to the step before" if record.taken else "nothing was run"
+        failure = Interrupted(f"Stopped by a signal in phase {phase}; {kept}.")
+    signals.deaf = True
+    together = all_failed(error, failure)
+    signals.deaf = not together
+    if isinstance(failure, RunError) and together and failure.agreed < comm.size:
+        failure.rank = None
+    failure = _of_right_status(failure, record, together)
+    if isinstance(failure, RunError) and failure.bug and (is_root(comm) or not together):
+        _write_traceback(error, record)
+    if not together:
+        leave(failure, record)
+    failure.agreed = comm.size
+    if not record.taken:
+        return failure
+    status = str(failure)
+    # A signal may have come in the middle of a write; what is on disk stays.
+    if not isinstance(failure, OutputError) and not isinstance(error, KeyboardInterrupt):
+        try:
+            record.end(converged=False)
+        except KeyboardInterrupt:
+            status += " A second signal came before its last checkpoint was written."
+        except Exception as other:
+            status += f" {described(other)}"
+    record.summary["error"] = type(failure).__name__
+    # What ended the run is on record, whatever signals come.
+    signals.deaf = True
+    with contextlib.suppress(Exception):
+        record.write(status)
+    return failure
+
+
+def leave(failure: PdpetscError, record: RunRecord) -> NoReturn:
+    """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
+    if not isinstance(failure, RunError | Interrupted):
+        failure = RunError(str(failure), place=users_line(failure), phase=record.phases.now, rank=record.comm.rank)
+    if record.taken:
+        record.summary["error"] = type(failure).__name__
+        with contextlib.suppress(Exception):
+            record.write_alone(str(failure))
+    give_up(failure)
+
+
+def leave_if_stuck(record: RunRecord) -> None:
+    """End a rank that a signal should have ended and that waits for others in MPI; on one rank MPI never waits."""
+    if record.comm.size > 1:
+        leave(Interrupted(f"Stopped by a signal in phase {record.phases.now}; nothing was run."), record)
+
+
+def _of_right_status(failure: PdpetscError, record: RunRecord, together: bool) -> PdpetscError:
+    """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
+    phase = record.phases.now
+    if isinstance(failure, RunError) and not record.solved:
+        if failure.of_option and phase in ("kernels", "model", "set-up", "solve"):
+            return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
+        if failure.of_user and not record.taken and failure.exit_status == 1:
+            failure.exit_status = CaseError.exit_status
+    elif isinstance(failure, CaseError) and record.solved:
+        return RunError(str(failure), users_line(failure), phase, None if together else record.comm.rank)
+    return failure
+
+
+def _write_traceback(error: BaseException, record: RunRecord) -> None:
+    text = f"{time.ctime()}, phase {record.phases.now}\n{''.join(traceback.format_exception(error))}"
+    try:
+        (record.folder / "traceback.txt").write_text(text)
+    except OSError:
+        with contextlib.suppress(OSError):
+            print(text, file=sys.stderr, flush=True)

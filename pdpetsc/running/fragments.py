@@ -1,0 +1,62 @@
+"""The pieces of a body whose bonds break, and particles without a gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pdpetsc.output.observer import Observed, Observer, StepRecords
+from pdpetsc.post.solution import Solution
+from pdpetsc.problem.fragments import pieces_left
+from pdpetsc.solvers.protocol import Converged
+
+
+class DetachedParticles(Observer):
+    """Counts particles that have too few bonds for a gradient."""
+
+    _count = 0
+
+    def begin(self, observed: Observed) -> None:
+        """Count those before a restart."""
+        super().begin(observed)
+        if observed.origin is not None:
+            self._count = observed.problem.material_term.n_detached
+
+    def step(self, solution: Solution, converged: Converged) -> Mapping[str, Any]:
+        """Print a line if there are more."""
+        lost = solution.problem.material_term.n_detached
+        if lost > self._count:
+            line = f"           {lost} particles have too few bonds left for a gradient; their stress is gone"
+            self.observed.report.say(line)
+        self._count = lost or self._count
+        return {}
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return their number, if there are any."""
+        return {"detached_particles": self._count} if self._count else {}
+
+
+class Fragments(Observer):
+    """Counts the pieces of the body at the end of the run, and compares the last forces with the largest."""
+
+    def __init__(self) -> None:
+        self._pieces: dict[str, Any] = {}
+
+    def end(self, converged: bool) -> None:
+        """Print the pieces if bonds are broken."""
+        problem, steps = self.observed.problem, self.observed.steps
+        if self._pieces or problem.damage is None or not problem.damage.bonds.count_broken():
+            return
+        pieces, lone = pieces_left(problem)
+        forces = [float(step["reference"] or 0.0) for step in steps]
+        most = max(forces, default=0.0)
+        left = forces[-1] / most if most > 0.0 else float("nan")
+        self._pieces = {"pieces": {"pieces": pieces, "lone_particles": lone, "forces_left": left}}
+        body = "bonds still hold the body in one piece" if pieces == 1 else f"the body is in {pieces} pieces"
+        beside = f", beside {lone} lone particles" if lone else ""
+        carried = f"; supports and loads carry {left:.2g} of their largest forces in this run" if left == left else ""
+        self.observed.report.say(f"{body}{beside}{carried}")
+
+    def summary(self, steps: StepRecords) -> Mapping[str, Any]:
+        """Return the pieces, once they are counted."""
+        return self._pieces

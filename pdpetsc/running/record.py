@@ -1,0 +1,143 @@
+"""The record of a run: its observers, and ``summary.json``."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pdpetsc.discrete.communicator import Comm, alone
+from pdpetsc.output.observer import Observed, Observer
+from pdpetsc.output.records import plain, write_summary
+from pdpetsc.post.solution import Solution
+from pdpetsc.running.phases import Phases
+from pdpetsc.solvers.protocol import Converged, StepResult
+
+
+class RunRecord:
+    """Everything that a run leaves.
+
+    Parameters
+    ----------
+    comm : Comm
+        The ranks.
+    folder : Path
+        Where it is written.
+    entries : mapping
+        The first entries of the summary.
+
+    Attributes
+    ----------
+    phases : Phases
+        What the run is doing.
+    summary : dict
+        Entries of ``summary.json`` that do not follow from the steps.
+    steps : list of dict
+        The records of the steps, with those before a restart.
+    solved : int
+        Steps of this run.
+    failed : list of StepResult
+        Failed attempts since the last step.
+    unit : str
+        Name of the iterations of the solver.
+    observers : sequence of Observer
+        They record each step in this order.
+    observed : Observed or None
+        What they see, from ``begin`` on.
+    taken : bool
+        The folder holds files of this run.
+    """
+
+    def __init__(self, comm: Comm, folder: Path, entries: Mapping[str, Any]) -> None:
+        self.comm = comm
+        self.folder = folder
+        self.phases = Phases()
+        self.summary = dict(entries)
+        self.steps: list[dict[str, Any]] = []
+        self.solved = 0
+        self.failed: list[StepResult] = []
+        self.unit = "Newton"
+        self.observers: Sequence[Observer] = ()
+        self.observed: Observed | None = None
+        self.taken = False
+
+    def begin(self, observed: Observed) -> None:
+        """Record the state from which the run starts (collective)."""
+        # The work of the next step needs these forces, and by then bonds may have failed.
+        _ = observed.last.internal_force
+        for observer in self.observers:
+            observer.begin(observed)
+        self.observed = observed
+        observed.last.forget()
+
+    def step(self, converged: Converged) -> None:
+        """Record a converged step (collective)."""
+        assert self.observed is not None
+        observed, last = self.observed, self.observed.last
+        self.solved += 1
+        self.steps.append(_of_step(last.step + 1, converged, self.unit))
+        self.failed.clear()
+        u, t, resume = converged.u, converged.t, converged.resume
+        tangent_at = observed.solver.tangent_at
+        solution = Solution(last.problem, u, t, last.step + 1, resume=resume, tangent_at=tangent_at)
+        solution.follow(last, converged.work)
+        # The body is in this state from here on, whatever becomes of its record.
+        observed.last = solution
+        for observer in self.observers:
+            self.steps[-1] |= observer.step(solution, converged)
+        solution.forget()
+
+    def end(self, converged: bool) -> None:
+        """Let the observers write what is left (collective)."""
+        if self.observed is not None:
+            for observer in self.observers:
+                observer.end(converged)
+
+    def write(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
+        """Write the summary, and return it as the file has it (collective)."""
+        memory = self.comm.allgather(_peak_memory())
+        summary = self._summary(status, results or {}, memory)
+        write_summary(self.comm, self.folder, summary)
+        return dict(plain(summary))
+
+    def write_alone(self, status: str) -> None:
+        """Write the summary on this rank only (not collective)."""
+        write_summary(alone(), self.folder, self._summary(status, {}, [_peak_memory()]))
+
+    def _summary(self, status: str, results: Mapping[str, float], memory: list[int]) -> dict[str, Any]:
+        summary = self.summary | {
+            "status": status,
+            "results": dict(results),
+            "steps": self.steps,
+            "failed_attempts": [_of_attempt(result, self.unit) for result in self.failed],
+            "timings": self.phases.timings,
+            "peak_memory_bytes": memory,
+        }
+        for observer in self.observers:
+            summary |= observer.summary(self.steps)
+        return summary
+
+
+def _peak_memory() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _of_step(step: int, converged: Converged, unit: str) -> dict[str, Any]:
+    cut_backs = [_of_attempt(failure, unit) for failure in converged.failures]
+    damage = (
+        {"broken_bonds": converged.broken, "sweeps": converged.sweeps} if converged.broken or converged.sweeps else {}
+    )
+    return {"step": step, "t": converged.t, **_of_attempt(converged.result, unit), **damage, "cut_backs": cut_backs}
+
+
+def _of_attempt(result: StepResult, unit: str) -> dict[str, Any]:
+    return {
+        "reason": result.reason,
+        "norms": result.norms,
+        "reference": result.reference,
+        "negative_pivots": result.negative_pivots,
+        **({"growth": result.growth} if result.growth else {}),
+        f"{unit.lower()}_iterations": result.iterations,
+        "linear_iterations": result.linear_iterations,
+    }

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 from pdpetsc.bounds import whole_number
 from pdpetsc.errors import CaseError, RunError
@@ -46,3 +49,15 @@ def start_petsc(words: Sequence[str] = ()) -> None:
         if getattr(error, "ierr", None) is not None:
             raise
         raise RunError(cannot_load("petsc4py", error)) from None
+
+
+def take_signals(handler: Any = None) -> None:
+    """Let signals raise KeyboardInterrupt or do something else, except those that are ignored, as under nohup."""
+    with contextlib.suppress(ValueError):  # they are the main thread's
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, handler or _interrupt)
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise KeyboardInterrupt

@@ -15,13 +15,14 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line import fit, study
+from pdpetsc.command_line.start import files_of_options
 from pdpetsc.output.fingerprint import fingerprint
 from pdpetsc.studies.fit import Point, Range, _write, fitted
 from pdpetsc.studies.input_files import differing
 from pdpetsc.studies.jobs import launched, too_many
 from pdpetsc.studies.reference_curve import Curve, read_curve, read_off
 from pdpetsc.studies.refinement import converging
-from pdpetsc.studies.run_identity import CaseFile, Question, files_of_options
+from pdpetsc.studies.run_identity import CaseFile, Question
 from pdpetsc.studies.run_store import Outcome, folder_of, kept
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise

@@ -236,10 +236,8 @@ def _report_on(folder: Path, here: bool, quiet: bool) -> None:
     """Write the report of a run that has ended, on one rank; whatever fails here, results and exit status stand."""
     if not here:
         return
-    from pdpetsc.output.report import write_report
-
     try:
-        path = write_report(folder)
+        path = import_module(COMMANDS["report"]).write_report(folder)
         if not quiet:
             print(f"report in {path}", flush=True)
     except Exception as error:

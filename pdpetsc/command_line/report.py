@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pdpetsc.command_line.arguments import split
 from pdpetsc.command_line.case_file import convert
 from pdpetsc.errors import CaseError
+from pdpetsc.output.report import write_report
 
 _FIRST = "usage: python -m pdpetsc report DIR [field=NAME] [component=xx] [scale=1]"
 USAGE = f"{_FIRST}\n\nWrites DIR/report.html: what was asked, what came out, convergence, timing, pictures."
@@ -23,8 +24,6 @@ def main(argv: Sequence[str]) -> int:
     others = arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check
     if arguments.path is None or unknown or others:
         raise CaseError(f"report takes a folder, field, component and scale; {_FIRST}.")
-    from pdpetsc.output.report import write_report
-
     given = arguments.parameters
     scale = convert("scale", given.get("scale", "1"), 1.0)
     if not math.isfinite(scale):

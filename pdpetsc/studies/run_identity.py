@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import json
@@ -14,14 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pdpetsc.command_line.start import files_of_options
 from pdpetsc.errors import CaseError
 from pdpetsc.studies.input_files import contents
 from pdpetsc.studies.jobs import PACKAGE, environment
 
 # Rooms of the package that no number of a run depends on.
 BESIDE = ("studies", "command_line")
-# Options of PETSc that name a file of options.
-OPTIONS_FILES = ("options_file", "options_file_yaml")
 
 
 @dataclass(frozen=True)
@@ -120,23 +118,6 @@ class CaseFile:
         if len(answers) <= len(sets):
             answers.append({"refused": ended})
         return answers
-
-
-def files_of_options(options: Sequence[str]) -> list[str]:
-    """Return the files that PETSc reads options from, with the files that they name."""
-    found: list[str] = []
-    waiting = [*options, *os.environ.get("PETSC_OPTIONS", "").split()]
-    while waiting:
-        word = waiting.pop(0)
-        if word.lower().lstrip("-") not in OPTIONS_FILES or not waiting:
-            continue
-        # A file may be followed by a word on what PETSc does with it: "q.txt:yaml".
-        for file in {waiting[0], waiting[0].rpartition(":")[0]} - {"", *found}:
-            found.append(file)
-            with contextlib.suppress(OSError):
-                lines = Path(file).read_text(errors="replace").splitlines()
-                waiting += [word for line in lines for word in line.partition("#")[0].split()]
-    return found
 
 
 def own_sources() -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pdpetsc.loading  # noqa: F401 - first: it says what cannot be loaded
 from pdpetsc import control, gradient, material
 from pdpetsc.bond_based import BondBased, LinearSolid
+from pdpetsc.case import Case
 from pdpetsc.control import *  # noqa: F403
 from pdpetsc.damage import (
     BilinearSoftening,
@@ -66,11 +67,8 @@ from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.material import *  # noqa: F403
-from pdpetsc.output.picture import Picture
-from pdpetsc.post.crack_path import CrackLength, crack_faces, crack_lines
-from pdpetsc.post.fracture import EnergyReleaseRate, JIntegral, StressIntensity
 from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
-from pdpetsc.post.opening import CrackOpening
+from pdpetsc.post.picture import Picture
 from pdpetsc.post.quantities import (
     At,
     BrokenBonds,
@@ -110,7 +108,9 @@ from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTang
 from pdpetsc.renamed import warn
 
 if TYPE_CHECKING:
-    from pdpetsc.case import Case
+    from pdpetsc.post.crack_path import CrackLength, crack_faces, crack_lines
+    from pdpetsc.post.fracture import EnergyReleaseRate, JIntegral, StressIntensity
+    from pdpetsc.post.opening import CrackOpening
     from pdpetsc.running.comparison import Comparison, compare
     from pdpetsc.running.prepare import Prepared, prepare
     from pdpetsc.running.result import Result, open_run
@@ -263,9 +263,16 @@ __all__ += gradient.__all__
 __all__ += material.__all__
 
 
-# Imported on first use: they load PETSc, which must first see the command line.
+# Imported on first use: what runs a case loads PETSc, which must first see the command line, and a satellite is a room
+# that nothing else needs.
 _LAZY = {
-    "Case": ("pdpetsc.case", "Case"),
+    "CrackLength": ("pdpetsc.post.crack_path", "CrackLength"),
+    "CrackOpening": ("pdpetsc.post.opening", "CrackOpening"),
+    "EnergyReleaseRate": ("pdpetsc.post.fracture", "EnergyReleaseRate"),
+    "JIntegral": ("pdpetsc.post.fracture", "JIntegral"),
+    "StressIntensity": ("pdpetsc.post.fracture", "StressIntensity"),
+    "crack_faces": ("pdpetsc.post.crack_path", "crack_faces"),
+    "crack_lines": ("pdpetsc.post.crack_path", "crack_lines"),
     "Comparison": ("pdpetsc.running.comparison", "Comparison"),
     "compare": ("pdpetsc.running.comparison", "compare"),
     "Prepared": ("pdpetsc.running.prepare", "Prepared"),

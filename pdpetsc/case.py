@@ -29,8 +29,8 @@ from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
 from pdpetsc.material import Graded, Material, Thermal
-from pdpetsc.output.picture import Picture
 from pdpetsc.post.invariants import von_mises
+from pdpetsc.post.picture import Picture
 from pdpetsc.post.quantities import Quantity, refuse_component
 from pdpetsc.post.solution import Field, Solution, displacement, stress
 from pdpetsc.problem.term import ExtraTerm

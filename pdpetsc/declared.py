@@ -46,6 +46,22 @@ class Declared:
                 )
 
 
+def input_files(value: Any) -> list[Path]:
+    """List the files that a declared object is read from, with those of the objects that it holds.
+
+    A class that reads files has a method ``input_files`` of its own.
+    """
+    own = getattr(value, "input_files", None)
+    if own is not None:
+        return list(own())
+    if dataclasses.is_dataclass(value):
+        value = vars(value)
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    parts = value if isinstance(value, list | tuple) else []
+    return [file for part in parts for file in input_files(part)]
+
+
 def shown(value: object) -> str:
     """Return what a message shows of a value."""
     if isinstance(value, type):

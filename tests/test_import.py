@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.command_line.cli import COMMANDS
-from pdpetsc.command_line.import_deck import import_deck
+from pdpetsc.command_line.import_deck import import_deck, main
 from pdpetsc.control.base import Stiffness
 from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.sections import read
@@ -890,7 +889,7 @@ def test_the_command_writes_a_case_that_runs(folder, capsys):
     answer = pdpetsc("import", "plate.yaml", "-o", "bent.py", cwd=folder)
     assert (answer.returncode, answer.stderr) == (0, "")
     assert answer.stdout.splitlines()[0] == "bent.py"
-    command = COMMANDS["import"]
+    command = main
     for words, message in (
         (["plate.yaml", "-o", "bent.py"], "is there already"),
         (["plate.yaml", "-o", "bent.txt"], "ends in .py"),

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.command_line.cli import COMMANDS
+from pdpetsc.command_line.commands import COMMANDS
 from tests.test_docstrings import public
 
 ROOT = Path(__file__).parent.parent

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.command_line.cli import COMMANDS
+from pdpetsc.command_line import fit, study
+from pdpetsc.command_line.start import files_of_options
 from pdpetsc.output.fingerprint import fingerprint
 from pdpetsc.studies.fit import Point, Range, _write, fitted
-from pdpetsc.studies.input_files import Files
+from pdpetsc.studies.input_files import differing
 from pdpetsc.studies.jobs import launched, too_many
 from pdpetsc.studies.reference_curve import Curve, read_curve, read_off
 from pdpetsc.studies.refinement import converging
-from pdpetsc.studies.run_identity import CaseFile, Question, files_of_options
+from pdpetsc.studies.run_identity import CaseFile, Question
 from pdpetsc.studies.run_store import Outcome, folder_of, kept
 from pdpetsc.studies.sets import combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
@@ -517,7 +518,7 @@ def case(n=4, E=1.0, label=None, kill=False):
 """
 
 
-def test_what_a_run_is_of_is_all_that_its_case_reads_and_imports(tmp_path, monkeypatch):
+def test_what_a_run_is_of_is_all_that_its_case_declares_and_imports(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("case.py").write_text(MESHED)
     Path("cloud.txt").write_text("0 1\n1 1\n2 1\n")
@@ -527,24 +528,25 @@ def test_what_a_run_is_of_is_all_that_its_case_reads_and_imports(tmp_path, monke
     def identities(file, *sets):
         return [question.identity for question in file.ask(sets)]
 
-    with contextlib.closing(CaseFile(Path("case.py"), (), 1)) as file:
-        first, late, killed = identities(file, {"E": "1"}, {"label": "'late'"}, {"kill": "yes"})
-        # A number is the same however it is written; one that is asked for and a default are one parameter.
-        assert identities(file, {"E": "1.0", "n": "4"}) == [first]
-        assert len(identities(file, {"E": "1"}, {"E": "1e0"})) == 1
-        # A run whose case ends the process that asks is never taken for finished.
-        assert killed is None
-        assert "later.py" in late["text"] and "later.py" not in first["text"]
-        Path("cloud.txt").write_text("0 1\n1 1\n2.5 1\n")
-        (moved,) = identities(file, {"E": "1"})
-        Path("table.txt").write_text("1.5 2.0\n")
-        (softer,) = identities(file, {"E": "1"})
-        assert len({one["declared"] for one in (first, moved, softer)}) == 3
+    file = CaseFile(Path("case.py"), (), 1)
+    first, late, killed, last = file.ask([{"E": "1"}, {"label": "'late'"}, {"kill": "yes"}, {"E": "2"}])
+    first, late = first.identity, late.identity
+    # A number is the same however it is written; one that is asked for and a default are one parameter.
+    assert identities(file, {"E": "1.0", "n": "4"}) == [first]
+    assert len(identities(file, {"E": "1"}, {"E": "1e0"})) == 1
+    # A set whose case ends the process that asks has no run; the others have one.
+    assert "ended the process" in killed.refused and not last.refused
+    assert first["files"].keys() == late["files"].keys() == {"case.py", "cloud.txt"}
+    Path("cloud.txt").write_text("0 1\n1 1\n2.5 1\n")
+    (moved,) = identities(file, {"E": "1"})
+    assert {name for name in first["files"] if first["files"][name] != moved["files"][name]} == {"cloud.txt"}
+    Path("table.txt").write_text("1.5 2.0\n")
+    (softer,) = identities(file, {"E": "1"})
+    assert len({one["declared"] for one in (first, moved, softer)}) == 3
     Path("case.py").write_text(MESHED + "# a remark\n")
     monkeypatch.setenv("PETSC_OPTIONS", "-ksp_rtol 1e-3")
-    with contextlib.closing(CaseFile(Path("case.py"), ["-pc_type", "lu"], 2)) as file:
-        (other,) = identities(file, {"E": "1"})
-    assert {name for name in other if other[name] != softer[name]} == {"text", "PETSC_OPTIONS", "options", "ranks"}
+    (other,) = identities(CaseFile(Path("case.py"), ["-pc_type", "lu"], 2), {"E": "1"})
+    assert {name for name in other if other[name] != softer[name]} == {"files", "PETSC_OPTIONS", "options", "ranks"}
 
 
 @pytest.mark.long
@@ -598,7 +600,7 @@ def test_what_is_asked_for_and_is_not_there_is_refused_before_anything_is_writte
         (("n=4", "--jobs", "1", "--jobs", "2"), "--jobs is given twice"),
     ):
         with pytest.raises(pd.CaseError, match=message):
-            COMMANDS["study"]([str(case), *words, "-o", str(out)])
+            study.main([str(case), *words, "-o", str(out)])
         assert not out.exists()
 
 
@@ -614,7 +616,7 @@ def test_a_fit_that_cannot_begin_is_refused(tmp_path):
         (("--to", tmp_path / "m.csv"), "fit needs --columns"),
     ):
         with pytest.raises(pd.CaseError, match=message):
-            COMMANDS["fit"]([str(case), *map(str, words)])
+            fit.main([str(case), *map(str, words)])
         assert not out.exists()
 
 
@@ -774,69 +776,66 @@ def test_runs_side_by_side_on_ranks_give_what_they_give_one_after_another(tmp_pa
         assert both[1] == pytest.approx(both[0], rel=1e-9, abs=1e-9)
 
 
-# What a run reads while it runs.
+# What a run is made from.
 
 READS = """
 import time
 from pathlib import Path
-import numpy as np
 import pdpetsc as pd
+from beside import FACTOR
 
 HERE = Path(__file__).resolve().parent
 
-def pull(x, t):
-    from inside import LOAD
-    return LOAD * np.loadtxt(HERE / "amplitude.txt") * t + 0.0 * x[:, 0]
-
 def value(h):
-    import late
     end = time.monotonic() + 100.0
     while (HERE / "wait").exists() and time.monotonic() < end:
         time.sleep(0.02)
-    return {"value": late.FACTOR * h["u"][-1]}
+    return {"value": FACTOR * h["u"][-1]}
 
 def case(n=4):
-    ends = [pd.region.Slab("x", high=1.0 / n), pd.region.Slab("x", low=1.0 - 1.0 / n)]
+    ends = [pd.region.Slab("x", high=1.5), pd.region.Slab("x", low=2.5)]
     return pd.Case(
-        particles=pd.Lattice((0.0,), (1.0,), 1.0 / n), horizon=2.015 / n, material=pd.BondBased(E=1.0), fields=[],
-        conditions=[pd.Displacement(ends[0], x=0.0), pd.Displacement(ends[1], x=pull)], results=value,
+        particles=pd.TextFile(HERE / "cloud.txt", dim=1), horizon=2.015, material=pd.BondBased(E=1.0), fields=[],
+        conditions=[pd.Displacement(ends[0], x=0.0), pd.Displacement(ends[1], x=0.1)], results=value,
         history={"u": pd.Mean(pd.displacement, "x", ends[1])},
     )
 """
 
 
+CLOUD = "header: x volume\n1 1.0\n2 1.0\n3 1.0\n"
+
+
 def reading(folder):
-    for name, text in (("case", READS), ("inside", "LOAD = 0.1\n"), ("late", "FACTOR = 2.0\n")):
-        (folder / f"{name}.py").write_text(text)
-    (folder / "amplitude.txt").write_text("1.0\n")
+    for name, text in (("case.py", READS), ("beside.py", "FACTOR = 2.0\n"), ("cloud.txt", CLOUD)):
+        (folder / name).write_text(text)
     return folder / "case.py"
 
 
 @pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_run_whose_callbacks_read_something_else_is_run_again(ranks, tmp_path, monkeypatch):
+def test_a_run_whose_input_files_have_changed_is_run_again(ranks, tmp_path, monkeypatch):
     for name, value in ENVIRONMENT.items():
         monkeypatch.setenv(name, value)
     case, out = reading(tmp_path), tmp_path / "out"
     first = pd.study(case, [{"n": 4}], out, ranks=ranks).outcomes[0]
     assert first.finished and first.results["value"] == pytest.approx(0.2)
-    record = json.loads((first.folder / "outcome.json").read_text())
-    assert {"case:case.py", "case:inside.py", "case:late.py", "case:amplitude.txt"} <= record["read"].keys()
-    assert not [path for path in first.folder.iterdir() if path.name.startswith(".pdpetsc-read")]
-    assert "files-read" not in json.loads((first.folder / "summary.json").read_text())["command"]
-    files = Files(tmp_path)
-    assert kept(first.folder, record["identity"], files)[0] is not None
-    for name, other in (("inside.py", "LOAD = 0.3\n"), ("late.py", "FACTOR = 5.0\n"), ("amplitude.txt", "2.0\n")):
+
+    def question():
+        return CaseFile(case, (), ranks).ask([{"n": "4"}])[0].identity
+
+    assert set(question()["files"]) == {"case.py", "beside.py", "cloud.txt"}
+    assert kept(first.folder, question())[0] is not None
+    for name, other in (("beside.py", "FACTOR = 5.0\n"), ("cloud.txt", CLOUD.replace("1.0", "2.0"))):
         was = (tmp_path / name).read_text()
         (tmp_path / name).write_text(other)
-        assert kept(first.folder, record["identity"], files)[:2] == (None, f"{name} changed, which it has read")
+        assert kept(first.folder, question()) == (None, f"{name} changed")
         (tmp_path / name).write_text(was)
     if ranks == 1:
         return
-    (tmp_path / "amplitude.txt").write_text("3.0\n")
+    (tmp_path / "beside.py").write_text("FACTOR = 6.0\n")
     assert pd.study(case, [{"n": 4}], out, ranks=ranks).outcomes[0].results["value"] == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize("name", ["case.py", pytest.param("amplitude.txt", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["case.py", pytest.param("cloud.txt", marks=pytest.mark.long)])
 def test_what_is_changed_while_a_study_runs_gives_no_row(name, tmp_path):
     case, out = reading(tmp_path), tmp_path / "out"
     (tmp_path / "wait").touch()
@@ -855,7 +854,7 @@ def test_what_is_changed_while_a_study_runs_gives_no_row(name, tmp_path):
         yield Edit()
 
     done = pd.study(case, [{"n": 4}, {"n": 8}], out, progress=progress)
-    assert [one.status for one in done.outcomes] == ["failed", "failed" if name == "case.py" else "finished"]
+    assert [one.status for one in done.outcomes] == ["failed", "failed"]
     assert f"the case or its files changed while the study ran: {name}" in done.failed[0].said
     # It is not kept as failed either.
     assert not (out / "n=4" / "outcome.json").exists()
@@ -886,16 +885,13 @@ def test_files_of_options_and_of_meshes_are_part_of_what_a_run_is_of(tmp_path, m
         assert fingerprint(pd.Mesh(mesh)) != before
     Path("case.py").write_text(MESHED.replace('pd.TextFile("cloud.txt", dim=1)', 'pd.Mesh("plate.inp")'))
     Path("table.txt").write_text("1.0 2.0\n")
-    with contextlib.closing(CaseFile(Path("case.py"), ["-options_file", "q.txt"], 1)) as file:
-        (one,) = file.ask([{"E": "1"}])
-        assert {"case:case.py", "here:table.txt", "here:more.inp", "here:q.txt"} <= one.files.keys()
-        assert one.identity["versions"]["numpy"] == np.__version__
-        # The case that has been read is that of before.
-        was = Path("case.py").read_text()
-        Path("case.py").write_text(was + "# a remark\n")
-        (again,) = file.ask([{"E": "1"}])
-    assert again.identity == one.identity and Files(tmp_path).differing(again.files) == ["case:case.py"]
+    file = CaseFile(Path("case.py"), ["-options_file", "q.txt"], 1)
+    (one,) = file.ask([{"E": "1"}])
+    assert one.files.keys() == {"case.py", "plate.inp", "nodes.inp", "more.inp", "q.txt", "r.txt"}
+    assert one.identity["versions"]["numpy"] == np.__version__
+    Path("case.py").write_text(Path("case.py").read_text() + "# a remark\n")
+    assert differing(one.files, Path()) == ["case.py"]
     Path("r.txt").write_text("-pc_type jacobi\n")
-    with contextlib.closing(CaseFile(Path("case.py"), ["-options_file", "q.txt"], 1)) as file:
-        (other,) = file.ask([{"E": "1"}])
-    assert {name for name in other.identity if other.identity[name] != one.identity[name]} == {"text", "options_files"}
+    (other,) = file.ask([{"E": "1"}])
+    assert {name for name in other.identity if other.identity[name] != one.identity[name]} == {"files"}
+    assert {name for name in other.files if other.files[name] != one.files[name]} == {"case.py", "r.txt"}

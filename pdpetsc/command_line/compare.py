@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from pdpetsc.command_line import study
+from pdpetsc.command_line.arguments import split
 
 USAGE = """usage: python -m pdpetsc compare CASE.py NAME=A,B,C [NAME=...] [-o DIR] [--ranks N] [-PETSC_OPTION [VALUE]]
 
@@ -16,15 +16,14 @@ The seconds are those of set-up and solve. It is `study --picture` with another 
 another unless --jobs says otherwise, and takes all of its options: python -m pdpetsc study -h."""
 
 
-def taken(argv: Sequence[str]) -> study.Asked:
-    """Take the options of a study out of a command line, also in the one spelling that was that of compare alone."""
-    return study.taken(["--ranks" if word == "-ranks" else word for word in argv])
-
-
-def main(asked: study.Asked, arguments: Any) -> int:
+def main(argv: Sequence[str]) -> int:
     """Run the command ``compare``; return its exit status or raise what ends it."""
-    if not study.ready(arguments, "compare", USAGE):
+    # The one spelling that was that of compare alone.
+    asked = study.taken(["--ranks" if word == "-ranks" else word for word in argv])
+    arguments = split(asked.words)
+    case = study.case_of(arguments, "compare", USAGE)
+    if case is None:
         return 0
     asked.flags.add("--picture")
-    study.run(arguments.path, arguments.parameters, arguments.output, study.options_of(arguments), asked, "compare")
+    study.run(case, arguments.parameters, arguments.output, study.options_of(arguments), asked, "compare")
     return 0

@@ -7,7 +7,7 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from pdpetsc.bounds import whole_number
-from pdpetsc.command_line.start import processes_started, start_petsc
+from pdpetsc.command_line.start import processes_started, start_petsc, take_signals
 from pdpetsc.errors import RunError, described
 
 if TYPE_CHECKING:  # the doctor looks first whether MPI can be loaded
@@ -340,6 +340,22 @@ def doctor(comm: Comm) -> int:
             told += [one._replace(what=f"{one.what} on rank {rank}") for one in others]
         tell(told)
     return 1 if any(broken) else 0
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command ``doctor``; return its exit status."""
+    if argv:
+        print(USAGE)
+        return 0 if argv[0] in ("-h", "--help") and len(argv) == 1 else 2
+    # Without MPI or PETSc there is nothing to start; saying so is what this is for.
+    if told := unloadable():
+        tell(told)
+        return 1
+    start_petsc()
+    take_signals()
+    from pdpetsc.discrete.communicator import world
+
+    return doctor(world())
 
 
 def tell(told: list[Finding]) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from pdpetsc.command_line import study
+from pdpetsc.command_line.arguments import split
 from pdpetsc.errors import CaseError, Interrupted
 from pdpetsc.output.files import replacing
 from pdpetsc.studies.fit import Fit, Range, fit
@@ -44,14 +44,12 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"({_NUMBER}):(?:({_NUMBER}):)?({_NUMBER})(:log)?")
 
 
-def taken(argv: Sequence[str]) -> study.Asked:
-    """Take the options of a fit out of a command line."""
-    return study.taken(argv, WITH_VALUE, FLAGS)
-
-
-def main(asked: study.Asked, arguments: Any) -> int:
+def main(argv: Sequence[str]) -> int:
     """Run the command ``fit``; return its exit status or raise what ends it."""
-    if not study.ready(arguments, "fit", USAGE):
+    asked = study.taken(argv, WITH_VALUE, FLAGS)
+    arguments = split(asked.words)
+    case = study.case_of(arguments, "fit", USAGE)
+    if case is None:
         return 0
     for option in ("--to", "--columns"):
         if option not in asked.options:
@@ -72,14 +70,14 @@ def main(asked: study.Asked, arguments: Any) -> int:
         if not found or found[2] or found[4]:
             raise CaseError(f"--range takes LOW:HIGH, not {asked.options['--range']!r}.")
         within = float(found[1]), float(found[3])
-    folder = arguments.output if arguments.output is not None else Path("out") / f"fit_{arguments.path.stem}"
+    folder = arguments.output if arguments.output is not None else Path("out") / f"fit_{case.stem}"
     ranks, jobs = study.count(asked, "--ranks"), study.count(asked, "--jobs")
     console = Console(soft_wrap=True, highlight=False, markup=False)
     if warning := too_many(jobs, ranks):
         console.print(f"pdpetsc: {warning}")
     try:
         done = fit(
-            arguments.path, ranges, asked.options["--to"], (columns[0], columns[1]), folder, fixed=fixed,
+            case, ranges, asked.options["--to"], (columns[0], columns[1]), folder, fixed=fixed,
             sigma=asked.options.get("--sigma"), within=within, ranks=ranks, jobs=jobs,
             options=study.options_of(arguments), retry="--retry" in asked.flags,
             launcher=asked.options.get("--launcher"), most=study.count(asked, "--runs", 500),
@@ -89,7 +87,7 @@ def main(asked: study.Asked, arguments: Any) -> int:
         raise Interrupted(f"Stopped; the same command goes on with what {folder} holds.") from None
     _show(console, done, folder)
     if "--picture" in asked.flags:
-        draw(folder / "fit.png", arguments.path.stem, done)
+        draw(folder / "fit.png", case.stem, done)
         console.print(f"picture in {folder / 'fit.png'}")
     return 0
 

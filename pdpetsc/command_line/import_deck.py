@@ -7,7 +7,9 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
+from pdpetsc.command_line.case_file import load_case
 from pdpetsc.decks import peridigm, perilab
 from pdpetsc.decks.script import Notes, Script, plain
 from pdpetsc.decks.sections import Section, read
@@ -95,8 +97,6 @@ def _program(deck: Path, root: Section) -> tuple[Translate, Section]:
 
 def _write(path: Path, text: str, overwrite: bool) -> None:
     """Write the case beside its place, see whether it is one, and put it there."""
-    from pdpetsc.command_line.cli import load_case
-
     compile(text, str(path), "exec")
     trial = None
     try:
@@ -123,3 +123,31 @@ def _write(path: Path, text: str, overwrite: bool) -> None:
 def described(path: Path, said: Sequence[str]) -> str:
     """Return what the command prints."""
     return "\n".join([str(path), *(f"  {plain(line)}" for line in said)])
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command ``import``; return its exit status."""
+    words, options = list(argv), dict[str, Any](ignore=[])
+    if "-h" in words or "--help" in words or not words:
+        print(USAGE)
+        return 0 if words else 2
+    while words:
+        word = words.pop(0)
+        if word in ("-o", "--ignore"):
+            if not words:
+                raise CaseError(f"{word} needs a {'path' if word == '-o' else 'name'} after it.")
+            value = words.pop(0)
+            if word == "--ignore":
+                options["ignore"].append(value)
+            else:
+                options["output"] = Path(value)
+        elif word in ("--static", "--overwrite"):
+            options[word[2:]] = True
+        elif word.startswith("-") or "deck" in options:
+            raise CaseError(f"import does not know {word!r}; python -m pdpetsc import -h shows the usage.")
+        else:
+            options["deck"] = Path(word)
+    if "deck" not in options:
+        raise CaseError("No deck is given; python -m pdpetsc import -h shows the usage.")
+    print(described(*import_deck(**options)))
+    return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from pdpetsc.errors import CaseError
@@ -73,3 +74,14 @@ def new(path: Path) -> Path:
     except OSError as error:
         raise CaseError(f"Cannot write {path}: {error.strerror or error}.") from None
     return path
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command ``new``; return its exit status."""
+    if "-h" in argv or "--help" in argv or not argv:
+        print(USAGE)
+        return 0 if argv else 2
+    if len(argv) > 1:
+        raise CaseError("new takes one file name; python -m pdpetsc new -h shows the usage.")
+    print(new(Path(argv[0])))
+    return 0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pdpetsc.command_line.arguments import split
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.curves import curve_figure, history_figure, newton_figure
 from pdpetsc.output.files import replacing
@@ -116,3 +117,19 @@ def _newton(folder: Path, summary: Mapping[str, Any]) -> Path:
     with replacing(path) as aside:
         newton_figure(summary).savefig(aside, dpi=130, format="png", metadata=MARK)
     return path
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command ``plot``; return its exit status."""
+    animate = "--animate" in argv
+    arguments = split([word for word in argv if word != "--animate"])
+    if arguments.help or not argv:
+        print(USAGE)
+        return 0 if argv else 2
+    if arguments.path is None:
+        raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
+        raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
+    for path in plot(arguments.path, arguments.parameters, animate):
+        print(path)
+    return 0

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rich.progress import Progress as Bar
 
 from pdpetsc.bounds import whole_number
+from pdpetsc.command_line.arguments import Arguments, split
 from pdpetsc.declared import shown
 from pdpetsc.errors import CaseError, Interrupted
 from pdpetsc.studies.jobs import too_many
@@ -194,16 +195,18 @@ class Shown(Progress):
         self._console.print(f"{outcome.name}: {how}")
 
 
-def main(asked: Asked, arguments: Any) -> int:
+def main(argv: Sequence[str]) -> int:
     """Run the command ``study``; return its exit status or raise what ends it."""
-    if not ready(arguments, "study", USAGE):
-        return 0
-    run(arguments.path, arguments.parameters, arguments.output, options_of(arguments), asked)
+    asked = taken(argv)
+    arguments = split(asked.words)
+    case = case_of(arguments, "study", USAGE)
+    if case is not None:
+        run(case, arguments.parameters, arguments.output, options_of(arguments), asked)
     return 0
 
 
-def ready(arguments: Any, name: str, usage: str) -> bool:
-    """Return whether there is something to run, not only the usage to print.
+def case_of(arguments: Arguments, name: str, usage: str) -> Path | None:
+    """Return the case file, or None after the usage has been printed.
 
     Raises
     ------
@@ -212,22 +215,17 @@ def ready(arguments: Any, name: str, usage: str) -> bool:
     """
     if arguments.help:
         print(usage)
-        return False
+        return None
     if arguments.path is None:
         raise CaseError(f"No case file is given; python -m pdpetsc {name} -h shows the usage.")
-    refuse_others(arguments, name)
-    return True
-
-
-def refuse_others(arguments: Any, name: str) -> None:
-    """Raise CaseError for options of a single run."""
     if arguments.restart is not None or arguments.restart_anyway:
         raise CaseError(f"{name} takes no --restart; every run starts from the beginning.")
     for word in ("check", "quiet", "version"):
         if getattr(arguments, word, False):
             raise CaseError(f"{name} takes no --{word}; python -m pdpetsc {name} -h shows what it takes.")
+    return arguments.path
 
 
-def options_of(arguments: Any) -> list[str]:
+def options_of(arguments: Arguments) -> list[str]:
     """Return the words that go to every run."""
     return [*arguments.petsc, *(["--solver", arguments.solver] if arguments.solver is not None else [])]

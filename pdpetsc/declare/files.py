@@ -31,7 +31,7 @@ from pdpetsc.declare.cells import (
 )
 from pdpetsc.declare.choice import choose
 from pdpetsc.declare.cracks import Crack
-from pdpetsc.declare.formats import FORMATS, read_mesh
+from pdpetsc.declare.formats import FORMATS, files_of, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.text_file import refuse_thickness, without_constant
@@ -86,6 +86,10 @@ class Mesh(Particles):
         refuse_thickness("Mesh", self.thickness)
         if self.format is not None:
             choose("The format of a Mesh", self.format, FORMATS)
+
+    def input_files(self) -> list[Path]:
+        """Return the file of the mesh and the files that it names."""
+        return files_of(Path(self.path), self.format)
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the cells."""

@@ -68,6 +68,10 @@ class TextFile(Particles):
         if self.dim is not None and self.dim not in (1, 2, 3):
             raise CaseError(f"A TextFile has dim 1, 2 or 3, not {self.dim}.")
 
+    def input_files(self) -> list[Path]:
+        """Return the file of the particles and the files of their sets."""
+        return [Path(self.path), *(Path(file) for file in self.node_sets.values() if isinstance(file, str | Path))]
+
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return part ``part`` of ``parts`` of the file."""
         return self._arrays().chunk(part, parts)
@@ -193,6 +197,10 @@ class Column:
     def __name__(self) -> str:
         """Return the name of the column, for messages."""
         return self.name
+
+    def input_files(self) -> list[Path]:
+        """Return the file of the column."""
+        return [Path(self.path)]
 
     @property
     def _cloud(self) -> TextFile:

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-import math
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import replacing
 from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import Scene, component_of, frame_of, scene_of
-from pdpetsc.post.quantities import refuse_component
-from pdpetsc.post.solution import Field, stress
+from pdpetsc.post.picture import Picture
 
 LOG = logging.getLogger("pdpetsc")
 # Dots per inch of pictures that are kept, and of the frames of a film.
@@ -37,40 +33,6 @@ LONGEST = 120
 # What tells a later run in the folder that it may move the file away.
 MARK = {"Software": "pdpetsc"}
 _SOLID = Path(__file__).with_name("solid.py")
-
-
-@dataclass(frozen=True)
-class Picture(Declared):
-    """The deformed body coloured by a field component, in ``picture.png``; a bar is drawn as a curve.
-
-    Particles of a lattice are drawn as deformed cells, others as deformed discs, to scale, with a circle of the size of
-    the horizon beside the body and both faces of cracks as lines. Solid bodies are drawn by PyVista where it is
-    installed.
-
-    Parameters
-    ----------
-    field : Field
-        What colours the particles; it is added to the fields that are written.
-    component : str
-        ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
-    scale : float
-        Factor on the displacements.
-
-    Examples
-    --------
-    >>> import pdpetsc as pd
-    >>> shear = pd.Picture(pd.stress, "xy", scale=10.0)
-    """
-
-    field: Field = stress
-    component: str = "xx"
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_component("A Picture", self.field, self.component)
-        if not math.isfinite(self.scale):
-            raise CaseError(f"A Picture needs a finite scale, not {self.scale}.")
 
 
 def draw(folder: Path, picture: Picture, title: str) -> Path:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 from pdpetsc.declare.solvers import DeclaredSolver, DynamicRelaxation, EventDriven, Newton, PathFollowing
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
-from pdpetsc.solvers.event_driven.solver import EventSolver
 from pdpetsc.solvers.monolithic import MonolithicSolver, monolithic_heat
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.path_following.solver import PathSolver
@@ -17,8 +18,11 @@ from pdpetsc.solvers.relaxation import RelaxationSolver
 IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     Newton: StaticSolver,
     DynamicRelaxation: RelaxationSolver,
-    EventDriven: EventSolver,
     PathFollowing: PathSolver,
+}
+# Module and class of solvers that are imported on first use.
+SATELLITES: dict[type[DeclaredSolver], tuple[str, str]] = {
+    EventDriven: ("pdpetsc.solvers.event_driven.solver", "EventSolver"),
 }
 
 
@@ -46,6 +50,10 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
     for kind in type(declared).__mro__:
         if kind in IMPLEMENTATIONS:
             return IMPLEMENTATIONS[kind]
+        if kind in SATELLITES:
+            module, name = SATELLITES[kind]
+            solver: type[Solver] = getattr(import_module(module), name)
+            return solver
     raise CaseError(
         f"No solver is known for {type(declared).__name__}; enter the class that does it in "
         f"pdpetsc.solvers.table.IMPLEMENTATIONS."

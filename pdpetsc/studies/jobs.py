@@ -15,9 +15,8 @@ from pathlib import Path
 
 from pdpetsc.bounds import whole_number
 from pdpetsc.errors import CaseError
-from pdpetsc.studies.input_files import WORD
-from pdpetsc.studies.run_identity import environment
 
+PACKAGE = Path(__file__).parent.parent
 # What starts ranks, unless the user says otherwise.
 LAUNCHER = "mpirun -n {ranks}"
 # Between two looks at the runs that go on [s].
@@ -101,7 +100,7 @@ def end_all(jobs: Sequence[Job]) -> None:
 
 def command(case: Path, parameters: Sequence[str], folder: Path, options: Sequence[str]) -> list[str]:
     """Return the command of a run on one rank."""
-    return [sys.executable, "-m", "pdpetsc", str(case), *parameters, "-o", str(folder), WORD, *options]
+    return [sys.executable, "-m", "pdpetsc", str(case), *parameters, "-o", str(folder), *options]
 
 
 def launched(words: Sequence[str], ranks: int, launcher: str | None) -> list[str]:
@@ -118,6 +117,16 @@ def launched(words: Sequence[str], ranks: int, launcher: str | None) -> list[str
     if not any("{ranks}" in word for word in first):
         raise CaseError(f'--launcher needs {{ranks}} where their number goes, as in "{LAUNCHER}".')
     return [*(word.replace("{ranks}", str(ranks)) for word in first), *words]
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a run: the environment of this process, with this pdpetsc and one thread per rank."""
+    found = dict(os.environ)
+    found.setdefault("OMP_NUM_THREADS", "1")
+    if not {"site-packages", "dist-packages"} & set(PACKAGE.parts):
+        paths = [str(PACKAGE.parent), *filter(None, [found.get("PYTHONPATH")])]
+        found["PYTHONPATH"] = os.pathsep.join(dict.fromkeys(paths))
+    return found
 
 
 def cores() -> int:

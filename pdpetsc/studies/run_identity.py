@@ -1,13 +1,11 @@
-"""What a run would be of, asked of the case file in a process of its own, so that two runs can be told apart."""
+"""The identity of a run, found by a process of its own that calls the case file."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,14 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pdpetsc.command_line.start import files_of_options
 from pdpetsc.errors import CaseError
-from pdpetsc.studies.input_files import Files, content
+from pdpetsc.studies.input_files import contents
+from pdpetsc.studies.jobs import PACKAGE, environment
 
-PACKAGE = Path(__file__).parent.parent
 # Rooms of the package that no number of a run depends on.
 BESIDE = ("studies", "command_line")
-# Options of PETSc that name a file of options.
-OPTIONS_FILES = ("options_file", "options_file_yaml")
 
 
 @dataclass(frozen=True)
@@ -32,159 +29,97 @@ class Question:
     Attributes
     ----------
     parameters : mapping of str to str
-        As the command line of the run takes them.
-    identity : mapping or None
-        What the run is of; None where that could not be found out: such a run is never taken for finished.
+        The arguments of the run on its command line.
+    identity : mapping
+        Two runs with the same identity are the same: parameters, declared values, fingerprints of the input files,
+        options, ranks and versions. Empty for a refused run.
     refused : str
-        Why the case refuses these parameters; empty where it takes them.
+        Why the case refuses these parameters; empty if it accepts them.
     expected : mapping of str to float
-        What the case expects of its results.
-    files : mapping of str to str
-        Fingerprints of the files that were read to find this out.
+        Values that the case expects of its results.
     """
 
     parameters: Mapping[str, str]
-    identity: Mapping[str, Any] | None = None
+    identity: Mapping[str, Any] = field(default_factory=dict)
     refused: str = ""
     expected: Mapping[str, float] = field(default_factory=dict)
-    files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        """Return the fingerprints of the input files by their names relative to the folder of the case file."""
+        return dict(self.identity.get("files", {}))
 
 
+@dataclass(frozen=True)
 class CaseFile:
-    """A case file, read in another process, which stays until ``close``.
-
-    It reads the file and what that imports anew, and calls its function in a fork for each question: what one call
-    imports, changes or breaks is nothing to the next one or to this process.
+    """A case file that another process reads anew for each question.
 
     Parameters
     ----------
     path : Path
         The case file.
     options : sequence of str
-        Options of the runs, which are part of what they are.
+        Options of the runs, a part of their identity.
     ranks : int
-        Of each run; likewise.
-
-    Attributes
-    ----------
-    kinds : dict of str to str
-        The parameters of the case, and of which type their defaults are.
-
-    Raises
-    ------
-    CaseError
-        The case file cannot be read.
+        Ranks of each run, a part of its identity.
     """
 
-    def __init__(self, path: Path, options: Sequence[str], ranks: int) -> None:
-        words = [sys.executable, "-m", "pdpetsc.command_line.identify", str(path)]
-        self._files = Files(path.parent)
-        self._of_options = {self._files.name(file): content(file) for file in files_of_options(options)}
-        self._common = {
-            "options": list(options), "ranks": ranks, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", ""),
-            "PETSC_OPTIONS_YAML": os.environ.get("PETSC_OPTIONS_YAML", ""), "options_files": self._of_options,
-            "pdpetsc": own_version(), "sources": own_sources(),
-        }  # fmt: skip
-        self._process = subprocess.Popen(
-            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-            env=environment(), start_new_session=True,
-        )  # fmt: skip
-        self._path = path
-        try:
-            first = self._answer()
-            if "refused" in first:
-                raise CaseError(first["refused"])
-        except BaseException:
-            self.close()
-            raise
-        self.kinds: dict[str, str] = first["kinds"]
-        self._common.update(petsc=first["petsc"], versions=first["versions"])
+    path: Path
+    options: Sequence[str]
+    ranks: int
+
+    @functools.cached_property
+    def kinds(self) -> dict[str, str]:
+        """Return the names of the parameters of the case and the types of their defaults."""
+        kinds: dict[str, str] = self._answers([])[0]["kinds"]
+        return kinds
 
     def ask(self, sets: Iterable[Mapping[str, str]]) -> list[Question]:
-        """Return what the runs of some parameter sets are, each once: 1 and 1.0 are one number.
+        """Return the runs of some parameter sets, each once: 1 and 1.0 are one number.
 
         Raises
         ------
         CaseError
-            A set names no parameter of the case, or gives it no value of its type.
+            The case file cannot be read, or a set has an unknown parameter or a value of another type.
         """
-        found: dict[str, Question] = {}
-        for parameters in sets:
-            answer = self._told(parameters)
+        of_options = contents(files_of_options(self.options), self.path.parent)
+        common = {"options": list(self.options), "ranks": self.ranks} | {
+            name: os.environ.get(name, "") for name in ("PETSC_OPTIONS", "PETSC_OPTIONS_YAML")
+        }
+        asked = [dict(parameters) for parameters in sets]
+        answers: list[dict[str, Any]] = []
+        while len(answers) < len(asked):
+            answers += self._answers(asked[len(answers) :])[1:]
+        questions: dict[str, Question] = {}
+        for parameters, answer in zip(asked, answers, strict=True):
             if "wrong" in answer:
                 raise CaseError(answer["wrong"])
-            asked: dict[str, str] = answer["given"]
-            identity = {**answer["identity"], **self._common} if "identity" in answer else None
-            files = {self._files.name(file): was for file, was in answer.get("files", {}).items()} | self._of_options
-            one = Question(asked, identity, answer.get("refused", ""), answer.get("expected", {}), files)
-            found.setdefault(json.dumps(sorted(asked.items())), one)
-        return list(found.values())
+            given: dict[str, str] = answer.get("given", parameters)
+            identity = answer.get("identity", {})
+            if identity:
+                identity = {**identity, **common, "files": identity["files"] | of_options}
+            question = Question(given, identity, answer.get("refused", ""), answer.get("expected", {}))
+            questions.setdefault(json.dumps(sorted(given.items())), question)
+        return list(questions.values())
 
-    def _told(self, parameters: Mapping[str, str]) -> dict[str, Any]:
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.write(json.dumps(dict(parameters)) + "\n")
-            self._process.stdin.flush()
-        return self._answer()
-
-    def _answer(self) -> dict[str, Any]:
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        if not line:
-            status = self._process.wait()
-            raise CaseError(f"The case file {self._path} ended the process that read it, with exit status {status}.")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
-
-    def close(self) -> None:
-        """End the other process."""
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout=1.0)
-        # Its forks too: a call of the case may take for ever.
-        with contextlib.suppress(OSError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+    def _answers(self, sets: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
+        """Return the description of the case and an answer for each set up to one that ends the process."""
+        words = [sys.executable, "-m", "pdpetsc.command_line.identify", str(self.path)]
+        process = subprocess.run(
+            words, input=json.dumps(sets), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            env=environment(), check=False,
+        )  # fmt: skip
+        answers: list[dict[str, Any]] = [json.loads(line) for line in process.stdout.splitlines()]
+        ended = f"The case file {self.path} ended the process that read it, with exit status {process.returncode}."
+        if not answers:
+            raise CaseError(ended)
+        if "refused" in answers[0]:
+            raise CaseError(answers[0]["refused"])
+        if len(answers) <= len(sets):
+            answers.append({"refused": ended})
+        return answers
 
 
-def environment() -> dict[str, str]:
-    """Return the environment of a run: this process's own as it found it, with this pdpetsc and one thread a rank."""
-    found = dict(os.environ)
-    found.setdefault("OMP_NUM_THREADS", "1")
-    if not {"site-packages", "dist-packages"} & set(PACKAGE.parts):
-        paths = [str(PACKAGE.parent), *filter(None, [found.get("PYTHONPATH")])]
-        found["PYTHONPATH"] = os.pathsep.join(dict.fromkeys(paths))
-    return found
-
-
-def files_of_options(options: Sequence[str]) -> list[str]:
-    """Return the files that PETSc takes options from, those that such files name too."""
-    found: list[str] = []
-    waiting = [*options, *os.environ.get("PETSC_OPTIONS", "").split()]
-    while waiting:
-        word = waiting.pop(0)
-        if word.lower().lstrip("-") not in OPTIONS_FILES or not waiting:
-            continue
-        # One that is there or not, a file may be followed by a word on what PETSc does with it: "q.txt:yaml".
-        for file in {waiting[0], waiting[0].rpartition(":")[0]} - {"", *found}:
-            found.append(file)
-            with contextlib.suppress(OSError):
-                lines = Path(file).read_text(errors="replace").splitlines()
-                waiting += [word for line in lines for word in line.partition("#")[0].split()]
-    return found
-
-
-def own_version() -> str:
-    """Return the version of this pdpetsc."""
-    from pdpetsc import __version__
-
-    return str(__version__)
-
-
-@functools.cache
 def own_sources() -> str:
     """Return the fingerprint of the sources that results depend on: a checkout changes and keeps its version."""
     digest = hashlib.sha256()

@@ -12,7 +12,7 @@ from typing import Any
 
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import write_whole
-from pdpetsc.studies.input_files import Files, content, words
+from pdpetsc.studies.input_files import contents, differing
 from pdpetsc.studies.refinement import NOISE
 
 # Marks a folder that a study has made: nothing is written to another one that is not empty.
@@ -125,42 +125,41 @@ def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
         raise CaseError(f"Cannot write to the folder {folder}: {error.strerror or error}.") from None
 
 
-def keep(outcome: Outcome, identity: Mapping[str, Any], read: Mapping[str, str]) -> None:
-    """Write how a run ended and fingerprints of what it has read into its folder; raises OutputError."""
-    found = {
+def keep(outcome: Outcome, identity: Mapping[str, Any]) -> None:
+    """Write how a run ended into its folder; raises OutputError."""
+    record = {
         "identity": dict(identity), "parameters": dict(outcome.parameters), "status": outcome.status,
         "exit_status": outcome.exit_status, "said": outcome.said, "results": dict(outcome.results),
         "seconds": outcome.seconds, "memory": outcome.memory, "unstable": outcome.unstable, "noise": outcome.noise,
-        "files": {name: content(outcome.folder / name) for name in KEPT}, "read": dict(read),
+        "files": contents([outcome.folder / name for name in KEPT], outcome.folder),
     }  # fmt: skip
-    write_whole(outcome.folder / RECORD, json.dumps(found, indent=1) + "\n")
+    write_whole(outcome.folder / RECORD, json.dumps(record, indent=1) + "\n")
 
 
-def kept(folder: Path, identity: Mapping[str, Any] | None, files: Files) -> tuple[Outcome | None, str, dict[str, str]]:
-    """Return what an earlier run left that was of the same, otherwise in a few words what is not; what it has read."""
+def kept(folder: Path, identity: Mapping[str, Any]) -> tuple[Outcome | None, str]:
+    """Return the outcome of an earlier run with the same identity, or None and what differs."""
     try:
-        found = json.loads((folder / RECORD).read_text())
+        record = json.loads((folder / RECORD).read_text())
         outcome = Outcome(
-            dict(found["parameters"]), folder, str(found["status"]), int(found["exit_status"]), str(found["said"]),
-            {str(name): float(value) for name, value in found["results"].items()}, float(found["seconds"]),
-            float(found["memory"]), int(found["unstable"]), float(found["noise"]),
+            dict(record["parameters"]), folder, str(record["status"]), int(record["exit_status"]), str(record["said"]),
+            {str(name): float(value) for name, value in record["results"].items()}, float(record["seconds"]),
+            float(record["memory"]), int(record["unstable"]), float(record["noise"]),
         )  # fmt: skip
-        was, own, read = dict(found["identity"]), dict(found["files"]), dict(found["read"])
+        before, own = dict(record["identity"]), dict(record["files"])
+        inputs_before = dict(before["files"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None, "", {}
-    if identity is None:
-        return None, "what the case declares could not be found out", {}
-    if differing := [name for name in identity if identity[name] != was.get(name)]:
-        return None, f"{', '.join(_WORDS.get(name, name) for name in differing)} changed", {}
-    if outcome.finished and any(content(folder / name) != own.get(name) for name in KEPT):
-        return None, "its files changed", {}
-    if changed := files.differing(read):
-        return None, f"{words(changed)} changed, which it has read", {}
-    return outcome, "", read
+        return None, ""
+    inputs = identity["files"]
+    if changed := [name for name in {**inputs, **inputs_before} if inputs.get(name) != inputs_before.get(name)]:
+        return None, f"{', '.join(changed)} changed"
+    if changed := [name for name in identity if identity[name] != before.get(name)]:
+        return None, f"{', '.join(_WORDS.get(name, name) for name in changed)} changed"
+    if outcome.finished and differing(own, folder):
+        return None, "its files changed"
+    return outcome, ""
 
 
 _WORDS = {
-    "declared": "what the case declares", "text": "the case file or what it imports", "sources": "pdpetsc's sources",
-    "pdpetsc": "pdpetsc's version", "petsc": "PETSc's version",
-    "versions": "versions of Python's packages", "options_files": "files of options",
+    "declared": "what the case declares", "sources": "pdpetsc's sources", "pdpetsc": "pdpetsc's version",
+    "petsc": "PETSc's version", "versions": "versions of Python's packages",
 }  # fmt: skip

@@ -19,7 +19,7 @@ from pdpetsc.output.folder import holder_of, holding, set_aside
 from pdpetsc.running.comparison import working_seconds
 from pdpetsc.running.signals import held
 from pdpetsc.studies import table
-from pdpetsc.studies.input_files import Files, left, stamp_of, words
+from pdpetsc.studies.input_files import differing
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
 from pdpetsc.studies.refinement import NOISE, Convergence, converging
 from pdpetsc.studies.run_identity import CaseFile, Question
@@ -104,23 +104,14 @@ class Runs:
 
     def __init__(self, case: Path, folder: Path, how: How, writes: tuple[str, ...]) -> None:
         self.case, self.folder, self.how, self._writes = Path(case), Path(folder), how, writes
-        self.count = {"run": 0, "kept": 0}
-        self.files = Files(self.case.parent)
-        # What runs of this study have read: two that have read something else under one name are not of one study.
-        self._has_read: dict[str, str] = {}
+        self.file = CaseFile(self.case, how.options, how.ranks)
+        self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Runs:
         if any(name in os.environ for name in LAUNCHED):
             raise CaseError("A study starts its runs itself: call it without mpirun and give --ranks N.")
         launched((), self.how.ranks, self.how.launcher)
-        self._stack = contextlib.ExitStack()
-        with self._stack:
-            self.file = self._stack.enter_context(contextlib.closing(self._read()))
-            self._stack = self._stack.pop_all()
         return self
-
-    def _read(self) -> CaseFile:
-        return CaseFile(self.case, self.how.options, self.how.ranks)
 
     def hold(self) -> None:
         """Take the folder; until then nothing is written."""
@@ -153,22 +144,19 @@ class Runs:
             if question.refused:
                 found[number] = Outcome(question.parameters, folder, "failed", CaseError.exit_status, question.refused)
                 continue
-            there, why, read = kept(folder, question.identity, self.files)
+            there, why = kept(folder, question.identity)
             if there is not None and (there.finished or not self.how.retry):
-                self._has_read.update(read)
                 found[number] = dataclasses.replace(there, parameters=question.parameters)
                 continue
             if why:
                 tell.again(question, why)
             waiting.append(number)
-        self.count["kept"] += len(found)
         for number, outcome in found.items():
             tell.ended(outcome, not questions[number].refused)
         running: dict[int, Job] = {}
         try:
             for number, outcome in self._ended(questions, waiting, running, tell):
                 found[number] = outcome
-                self.count["run"] += 1
                 tell.ended(outcome, False)
         except BaseException:
             end_all(list(running.values()))
@@ -182,7 +170,7 @@ class Runs:
         while waiting or running:
             while waiting and len(running) < self.how.jobs:
                 number = waiting.pop(0)
-                if changed := self.files.differing(questions[number].files):
+                if changed := differing(questions[number].files, self.case.parent):
                     folder = folder_of(self.folder, questions[number].parameters)
                     yield number, _of_changed(Outcome(questions[number].parameters, folder, "failed"), changed)
                     continue
@@ -204,7 +192,6 @@ class Runs:
         # Nothing of an earlier run is left to be taken for what this one gives.
         (folder / RECORD).unlink(missing_ok=True)
         set_aside(alone(), folder)
-        left(folder)
         given = [f"{name}={value}" for name, value in question.parameters.items()]
         line = command(self.case, given, folder, self.how.options)
         return launched(line, self.how.ranks, self.how.launcher), folder / LOG
@@ -226,43 +213,19 @@ class Runs:
             sum(bool(step.get("negative_pivots")) for step in steps) if isinstance(steps, list) else 0,
             _noise(summary),
         )  # fmt: skip
-        read, changed = self._files_read(folder)
-        if changed := changed + self.files.differing(question.files):
+        if changed := differing(question.files, self.case.parent):
             return _of_changed(outcome, changed)
-        if read is None and finished:
-            return _failed(
-                outcome, "the run has not left which files it has read, so nobody knows when it is to be run"
-            )
         # A run that somebody has stopped has not failed: it is to be run.
-        if question.identity is not None and summary.get("error") != "Interrupted":
-            keep(outcome, question.identity, read or {})
+        if summary.get("error") != "Interrupted":
+            keep(outcome, question.identity)
         return outcome
 
-    def _files_read(self, folder: Path) -> tuple[dict[str, str] | None, list[str]]:
-        """Return fingerprints of what all ranks of a run have read, and what is no longer what a run has read."""
-        of_ranks, read, changed = left(folder), dict[str, str](), list[str]()
-        for of_rank in of_ranks:
-            for path, stamp in of_rank.items():
-                name = self.files.name(path)
-                now = stamp_of(self.files.path(name))
-                read[name] = self.files.content(name)
-                # One that a run has read in a former state, or another run of this study with another content.
-                if now != stamp or self._has_read.get(name, read[name]) != read[name]:
-                    changed.append(name)
-        if not changed:
-            self._has_read.update(read)
-        return (read if len(of_ranks) == self.how.ranks else None), list(dict.fromkeys(changed))
 
-
-def _failed(outcome: Outcome, said: str) -> Outcome:
-    return dataclasses.replace(outcome, status="failed", said=f"{said}.", results={})
-
-
-def _of_changed(outcome: Outcome, names: list[str]) -> Outcome:
-    """Return a failed run, which is not kept: what it is of is not what the study asks for."""
-    said = f"the case or its files changed while the study ran: {words(list(dict.fromkeys(names)))}"
+def _of_changed(outcome: Outcome, names: Sequence[str]) -> Outcome:
+    """Return a failed run, which is not kept: its input files are not those of the question."""
+    said = f"the case or its files changed while the study ran: {', '.join(names)}."
     exit_status = outcome.exit_status or SolveError.exit_status
-    return dataclasses.replace(_failed(outcome, said), exit_status=exit_status, changed=True)
+    return dataclasses.replace(outcome, status="failed", said=said, results={}, exit_status=exit_status, changed=True)
 
 
 def _refuse_symlink(folder: Path) -> None:

@@ -1,0 +1,143 @@
+"""Case files: the function ``case``, its parameters and the case that it returns."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import importlib.util
+import inspect
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pdpetsc.command_line.commands import COMMANDS
+from pdpetsc.declared import shown
+from pdpetsc.errors import CaseError, PdpetscError
+
+if TYPE_CHECKING:
+    from pdpetsc.case import Case
+
+
+def load_case(path: Path) -> Callable[..., Case]:
+    """Return the function ``case`` of a case file.
+
+    Raises
+    ------
+    CaseError
+        The file is missing, fails, or defines no such function.
+    """
+    try:
+        there = path.is_file()
+    except OSError as error:  # a name that is too long
+        raise CaseError(f"Cannot read the case file {path}: {error.strerror or error}.") from None
+    if not there:
+        command = "" if path.suffix else meant(str(path), COMMANDS, "; did you mean the command {}?")
+        raise CaseError(f"Cannot read the case file {path}: file not found{command or '.'}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise CaseError(f"The case file {path} must end in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent.resolve()))
+    _guarded(path, lambda: spec.loader.exec_module(module))  # type: ignore[union-attr]
+    function = getattr(module, "case", None)
+    if not callable(function):
+        raise CaseError(f"The case file {path} defines no function case(...).")
+    return function  # type: ignore[no-any-return]
+
+
+def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict[str, Any]:
+    """Return the keywords of a case function with the given values converted to their defaults' types.
+
+    Raises
+    ------
+    CaseError
+        A name is unknown, a value cannot be converted, or a parameter has no default.
+    """
+    try:
+        parameters = inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        raise CaseError(
+            f"The case {shown(function)} is no function of a case file; define it by def case(...)."
+        ) from None
+    for name, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty:
+            raise CaseError(f"Parameter {name} of the case function needs a default.")
+    for name in given:
+        if name not in parameters:
+            known = ", ".join(parameters) or "none"
+            raise CaseError(
+                f"The case has no parameter {name!r}; {meant(name, parameters, 'did you mean {}? ')}it has {known}."
+            )
+    values = {name: parameter.default for name, parameter in parameters.items()}
+    return values | {name: convert(name, text, values[name]) for name, text in given.items()}
+
+
+def meant(word: str, known: Iterable[str], sentence: str) -> str:
+    """Return a sentence with the known word that is nearest to one that is not known; empty where none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return sentence.format(near[0]) if near else ""
+
+
+def make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:
+    """Return the case that the function of a case file makes; raises CaseError where it makes none."""
+    from pdpetsc.case import Case
+
+    case = _guarded(path, lambda: function(**parameters))
+    if not isinstance(case, Case):
+        raise CaseError(f"case(...) of {path} must return a pdpetsc.Case, not {type(case).__name__}.")
+    return case
+
+
+def _guarded(path: Path, call: Callable[[], Any]) -> Any:
+    """Call what the case file defines and turn its errors into one sentence with the line."""
+    try:
+        return call()
+    except PdpetscError:
+        raise
+    except SystemExit as error:
+        raise CaseError(
+            f"The case file {path} called sys.exit{_line_of(path, error)}; it must not end the run."
+        ) from error
+    except SyntaxError as error:
+        inside = error.filename is None or Path(error.filename).name == path.name
+        where = f"The case file {path}" if inside else f"{error.filename}, which the case file {path} imports,"
+        raise CaseError(f"{where} has a syntax error in line {error.lineno}: {error.msg}.") from error
+    except Exception as error:
+        where = _line_of(path, error) or " somewhere below it"
+        words = " ".join(str(error).split()).rstrip(".")
+        said = f"{type(error).__name__}: {words}" if words else type(error).__name__
+        raise CaseError(f"The case file {path} failed{where}: {said}{_keywords(words)}.") from error
+
+
+def _keywords(words: str) -> str:
+    """Return which words a class or function of pdpetsc takes, where an error says that it was given another one."""
+    import pdpetsc
+
+    found = re.match(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'", words)
+    taker = getattr(pdpetsc, found[1], None) if found and found[1] in pdpetsc.__all__ else None
+    if found is None or taker is None:
+        return ""
+    known = [name for name in inspect.signature(taker).parameters if name != "self"]
+    return f"; it takes {', '.join(known)}{meant(found[2], known, ' (did you mean {}?)')}"
+
+
+def _line_of(path: Path, error: BaseException) -> str:
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == path.name]
+    return f" in line {lines[-1]}" if lines else ""
+
+
+def convert(name: str, text: str, default: Any) -> Any:
+    """Return a word of the command line as a value of the type of a default; raises CaseError."""
+    kind = type(default)
+    try:
+        if kind is bool:
+            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+        if kind in (int, float, str):
+            return kind(text)
+        value = ast.literal_eval(text)
+        return value if default is None else kind(value)
+    except (ValueError, KeyError, SyntaxError, TypeError, OverflowError, RecursionError, MemoryError):
+        raise CaseError(f"Parameter {name} takes {kind.__name__} like {default!r}, not {shown(text)}.") from None

@@ -1,0 +1,45 @@
+"""What a picture of a run shows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pdpetsc.declared import Declared
+from pdpetsc.errors import CaseError
+from pdpetsc.post.quantities import refuse_component
+from pdpetsc.post.solution import Field, stress
+
+
+@dataclass(frozen=True)
+class Picture(Declared):
+    """The deformed body coloured by a field component, in ``picture.png``; a bar is drawn as a curve.
+
+    Particles of a lattice are drawn as deformed cells, others as deformed discs, to scale, with a circle of the size of
+    the horizon beside the body and both faces of cracks as lines. Solid bodies are drawn by PyVista where it is
+    installed.
+
+    Parameters
+    ----------
+    field : Field
+        What colours the particles; it is added to the fields that are written.
+    component : str
+        ``"x"`` of a vector, ``"xy"`` of a tensor, ``""`` of a scalar.
+    scale : float
+        Factor on the displacements.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> shear = pd.Picture(pd.stress, "xy", scale=10.0)
+    """
+
+    field: Field = stress
+    component: str = "xx"
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component("A Picture", self.field, self.component)
+        if not math.isfinite(self.scale):
+            raise CaseError(f"A Picture needs a finite scale, not {self.scale}.")

@@ -18,7 +18,7 @@ from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 
 @dataclass(frozen=True)
@@ -302,6 +302,20 @@ class Term(ABC):
     def has_history(self) -> bool:
         """Return whether its forces depend on converged steps; the same on all ranks (not collective)."""
         return False
+
+    def numbers(self) -> Mapping[str, Callable[[State], float]]:
+        """Return numbers for the history by column name: functions of a state that return the part of this rank.
+
+        The history has their sums over the ranks (not collective).
+        """
+        return {}
+
+    def fields(self) -> Mapping[str, Callable[[State], Float]]:
+        """Return fields for the files by name: functions of a state that return values of the own particles.
+
+        Values are (n_owned, ...); the functions are collective.
+        """
+        return {}
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return what a continued run needs besides the unknowns, by names of its own (not collective)."""

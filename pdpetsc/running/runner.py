@@ -27,7 +27,9 @@ from pdpetsc.output.observer import Observed, Observer, Origin, StepLines
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.options import refuse_files
+from pdpetsc.post.of_terms import fields_of_terms, numbers_of_terms
 from pdpetsc.post.solution import Field, displacement
+from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
 from pdpetsc.running.description import describe, versions_in_use
 from pdpetsc.running.doubts import Doubts
@@ -188,7 +190,7 @@ class _Run:
         if cache_trouble():
             report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
         chosen = case.scheme is not declared.scheme
-        record.summary |= describe(case, prepared.problem, written_fields(case), chosen, report)
+        record.summary |= describe(case, prepared.problem, written_fields(case, prepared.problem), chosen, report)
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
         of_environment = [name for name, option in in_force.items() if option["from"] == "environment"]
@@ -316,16 +318,16 @@ class _Run:
         return Result(record.folder, results, history.columns, summary, observed.last, observed.run, case.expect)
 
 
-def written_fields(case: Case) -> list[Field]:
-    """Return the fields to write: the declared ones, and what the picture shows."""
+def written_fields(case: Case, problem: Problem) -> list[Field]:
+    """Return the fields to write: the declared ones, those of terms, and what the picture shows."""
     of_picture = [] if case.picture is None else [displacement, case.picture.field]
-    return case.written + [field for field in of_picture if field not in case.written]
+    return [*case.written, *fields_of_terms(problem), *(field for field in of_picture if field not in case.written)]
 
 
 def observers(case: Case, prepared: Prepared, declared: Mapping[str, str]) -> tuple[History, Sequence[Observer]]:
     """Return the history, and all observers of a run in the order in which they record a step."""
-    damage, fields = prepared.problem.damage, written_fields(case)
-    history = History(case.history)
+    damage, fields = prepared.problem.damage, written_fields(case, prepared.problem)
+    history = History({**numbers_of_terms(prepared.problem), **case.history})
     broken = [] if damage is None else [BrokenBonds(damage.bonds)]
     return history, [
         StepLines(),

@@ -42,8 +42,8 @@ autosummary_imported_members = True
 autosummary_context = {
     "with_members": {
         "Comparison", "Control", "ElasticMaterial", "ExtraTerm", "GradientOperator", "Hardening", "HistoryKernels",
-        "HistoryMaterial", "Horizon", "IsotropicMaterial", "KeptArray", "LagrangianMaterial", "LinearisedTerm",
-        "LogarithmicMaterial", "Material", "PointKernels", "PointTangent", "Prepared", "Quantity", "RateLaw", "Region",
+        "HistoryMaterial", "Horizon", "IsotropicMaterial", "KeptArray", "LagrangianMaterial", "LogarithmicMaterial",
+        "Material", "PointBlocks", "PointKernels", "Prepared", "Product", "Quantity", "RateLaw", "Region",
         "Response", "Result", "Scheme", "SillingMicromodulus", "Solution", "State", "TensorResponse", "Term", "View",
         "Weights", "ZeroEnergyControl",
     },

@@ -66,6 +66,7 @@ from pdpetsc.declare.thermal import (
 from pdpetsc.declare.units import Units
 from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunError, SolveError
 from pdpetsc.gradient import *  # noqa: F403
+from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.material import *  # noqa: F403
 from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
 from pdpetsc.post.picture import Picture
@@ -104,7 +105,7 @@ from pdpetsc.post.solution import (
     temperature,
 )
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import ExtraTerm, KeptArray, LinearisedTerm, PointTangent, Term
+from pdpetsc.problem.term import ExtraTerm, KeptArray, Term
 from pdpetsc.renamed import warn
 
 if TYPE_CHECKING:
@@ -180,7 +181,6 @@ __all__ = [
     "LinearCritical",
     "LinearSoftening",
     "LinearSolid",
-    "LinearisedTerm",
     "MazarsStrain",
     "Mean",
     "MeanStrain",
@@ -195,13 +195,14 @@ __all__ = [
     "Picture",
     "PlaneCrack",
     "PlasticStrain",
-    "PointTangent",
+    "PointBlocks",
     "PolygonCrack",
     "Polyline",
     "Prepared",
     "PresentStretch",
     "Pressure",
     "PrincipalStress",
+    "Product",
     "Quantity",
     "Ramp",
     "Reaction",
@@ -287,7 +288,12 @@ _LAZY = {
 
 
 # New name of each old one.
-_RENAMED = {"Following": "TangentScaled", "reach": "local_horizon"}
+_RENAMED = {
+    "Following": "TangentScaled",
+    "LinearisedTerm": "Product",
+    "PointTangent": "PointBlocks",
+    "reach": "local_horizon",
+}
 
 
 def __getattr__(name: str) -> Any:

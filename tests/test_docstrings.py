@@ -17,7 +17,7 @@ import pdpetsc as pd
 # a ``Case`` are the files under ``runs/``.
 NOT_COMPOSED = {
     "Case", "CaseError", "CheckError", "Comparison", "GradientOperator", "HistoryKernels", "Interrupted", "KeptArray",
-    "LinearisedTerm", "OutputError", "PointKernels", "PointTangent", "Prepared", "Response", "RunError", "Solution",
+    "OutputError", "PointBlocks", "PointKernels", "Prepared", "Product", "Response", "RunError", "Solution",
     "SolveError", "State", "TensorResponse", "region.View",
 }  # fmt: skip
 

@@ -199,8 +199,8 @@ class Wrong(pd.Term):
     def add_row_force(self, state, r):
         r[: len(self.k)] += self.k[:, None] * state.own
 
-    def linearised(self, state):
-        return pd.PointTangent(self.k[:, None, None] * np.eye(state.own.shape[1]))
+    def linearise(self, state):
+        return [pd.PointBlocks(self.k[:, None, None] * np.eye(state.own.shape[1]))]
 
     def energy(self, state):
         return self.times * 0.5 * float((self.k[:, None] * state.own**2).sum())

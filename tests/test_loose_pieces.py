@@ -26,8 +26,8 @@ class Push(pd.Term):
     def add_row_force(self, state, r):
         r[: len(self.force), 1] -= state.t * self.force
 
-    def linearised(self, state):
-        return None
+    def linearise(self, state):
+        return []
 
 
 @dataclass(frozen=True)

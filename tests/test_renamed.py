@@ -30,3 +30,18 @@ def test_methods_of_a_class_of_ones_own_may_have_their_old_names():
             reaches = True
 
     assert Mean.is_nonlocal is True
+
+
+def test_a_term_may_return_its_tangent_by_the_old_name():
+    with pytest.warns(FutureWarning, match="linearise"):
+
+        class Bed(pd.Term):
+            def __init__(self, product):
+                self.product = product
+
+            def linearised(self, state):
+                return self.product
+
+    product = pd.PointBlocks(np.ones((1, 2, 2)))
+    assert Bed(product).linearise(None) == [product]
+    assert Bed(None).linearise(None) == []

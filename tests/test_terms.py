@@ -33,8 +33,8 @@ class Bed(pd.Term):
     def add_row_force(self, state, r):
         r[: len(self.k)] += self.k[:, None] * state.own
 
-    def linearised(self, state):
-        return pd.PointTangent(self.k[:, None, None] * np.eye(2))
+    def linearise(self, state):
+        return [pd.PointBlocks(self.k[:, None, None] * np.eye(2))]
 
     def energy(self, state):
         return 0.5 * float((self.k[:, None] * state.own**2).sum())
@@ -147,10 +147,10 @@ class Rub(pd.Term):
     def add_row_force(self, state, r):
         r[: len(self.k), 0] += self.k * self._pull(state)
 
-    def linearised(self, state):
+    def linearise(self, state):
         blocks = np.zeros((len(self.k), 2, 2))
         blocks[:, 0, 0] = np.where(np.abs(state.own[:, 0] - self.anchor) < self.reach, self.k, 0.0)
-        return pd.PointTangent(blocks)
+        return [pd.PointBlocks(blocks)]
 
     def energy(self, state):
         return 0.5 * float((self.k * self._pull(state) ** 2).sum())
@@ -220,9 +220,9 @@ class Odd(pd.Term):
         offset = 0.01 if self.of == "offset" else 0.0
         r[: len(self.k)] += self.k[:, None] * (state.own + offset) * (state.t if self.of == "time" else 1.0)
 
-    def linearised(self, state):
+    def linearise(self, state):
         time = state.t if self.of == "time" else 1.0
-        return pd.PointTangent(self.k[:, None, None] * np.array([[1.0, self.of == "unsymmetric"], [0.0, 1.0]]) * time)
+        return [pd.PointBlocks(self.k[:, None, None] * np.array([[1.0, self.of == "unsymmetric"], [0.0, 1.0]]) * time)]
 
     @property
     def stencils(self):

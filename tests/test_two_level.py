@@ -63,8 +63,8 @@ def test_point_blocks_are_those_of_the_tangent(rng):
         tangent = model.linearised(u)
         assert np.abs(tangent.point_blocks() - exact).max() < 1e-12 * np.abs(exact).max(), label
         if "corrected" in label:
-            for part in tangent.parts:
-                part.add_point_blocks = lambda blocks: False
+            for product in tangent.products:
+                product.add_point_blocks = lambda blocks: False
             assert np.abs(tangent.point_blocks() - exact).max() < 1e-12 * np.abs(exact).max(), label
 
 

@@ -17,6 +17,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, SameGradient
+from pdpetsc.gradient.products import Entries, Product
 from pdpetsc.kernels.assembly import add_diagonal_kernel
 from pdpetsc.kernels.sparsity import transpose
 
@@ -76,7 +77,7 @@ class ControlMatrix(ABC):
     """The constant matrix of a control in the layout of the tangent."""
 
     @abstractmethod
-    def add(self, dim: int, diag: Float, off: Float) -> None:
+    def add(self, diag: Float, off: Float) -> None:
         """Add it to the values of the own rows."""
 
 
@@ -94,9 +95,9 @@ class IsotropicMatrix(ControlMatrix):
     diag: Float
     off: Float
 
-    def add(self, dim: int, diag: Float, off: Float) -> None:
+    def add(self, diag: Float, off: Float) -> None:
         """Add it to the values of the own rows."""
-        kernel = add_diagonal_kernel(dim)
+        kernel = add_diagonal_kernel(self.sparsity.cloud.dim)
         kernel(self.sparsity.owned.diag_ptr, self.diag, diag)
         kernel(self.sparsity.owned.off_ptr, self.off, off)
 
@@ -108,7 +109,7 @@ class BlockMatrix(ControlMatrix):
     diag: Float
     off: Float
 
-    def add(self, dim: int, diag: Float, off: Float) -> None:
+    def add(self, diag: Float, off: Float) -> None:
         """Add it to the values of the own rows."""
         diag += self.diag
         off += self.off
@@ -164,8 +165,11 @@ def fill(
     return diag, off
 
 
-class Control(ABC):
+class Control(Product, ABC):
     """A control built for one cloud: forces linear in u, so that its matrix is constant."""
+
+    _filled: tuple[Sparsity, ControlMatrix] | None = None
+    _shared: tuple[GradientOperator, SameGradient | None] | None = None
 
     @property
     @abstractmethod
@@ -187,12 +191,21 @@ class Control(ABC):
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the matrix for ``sparsity`` (collective)."""
 
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add the blocks on the diagonal of the matrix to those of local particles (n_local, dim, dim).
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of ``du`` in the families of some own particles."""
+        self.force(du, f, particles)
 
-        Return False where the control does not know them without its matrix (not collective).
-        """
-        return False
+    def add_rows(self, entries: Entries) -> None:
+        """Add the matrix, which is computed once."""
+        if self._filled is None or self._filled[0] is not entries.sparsity:
+            self._filled = entries.sparsity, self.matrix(entries.sparsity)
+        self._filled[1].add(entries.diag, entries.off)
+
+    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return ``of_gradient``, computed once for an operator."""
+        if self._shared is None or self._shared[0] is not operator:
+            self._shared = operator, self.of_gradient(operator)
+        return self._shared[1]
 
     def scaled(self, share: Float) -> Control:
         """Return the control with the stiffness of the family of each own particle times a positive share (n_owned,).

@@ -45,7 +45,9 @@ class LatticeControl(Control):
         self._all: Control | None = None
         own = lattice.irregular
         # The forces of particles that stand for a pattern are those of its rows.
-        stiffness = np.where(np.arange(len(irregular.stiffness)) < own.indptr[own.n], irregular.stiffness, 0.0)
+        stiffness = np.where(
+            np.arange(len(irregular.bond_stiffness)) < own.indptr[own.n], irregular.bond_stiffness, 0.0
+        )
         self._alone = NonUniform(own.cloud, Families(own.indptr, own.neighbours), stiffness, irregular.K_inverse)
         K_inverse = irregular.K_inverse[own.n :]
         self._K = np.linalg.inv(K_inverse) if K_inverse.any() else np.zeros_like(K_inverse)
@@ -53,8 +55,8 @@ class LatticeControl(Control):
         for number, steps in enumerate(lattice.steps):
             bonds = slice(int(own.indptr[own.n + number]), int(own.indptr[own.n + number + 1]))
             xi = own.cloud.x[own.neighbours[bonds]] - own.cloud.x[own.n + number]
-            self._stiffness.append(irregular.stiffness[bonds])
-            points.append([(steps, irregular.stiffness[bonds, None] * (xi @ K_inverse[number]))])
+            self._stiffness.append(irregular.bond_stiffness[bonds])
+            points.append([(steps, irregular.bond_stiffness[bonds, None] * (xi @ K_inverse[number]))])
         self._weights = weights_of(points, lattice.cloud.dim)
         found = self._of(self._weights, SameGradient())
         if found is None:
@@ -87,7 +89,9 @@ class LatticeControl(Control):
             return None
         irregular = self._irregular.of_gradient(operator.irregular)
         return (
-            None if irregular is None else self._of(operator.weights, BondGradient(self._alone.stiffness, irregular.K))
+            None
+            if irregular is None
+            else self._of(operator.weights, BondGradient(self._alone.bond_stiffness, irregular.K))
         )
 
     def add_point_blocks(self, blocks: Float) -> bool:

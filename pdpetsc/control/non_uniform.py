@@ -50,7 +50,7 @@ class NonUniform(Control):
         self._forces = stiffness if phi is None else stiffness * phi
 
     @property
-    def stiffness(self) -> Float:
+    def bond_stiffness(self) -> Float:
         """Return ``s_ij`` (n_bonds,) [force / length]."""
         return self._stiffness
 
@@ -87,10 +87,9 @@ class NonUniform(Control):
         return True
 
     def of_gradient(self, operator: GradientOperator) -> BondGradient | None:
-        """Return ``s_ij`` and ``K_i`` where H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
-        if operator.n_points != len(self._K_inverse) or len(operator.members) != len(self._stiffness) + len(
-            self._K_inverse
-        ):
+        """Return ``s_ij`` and ``K_i`` if H is the scheme's gradient, ``g_ij = s_ij K_i^-1 xi_ij``, else None."""
+        n, n_bonds = len(self._K_inverse), len(self._stiffness)
+        if self._phi is not None or operator.n_points != n or len(operator.members) != n_bonds + n:
             return None
         deviation = same_gradient_kernel(self._cloud.dim)
         data = operator.point_ptr, operator.members, operator.g, self._stiffness, self._K_inverse, self._cloud.x

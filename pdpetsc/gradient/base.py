@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -16,6 +16,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.errors import FlatFamilies
 from pdpetsc.kernels.gradient import divergence_kernel, gradient_kernel, shape_kernel, weights_kernel
 from pdpetsc.kernels.point_blocks import gradient_blocks_kernel
+from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 
 # A family is flat when the smallest eigenvalue of its shape tensor is below this share of the mean one.
@@ -28,24 +29,43 @@ NAMED_IDS = 5
 
 
 @dataclass(frozen=True)
-class Stencils:
-    """Gradient points and the weighted neighbours of each, before the shape tensors are inverted.
+class StencilMembers:
+    """Particles that belong together: those of a gradient point, of a bond, of a family, of a patch.
 
     Attributes
     ----------
     owner : (n_points,) int32
-        Particle ``i`` that owns each point.
+        Own particle ``i`` that each stencil belongs to, ascending.
     point_ptr : (n_points + 1,) int64
-        Where the members of each point start; the first member is the owner itself, with weight 0.
+        Where the members of each stencil start.
     members : (n_entries,) int32
         Local particles.
-    weight : (n_entries,) float64
-        ``omega V_k`` times the share of the bond that belongs to the point [volume].
     """
 
     owner: LocalIndex
     point_ptr: GlobalIndex
     members: LocalIndex
+
+    def by_particle(self, n_local: int) -> tuple[GlobalIndex, GlobalIndex, LocalIndex]:
+        """Return the entries of each local particle and their stencils, as ``transpose`` does, computed once."""
+        found: tuple[GlobalIndex, GlobalIndex, LocalIndex] | None = self.__dict__.get("_by_particle")
+        if found is None:
+            found = self.__dict__["_by_particle"] = transpose(self.point_ptr, self.members, n_local)
+        return found
+
+
+@dataclass(frozen=True)
+class Stencils(StencilMembers):
+    """Gradient points and the weighted neighbours of each, before the shape tensors are inverted.
+
+    The first member of a point is its owner, with weight 0.
+
+    Attributes
+    ----------
+    weight : (n_entries,) float64
+        ``omega V_k`` times the share of the bond that belongs to the point [volume].
+    """
+
     weight: Float
 
     def shape_tensors(self, x: Float) -> Float:
@@ -73,13 +93,13 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class GradientOperator:
+class GradientOperator(StencilMembers):
     """Sparse operator from displacements to deformation gradients, ``F_p = I + sum_k u_k (x) g_pk``.
+
+    The first member of a point is its owner.
 
     Attributes
     ----------
-    owner, point_ptr, members
-        As in ``Stencils``; points are sorted by owner.
     g : (n_entries, dim) float64
         Weights [1 / length]; those of a point sum to zero.
     volume : (n_points,) float64
@@ -91,9 +111,6 @@ class GradientOperator:
         particles have the same points whichever bonds are left.
     """
 
-    owner: LocalIndex
-    point_ptr: GlobalIndex
-    members: LocalIndex
     g: Float
     volume: Float
     note: str = ""
@@ -128,9 +145,9 @@ class GradientOperator:
         """Return whether ``divergence`` can add the forces of a control with those of stresses."""
         return isinstance(same, BondGradient)
 
-    def product(self, A: Moduli, h: Float | None = None) -> Product:
-        """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces where they are not g."""
-        return ListedProduct(self, A.listed, h)
+    def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
+        """Return ``H^T (W A) G`` for moduli A, with weights ``h`` (n_entries, dim) of forces if they are not g."""
+        return ListedLoop(self, A.listed, h)
 
     def sum_over_points(self, values: Float) -> Float:
         """Return the sum over the points of each particle, (n_owned, ...)."""
@@ -222,60 +239,63 @@ def add_divergence(
         divergence_kernel(dim, 1)(*data, listed.stiffness, listed.K, same.H, same.u)
 
 
-class Product(ABC):
-    """``H^T (W A) G``, applied particle by particle."""
+class PointLoop(ABC):
+    """``H^T (W A) G``, applied particle by particle, alone or together with a control on the same gradient."""
 
     @abstractmethod
-    def absorb(self, same: SameGradient | None) -> bool:
-        """Add the forces of a control that uses the same gradient from now on; return whether it can."""
+    def controlled(self, same: SameGradient | None) -> PointLoop | None:
+        """Return the loop that adds the forces of a control too, or None if it cannot."""
 
     @abstractmethod
-    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+    def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the points of some own particles for displacements (n_local, dim) (not collective)."""
 
     @abstractmethod
     def add_point_blocks(self, blocks: Float) -> None:
-        """Add what couples each local particle to itself (n_local, dim, dim), without that of the control."""
+        """Add what couples each local particle to itself (n_local, dim, dim), without that of a control."""
 
 
-class ListedProduct(Product):
-    """The product of an operator whose weights are listed, in one pass over its points.
+@dataclass(frozen=True)
+class ListedLoop(PointLoop):
+    """The loop of an operator whose weights are listed, in one pass over its points.
 
-    Parameters
+    Attributes
     ----------
     operator : GradientOperator
         The gradient.
     A : (n_points, dim, dim, dim, dim) float64
         Moduli [stress].
-    h : (n_entries, dim) float64, optional
-        Weights with which points put forces on particles [1 / length]; those of the gradient where absent.
+    h : (n_entries, dim) float64 or None
+        Weights with which points put forces on particles [1 / length]; those of the gradient if None.
+    control : BondGradient or None
+        The control in the loop.
     """
 
-    def __init__(self, operator: GradientOperator, A: Float, h: Float | None) -> None:
-        self._operator, self._A, self._h = operator, A, h
-        self._same: BondGradient | None = None
+    operator: GradientOperator
+    A: Float
+    h: Float | None
+    control: BondGradient | None = None
 
-    def absorb(self, same: SameGradient | None) -> bool:
-        """Take a control whose bonds are listed, if it is the first and forces have the weights of the gradient."""
-        if self._same is not None or self._h is not None or not isinstance(same, BondGradient):
-            return False
-        self._same = same
-        return True
+    def controlled(self, same: SameGradient | None) -> PointLoop | None:
+        """Return the loop with a control whose bonds are listed, if forces have the weights of the gradient."""
+        if self.h is not None or not isinstance(same, BondGradient):
+            return None
+        return replace(self, control=same)
 
-    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+    def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the points of some own particles."""
-        operator, h = self._operator, self._operator.g if self._h is None else self._h
-        loop = NO_CONTROL if self._same is None else (self._same.stiffness, self._same.K)
-        gradient_times_kernel(u.shape[1], int(self._same is not None))(
+        operator, h = self.operator, self.operator.g if self.h is None else self.h
+        control = NO_CONTROL if self.control is None else (self.control.stiffness, self.control.K)
+        gradient_times_kernel(u.shape[1], int(self.control is not None))(
             particles, operator.points_of, operator.point_ptr, operator.members, operator.g, h, operator.volume,
-            self._A, *loop, u, f,
+            self.A, *control, u, f,
         )  # fmt: skip
 
     def add_point_blocks(self, blocks: Float) -> None:
         """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
-        operator, dim, h = self._operator, blocks.shape[-1], self._operator.g if self._h is None else self._h
-        gradient_blocks_kernel(dim, int(self._h is None))(
-            operator.point_ptr, operator.members, h, operator.g, operator.volume, self._A,
+        operator, dim, h = self.operator, blocks.shape[-1], self.operator.g if self.h is None else self.h
+        gradient_blocks_kernel(dim, int(self.h is None))(
+            operator.point_ptr, operator.members, h, operator.g, operator.volume, self.A,
             blocks.reshape(-1, dim * dim),
         )  # fmt: skip
 

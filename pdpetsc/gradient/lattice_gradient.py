@@ -6,6 +6,7 @@ one particle of each pattern of the others. The weights of a pattern are those o
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, Product, SameGradient
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, PointLoop, SameGradient
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
 
 # Weights of opposite members are opposite, and stiffnesses alike, up to this share of the largest.
@@ -205,9 +206,9 @@ class LatticeGradient(GradientOperator):
         """Return whether a control repeats as the weights do."""
         return isinstance(same, LatticeSharedGradient)
 
-    def product(self, A: Moduli, h: Float | None = None) -> Product:
+    def loop(self, A: Moduli, h: Float | None = None) -> PointLoop:
         """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
-        return LatticeProduct(self, A) if h is None else self.listed.product(A, h)
+        return LatticeLoop(self, A) if h is None else self.listed.loop(A, h)
 
     @cached_property
     def listed(self) -> GradientOperator:
@@ -290,7 +291,7 @@ class LatticeSharedGradient(SameGradient):
         self.irregular, self.weight, self.K, self.scale = irregular, weight, K, scale
 
 
-class LatticeProduct(Product):
+class LatticeLoop(PointLoop):
     """``G^T (W A) G`` of an operator whose weights repeat, with the forces of a control on the same gradient.
 
     Parameters
@@ -309,26 +310,26 @@ class LatticeProduct(Product):
         )  # fmt: skip
         of_irregular = np.zeros((operator.irregular.n_points, *A.values.shape[1:]))
         of_irregular[: len(operator.alone)] = A.at(operator.alone)
-        self._alone = operator.irregular.product(Moduli(of_irregular))
+        self._alone = operator.irregular.loop(Moduli(of_irregular))
         self._same: LatticeSharedGradient | None = None
 
-    def absorb(self, same: SameGradient | None) -> bool:
-        """Add the forces of a control that uses the same gradient from now on; return whether it can."""
-        if (
-            self._same is not None
-            or not isinstance(same, LatticeSharedGradient)
-            or not self._alone.absorb(same.irregular)
-        ):
-            return False
-        self._same = same
-        return True
+    def controlled(self, same: SameGradient | None) -> PointLoop | None:
+        """Return the loop with a control that repeats as the weights do, None for another."""
+        if not isinstance(same, LatticeSharedGradient):
+            return None
+        alone = self._alone.controlled(same.irregular)
+        if alone is None:
+            return None
+        found = copy.copy(self)
+        found._alone, found._same = alone, same
+        return found
 
-    def add(self, particles: LocalIndex, u: Float, f: Float) -> None:
+    def add(self, u: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the points of some own particles for displacements (n_local, dim)."""
         operator, lattice = self._operator, self._operator.lattice
         part, own = lattice.part(particles), lattice.irregular
         if len(part.alone):
-            own.add(f, lambda forces: self._alone.add(part.alone, u[own.local], forces))
+            own.add(f, lambda forces: self._alone.add(u[own.local], forces, part.alone))
         add_row_forces(lattice, part, operator.weights, self._points, self._same, u, f)
 
     def add_point_blocks(self, blocks: Float) -> None:

@@ -131,49 +131,6 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
 
 
 @lru_cache
-def outer_rows_kernel(dim: int) -> Callable[..., Any]:
-    """Return the kernel that adds ``v_b (x) m_b`` of bonds ``b = ij`` to rows of K.
-
-    It goes to ``jj`` and ``ii``, its opposite to ``ji`` and ``ij``: the change of a force ``v`` on ``j`` and ``-v`` on
-    ``i`` with the elongation, whose derivative by ``u_j`` is ``m``. Arguments as for ``bond_rows_kernel``.
-    """
-    size = dim * dim
-
-    @compiled
-    def rows(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
-        ends, v, m, diag, off,
-    ):  # fmt: skip
-        slot = np.zeros(entry_ptr.size, np.int32)
-        for row in range(diag_ptr.size - 1):
-            a = first_row + row
-            if entry_ptr[a] == entry_ptr[a + 1]:
-                continue
-            begin = diag_ptr[row] + off_ptr[row]
-            n_diag = diag_ptr[row + 1] - diag_ptr[row]
-            n_off = off_ptr[row + 1] - off_ptr[row]
-            for q in range(n_diag + n_off):
-                column = columns[begin + q]
-                for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = q
-            for e in range(entry_ptr[a], entry_ptr[a + 1]):
-                b = entry_point[e]
-                for side in range(2):
-                    other = ends[entries[e] ^ side]
-                    q = slot[other]
-                    sign = 1.0 - 2.0 * side
-                    for i in range(dim):
-                        for k in range(dim):
-                            value = sign * v[b, i] * m[b, k] * signs[behind[a], i] * signs[behind[other], k]
-                            if q < n_diag:
-                                diag[size * diag_ptr[row] + i * dim * n_diag + dim * q + k] += value
-                            else:
-                                off[size * off_ptr[row] + i * dim * n_off + dim * (q - n_diag) + k] += value
-
-    return rows
-
-
-@lru_cache
 def pair_elongation_kernel(dim: int) -> Callable[..., Any]:
     """Return ``elongation(ends, n, u, e)``: ``e = n . (u_j - u_i)`` for pairs with fixed directions ``n``."""
 

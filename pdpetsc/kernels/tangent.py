@@ -93,29 +93,6 @@ def same_gradient_kernel(dim: int) -> Callable[..., Any]:
 
 
 @lru_cache
-def outer_times_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``times(particles, ptr, neighbours, v, w, u, f)``: adds ``v_b (w_b . (u_j - u_i))`` to ``j``.
-
-    ``i`` gets the opposite; the bonds of ``i`` are ``ptr[i]`` to ``ptr[i + 1]``.
-    """
-
-    @compiled
-    def times(particles, ptr, neighbours, v, w, u, f):  # type: ignore[no-untyped-def]
-        for q in range(particles.size):
-            i = particles[q]
-            for b in range(ptr[i], ptr[i + 1]):
-                j = neighbours[b]
-                rate = 0.0
-                for m in range(dim):
-                    rate += w[b, m] * (u[j, m] - u[i, m])
-                for m in range(dim):
-                    f[j, m] += v[b, m] * rate
-                    f[i, m] -= v[b, m] * rate
-
-    return times
-
-
-@lru_cache
 def bond_times_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return ``times(particles, indptr, neighbours, x, u, stiffness, tension, a, B, du, f)``.
 

@@ -7,13 +7,13 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import largest, total
+from pdpetsc.gradient.products import ConstraintProduct
 from pdpetsc.petsc.matrix_free import Preconditioning
 from pdpetsc.petsc.schur import DIRECT, SchurComplement
 from pdpetsc.petsc.two_level import TwoLevel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Constraints
 
 # Tolerance of a solve with conditions as unknowns over that of the solve that it preconditions and over the largest
 # stiffness of a condition, with which what is left of it counts there; its least, and its largest number of iterations.
@@ -59,7 +59,7 @@ class Constrained(Preconditioning):
         """Make it that of a state; return the tangent there."""
         tangent = self._levels.fill(state)
         self.diagonal = self._levels.diagonal
-        constraints = tangent.constraints()
+        constraints = tangent.constraint()
         assert constraints is not None
         if self._system is None:
             self._system = _System(self._problem.body, self._fixed, self._scale)
@@ -154,14 +154,14 @@ class _System:
         self._masked = np.zeros(fixed.shape)
         self._schur: SchurComplement | None = None
 
-    def take(self, soft: Tangent, constraints: Constraints, diagonal: Float) -> None:
+    def take(self, soft: Tangent, constraints: ConstraintProduct, diagonal: Float) -> None:
         """Be the system of a tangent whose soft part has a diagonal (n_rows * dim,) [force / length] (collective)."""
         self._soft, self._of = soft, constraints
         sizes = np.diff(constraints.ptr)
         self._condition_of = np.repeat(np.arange(len(sizes)), sizes)
         with np.errstate(divide="ignore"):
-            self._compliance = self._scale / np.maximum(constraints.stiffness, 1e-12 * constraints.soft)
-        stiffest = float(np.max(constraints.stiffness / constraints.soft, initial=1.0))
+            self._compliance = self._scale / np.maximum(constraints.D, 1e-12 * constraints.soft)
+        stiffest = float(np.max(constraints.D / constraints.soft, initial=1.0))
         self.stiffest = largest(self._body.cloud.comm, stiffest)
         self._soften = SPREAD * self._scale / constraints.soft
         body, n = self._body, self._body.cloud.n_owned

@@ -8,9 +8,9 @@ from scipy.sparse import coo_array, csr_array
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.communicator import largest
+from pdpetsc.gradient.products import ConstraintProduct
 from pdpetsc.kernels.near import reach_kernel
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.term import Constraints
 
 # Largest number of conditions of all ranks whose matrix is factored, by dimension; more have the diagonal.
 DIRECT = {1: 10**6, 2: 250_000, 3: 40_000}
@@ -38,7 +38,7 @@ class SchurComplement:
     ----------
     body : Body
         Particles and bonds.
-    constraints : Constraints
+    constraints : ConstraintProduct
         The conditions.
     compliance, soft : (n_conditions,) float64
         C and q.
@@ -57,7 +57,7 @@ class SchurComplement:
     """
 
     def __init__(
-        self, body: Body, constraints: Constraints, compliance: Float, soft: Float, diagonal: Float, free: Mask
+        self, body: Body, constraints: ConstraintProduct, compliance: Float, soft: Float, diagonal: Float, free: Mask
     ) -> None:
         cloud, dim = body.cloud, body.dim
         n, comm = cloud.n_owned, cloud.comm

@@ -8,9 +8,9 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
 from pdpetsc.discrete.sparsity import Sparsity, build_sparsity, positions_of_own_blocks
+from pdpetsc.gradient.products import Entries
 from pdpetsc.problem.problem import Problem, Tangent
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries
 
 
 class Filler(ABC):
@@ -91,8 +91,8 @@ class Assembler(Filler):
 
     def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
         """Add the rows of families; return the tangent that the matrix stands for."""
-        for part in tangent.parts:
-            part.add_rows(entries)
+        for product in tangent.products:
+            product.add_rows(entries)
         return tangent
 
     def _assemble_border(self, tangent: Tangent, diag: Float, off: Float) -> None:

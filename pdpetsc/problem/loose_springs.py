@@ -6,10 +6,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.communicator import total
+from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import LinearisedTerm, PointTangent, Term
+from pdpetsc.problem.term import Term
 
 # Stiffness of a spring over a typical diagonal of the tangent [-].
 SOFT = 1e-8
@@ -75,8 +76,8 @@ class LooseSprings(Term):
         if self.active:
             r += self.force(state.u)
 
-    def linearised(self, state: State) -> LinearisedTerm | None:
+    def linearise(self, state: State) -> list[Product]:
         """Return their stiffness."""
         if not self.active:
-            return None
-        return PointTangent(np.where(self._held, self._each, 0.0)[:, None, None] * np.eye(self._body.dim))
+            return []
+        return [PointBlocks(np.where(self._held, self._each, 0.0)[:, None, None] * np.eye(self._body.dim))]

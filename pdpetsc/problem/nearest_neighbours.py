@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import build_sparsity
-from pdpetsc.gradient.base import GradientOperator, flat, stencil_weights, whole_families
-from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.gradient.base import GradientOperator, Moduli, flat, stencil_weights, whole_families
+from pdpetsc.gradient.products import Entries, PointBlocks, PointProduct, Product
 from pdpetsc.kernels.near import near_bonds_kernel, reach_kernel
-from pdpetsc.kernels.sparsity import transpose
-from pdpetsc.kernels.tangent import NO_CONTROL, gradient_times_kernel
 from pdpetsc.problem.assembly import Assembler
 from pdpetsc.problem.problem import Problem, Tangent
-from pdpetsc.problem.term import Entries, LinearisedTerm
 
 # Bonds are near up to this multiple of the length of the dim-th shortest one of either end.
 REACH = 1.25
@@ -59,7 +56,6 @@ class NearAssembler(Assembler):
         g = stencil_weights(stencils, cloud.x, self._K_inverse)
         one = np.ones(cloud.n_owned)
         self._operator = GradientOperator(stencils.owner, stencils.point_ptr, stencils.members, g, one)
-        self._transposed = transpose(self._operator.point_ptr, self._operator.members, cloud.n_local)
         self._start(problem, build_sparsity(cloud, self._operator.point_ptr, self._operator.members))
         self._tangent: Tangent | None = None
 
@@ -72,18 +68,12 @@ class NearAssembler(Assembler):
     def _fill(self, tangent: Tangent, entries: Entries) -> Tangent:
         """Add the rows of near families; return the tangent of the near body."""
         self._tangent = tangent
-        dim, near = self.problem.dim, self._operator
         D = tangent.stiffness()
-        for rows, own in entries.row_sets():
-            assemble_kernel(dim)(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *self.pattern.locals_of_columns,
-                *self._transposed, near.point_ptr, near.members, near.g, near.g, near.volume, D, own, entries.off,
-            )  # fmt: skip
-        control = self._control(D)
-        control.matrix(self.pattern).add(dim, entries.diag, entries.off)
-        assembled = Tangent(self.problem.body, [NearTangent(dim, near, D, control)])
-        assembled.blocks = tangent.blocks
-        return assembled
+        near: list[Product] = [PointProduct(self._operator, Moduli(D)), self._control(D)]
+        for product in near:
+            product.add_rows(entries)
+        own = [] if tangent.blocks is None else [PointBlocks(tangent.blocks)]
+        return Tangent(self.problem.body, [*near, *own])
 
     def _control(self, D: Float) -> NonUniform:
         """Return the control with a stiffness like that of the body (collective)."""
@@ -94,20 +84,6 @@ class NearAssembler(Assembler):
         factor = CONTROL * modulus / np.where(self._size > 0.0, self._size, 1.0)
         stiffness = factor[self._families.centres] * cloud.volume[self._families.neighbours]
         return NonUniform(cloud, self._families, stiffness, self._K_inverse / factor[:, None, None])
-
-
-class NearTangent(LinearisedTerm):
-    """The tangent that a near matrix assembles, for the columns of virtual unknowns."""
-
-    def __init__(self, dim: int, near: GradientOperator, D: Float, control: NonUniform) -> None:
-        self._dim, self._near, self._D, self._control = dim, near, D, control
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the near families."""
-        near = self._near
-        stencils = near.points_of, near.point_ptr, near.members, near.g, near.g, near.volume
-        gradient_times_kernel(self._dim)(particles, *stencils, self._D, *NO_CONTROL, du, f)
-        self._control.force(du, f, particles)
 
 
 def near_families(problem: Problem) -> Families:

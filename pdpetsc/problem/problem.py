@@ -10,6 +10,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
+from pdpetsc.gradient.products import ConstraintProduct, Entries, Loop, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.last_step import LastStep
@@ -18,7 +19,7 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.staggered_field import StaggeredField
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
-from pdpetsc.problem.term import Constraints, Entries, KeptArray, LinearisedTerm, Term
+from pdpetsc.problem.term import KeptArray, Term
 
 
 class Problem:
@@ -219,11 +220,11 @@ class Problem:
     def linearised(self, state: State) -> Tangent:
         """Return the tangent at a state, which is applied without assembling it."""
         _ = state.u_local
-        parts = [part for part in (term.linearised(state) for term in self.terms) if part is not None]
+        products = [product for term in self.terms for product in term.linearise(state)]
         if state is self._last:
             # The memory of this state goes to the moduli, so it is not kept for reuse.
             self._last = None
-        return Tangent(self.body, parts)
+        return Tangent(self.body, products)
 
     def energies(self, state: State) -> dict[str, float]:
         """Return the energies of the terms by what they are the energy of [energy]: ``strain``, ``control``, ..."""
@@ -307,7 +308,7 @@ class Tangent:
     ----------
     body : Body
         Whose unknowns it takes.
-    parts : sequence of LinearisedTerm
+    products : sequence of Product
         What it is the sum of.
 
     Notes
@@ -315,14 +316,11 @@ class Tangent:
     Application is collective.
     """
 
-    def __init__(self, body: Body, parts: Sequence[LinearisedTerm]) -> None:
+    def __init__(self, body: Body, products: Sequence[Product]) -> None:
         self.body = body
-        self.parts = list(parts)
-        self._passes: list[LinearisedTerm] = []
-        for part in self.parts:
-            if not any(other.absorb(part) for other in self._passes):
-                self._passes.append(part)
-        blocks = [part.blocks for part in self.parts if part.blocks is not None]
+        self.products = list(products)
+        self._loops = _loops(self.products)
+        blocks = [product.blocks for product in self.products if product.blocks is not None]
         self.blocks: Float | None = np.sum(blocks, axis=0) if blocks else None
 
     def __call__(self, du: Float) -> Float:
@@ -335,18 +333,18 @@ class Tangent:
 
     def forces(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of the families of some own particles (not collective): all arrays (n_local, dim)."""
-        for part in self._passes:
-            part.add_product(du, f, particles)
+        for add in self._loops:
+            add(du, f, particles)
 
     def softened(self) -> Tangent:
-        """Return it without the constraints of its parts; itself where there are none (not collective)."""
-        if all(part.constraints() is None for part in self.parts):
+        """Return it without its constraint; itself if there is none (not collective)."""
+        if self.constraint() is None:
             return self
-        return Tangent(self.body, [part.softened() for part in self.parts])
+        return Tangent(self.body, [product for product in self.products if product.constraint() is None])
 
-    def constraints(self) -> Constraints | None:
-        """Return those of the part that has some (not collective)."""
-        return next((found for found in (part.constraints() for part in self.parts) if found is not None), None)
+    def constraint(self) -> ConstraintProduct | None:
+        """Return the product that is nearly conditions on the displacement (not collective)."""
+        return next((product.constraint() for product in self.products if product.constraint() is not None), None)
 
     def columns_of_virtual(self) -> Iterator[tuple[int, int, Float]]:
         """Yield virtual row, component and column (n_rows, dim) of each virtual unknown; the next may overwrite it."""
@@ -360,7 +358,7 @@ class Tangent:
 
     def stiffness(self) -> Float:
         """Return ``sum_p W_p dP/dF`` of every own particle (n_owned, dim, dim, dim, dim) [energy] (not collective)."""
-        found = [D for D in (part.stiffness() for part in self.parts) if D is not None]
+        found = [D for D in (product.stiffness() for product in self.products) if D is not None]
         return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))
 
     def point_blocks(self) -> Float:
@@ -371,7 +369,7 @@ class Tangent:
         """
         cloud, dim = self.body.cloud, self.body.dim
         found = np.zeros((cloud.n_local, dim, dim))
-        unknown = [part for part in self.parts if not part.add_point_blocks(found)]
+        unknown = [product for product in self.products if not product.add_point_blocks(found)]
         if len(cloud.sign):
             found[cloud.n_owned :] *= cloud.sign[:, :, None] * cloud.sign[:, None, :]
         cloud.halo.reverse(found)
@@ -382,20 +380,37 @@ class Tangent:
 
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` (n_owned,) [energy] (not collective)."""
-        found = [s for s in (part.strength() for part in self.parts) if s is not None]
+        found = [s for s in (product.strength() for product in self.products) if s is not None]
         return np.asarray(found[0] if len(found) == 1 else np.sum(found, axis=0))
 
 
-def diagonal_blocks_of_rows(body: Body, parts: Sequence[LinearisedTerm]) -> Float:
-    """Return the blocks on the diagonal of the rows that terms add, (n_owned, dim, dim) [force / length] (collective).
+def _loops(products: Sequence[Product]) -> list[Loop]:
+    """Return what adds the forces of all products, two of them in one loop if that is quicker."""
+    left = list(products)
+    loops: list[Loop] = []
+    while left:
+        product = left.pop(0)
+        loop: Loop = product.add_product
+        for other in left:
+            both = product.together(other)
+            if both is not None:
+                left.remove(other)
+                loop = both
+                break
+        loops.append(loop)
+    return loops
 
-    The rows are assembled for it.
+
+def diagonal_blocks_of_rows(body: Body, products: Sequence[Product]) -> Float:
+    """Return the blocks on the diagonal of the rows that products add, (n_owned, dim, dim) [force / length].
+
+    The rows are assembled for it (collective).
     """
     cloud, dim = body.cloud, body.dim
     sparsity = build_sparsity(cloud, body.with_centres.point_ptr, body.with_centres.members)
     sizes = sparsity.owned.diag_ptr[-1], sparsity.owned.off_ptr[-1], sparsity.ghost.diag_ptr[-1]
     entries = Entries(sparsity, *(np.zeros(dim**2 * int(size)) for size in sizes))
-    for part in parts:
-        part.add_rows(entries)
+    for product in products:
+        product.add_rows(entries)
     sparsity.complete(entries.ghost, entries.diag, entries.off, dim)
     return np.asarray(entries.diag[positions_of_own_blocks(sparsity.owned, sparsity.n_own_columns, dim)])

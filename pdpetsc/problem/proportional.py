@@ -61,9 +61,9 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
 def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
     zero, name = np.zeros(problem.supports.fixed.shape), type(term).__name__
     states = [State(problem.body, zero, t) for t in (1.0, *times)]
-    found = [term.linearised(state) for state in states]
+    found = [term.linearise(state) for state in states]
     if term.load:
-        if any(part is not None for part in found):
+        if any(found):
             raise CaseError(
                 f"{who} needs loads that do not depend on the displacement, and {name} has a tangent; let it be an "
                 f"internal force (load = False), or take load steps with Newton."
@@ -72,7 +72,7 @@ def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float])
     gid = problem.body.cloud.gid[: problem.body.cloud.n_owned, None].astype(float)
     v = np.zeros_like(zero)
     v[: len(gid)] = np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(problem.dim))
-    products = [Tangent(problem.body, [] if part is None else [part])(v).copy() for part in found]
+    products = [Tangent(problem.body, parts)(v).copy() for parts in found]
     forces = [problem.force_of([term], state) for state in states]
     offset = max(largest(problem.body.cloud.comm, np.abs(force).max(initial=0.0)) for force in forces)
     if offset > 0.0 or any(_differ(problem, product, products[0], products[0]) for product in products[1:]):

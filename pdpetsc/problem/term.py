@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.declared import Declared
-from pdpetsc.discrete.sparsity import Rows, Sparsity
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, SameGradient
+from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from pdpetsc.renamed import warn
 
 
 @dataclass(frozen=True)
@@ -52,134 +49,6 @@ class KeptArray:
             raise CaseError("The owners of a KeptArray must ascend.")
 
 
-@dataclass(frozen=True)
-class Entries:
-    """Where a linearised term adds its rows of the tangent matrix.
-
-    Attributes
-    ----------
-    sparsity : Sparsity
-        The blocks there are.
-    diag, off : float64
-        Values of the own rows, own columns and others, in scalar CSR layout.
-    ghost : float64
-        This rank's share of the rows of its ghosts.
-    """
-
-    sparsity: Sparsity
-    diag: Float
-    off: Float
-    ghost: Float
-
-    def row_sets(self) -> Iterator[tuple[Rows, Float]]:
-        """Return the rows of own particles and of ghosts with the values of their own columns."""
-        yield self.sparsity.owned, self.diag
-        yield self.sparsity.ghost, self.ghost
-
-
-@dataclass(frozen=True)
-class Constraints:
-    """A part ``sum_c D_c b_c (x) b_c`` of a tangent, so stiff that it is nearly one condition ``b_c . du = 0`` each.
-
-    Attributes
-    ----------
-    ptr : (n + 1,) int64
-        Where the entries of each condition start.
-    members : (n_entries,) int32
-        Local particles.
-    b : (n_entries, dim) float64
-        ``b_c`` [1 / length].
-    stiffness : (n,) float64
-        ``D_c`` [energy].
-    soft : (n,) float64
-        What the rest of the tangent resists such displacements with, about [energy].
-    """
-
-    ptr: GlobalIndex
-    members: LocalIndex
-    b: Float
-    stiffness: Float
-    soft: Float
-
-
-class LinearisedTerm:
-    """The tangent of a term at one state.
-
-    A term without ghosts (a foundation, a spring) gives ``blocks`` alone; one that couples families gives
-    ``add_product``, ``add_rows`` and ``stiffness``.
-    """
-
-    @property
-    def blocks(self) -> Float | None:
-        """Return what couples each own particle to itself (n_owned, dim, dim) [force / length], or None."""
-        return None
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add ``K du`` of the families of some own particles, both with ghosts (n_local, dim) (not collective)."""
-
-    def add_rows(self, entries: Entries) -> None:
-        """Add the rows of the matrix (collective)."""
-
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add what couples each local particle to itself in the families (n_local, dim, dim) [force / length].
-
-        These are the blocks on the diagonal of the rows that ``add_rows`` adds, but for bonds that soften: those count
-        with their secant. What ``blocks`` gives is not among them. Return False, with nothing added, where they are not
-        known; they are then taken from the rows (not collective).
-        """
-        return False
-
-    def stiffness(self) -> Float | None:
-        """Return ``sum_p W_p dP/dF`` of the own particles (n_owned, dim, dim, dim, dim) [energy], or None.
-
-        It is what a matrix of nearest neighbours is made of (not collective).
-        """
-        return None
-
-    def strength(self) -> Float | None:
-        """Return the trace of ``stiffness`` (n_owned,) [energy], or None (not collective)."""
-        D = self.stiffness()
-        return None if D is None else np.asarray(np.einsum("pikik->p", D))
-
-    def softened(self) -> LinearisedTerm:
-        """Return it without what ``constraints`` gives (not collective)."""
-        return self
-
-    def constraints(self) -> Constraints | None:
-        """Return the part that is nearly conditions on the displacement, None where there is none (not collective)."""
-        return None
-
-    def absorb(self, other: LinearisedTerm) -> bool:
-        """Compute the product of another term in the same loop, if that is quicker; return whether it does."""
-        return False
-
-    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return what its forces take in the loop over ``operator``, where it is a control on that gradient."""
-        return None
-
-
-class PointTangent(LinearisedTerm):
-    """The tangent of a term that couples each particle to itself alone.
-
-    Parameters
-    ----------
-    blocks : (n_owned, dim, dim) float64
-        Minus the derivative of the force on each own particle by its displacement [force / length].
-    """
-
-    def __init__(self, blocks: Float) -> None:
-        self._blocks = blocks
-
-    @property
-    def blocks(self) -> Float:
-        """Return the blocks."""
-        return self._blocks
-
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add nothing: no family is in it."""
-        return True
-
-
 class Term(ABC):
     """Something that adds forces to the residual ``sum of internal forces - sum of loads``.
 
@@ -204,7 +73,7 @@ class Term(ABC):
     energy_of : str
         Under which name its energy is summed; that of the material is ``"strain"``, that of a control ``"control"``.
     constrained : bool
-        Whether its tangents have ``constraints``.
+        Whether its tangents have a ``Product.constraint``.
     version : int
         Grows whenever its forces or its tangent at the same unknowns and step time change, as when ``commit`` moves
         what it remembers.
@@ -223,6 +92,15 @@ class Term(ABC):
     energy_of: str = "extra"
     constrained: bool = False
     version: int = 0
+
+    def __init_subclass__(cls, **more: object) -> None:
+        super().__init_subclass__(**more)
+        old = vars(cls).get("linearised")
+        if old is not None and "linearise" not in vars(cls):
+            warn(f"{cls.__name__}.linearised", "linearise, which returns a list")
+            cls.linearise = lambda self, state: [  # type: ignore[method-assign]
+                product for product in [old(self, state)] if product is not None
+            ]
 
     @property
     def parts(self) -> list[str]:
@@ -288,8 +166,8 @@ class Term(ABC):
         """Add forces on the unknowns of this rank (n_rows, dim) [force]: what needs no ghosts (not collective)."""
 
     @abstractmethod
-    def linearised(self, state: State) -> LinearisedTerm | None:
-        """Return its tangent at a state; None where it has none."""
+    def linearise(self, state: State) -> Sequence[Product]:
+        """Return its tangent at a state, a list of what it is the sum of; empty if it has none."""
 
     def energy(self, state: State) -> float:
         """Return its energy on this rank [energy]."""

@@ -12,19 +12,19 @@ from pdpetsc.bond_based import BondMaterial, BondStiffness, Neighbourhood, combi
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Correspondence
-from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.gradient.base import StencilMembers
+from pdpetsc.gradient.products import Entries, Product, RankOneProduct
 from pdpetsc.kernels.bonds import bond_force_kernel, bond_rows_kernel
 from pdpetsc.kernels.point_blocks import bond_blocks_kernel
-from pdpetsc.kernels.sparsity import sum_by, transpose
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.kernels.tangent import bond_moduli_kernel, bond_times_kernel
 from pdpetsc.material import LinearElastic, SaintVenantKirchhoff
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, LinearisedTerm
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.softening import Softening, SofteningFamilies, softening_nonlocal
+from pdpetsc.terms.softening import softening_dilatation, softening_nonlocal
 
 
 class BondForces(MaterialTerm):
@@ -190,7 +190,7 @@ class BondForces(MaterialTerm):
         """Return the bonds, or the families where there is a dilatation or what drives damage reaches further."""
         if self.a is not None or self._is_nonlocal:
             return self.body.with_centres.point_ptr, self.body.with_centres.members
-        return self.ends_ptr, self.ends
+        return self.bonds.point_ptr, self.bonds.members
 
     @property
     def whole_families(self) -> bool:
@@ -198,27 +198,11 @@ class BondForces(MaterialTerm):
         return self.a is not None
 
     @cached_property
-    def ends(self) -> LocalIndex:
-        """Return both particles of every bond one after the other, (2 n_bonds,)."""
-        return np.stack([self.body.families.centres, self.body.families.neighbours], axis=1).ravel()
-
-    @cached_property
-    def ends_ptr(self) -> GlobalIndex:
-        """Return where the ends of every bond start."""
-        return 2 * np.arange(len(self.body.families.neighbours) + 1, dtype=np.int64)
-
-    @cached_property
-    def ends_by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return the ends of bonds by particle."""
-        entry_ptr, entries, points = transpose(self.ends_ptr, self.ends, self.body.cloud.n_local)
-        return entry_ptr, entries, points
-
-    @cached_property
-    def families_by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return the members of families by particle."""
-        whole = self.body.with_centres
-        entry_ptr, entries, points = transpose(whole.point_ptr, whole.members, self.body.cloud.n_local)
-        return entry_ptr, entries, points
+    def bonds(self) -> StencilMembers:
+        """Return both particles of every bond."""
+        centres, neighbours = self.body.families.centres, self.body.families.neighbours
+        ends = np.stack([centres, neighbours], axis=1).ravel()
+        return StencilMembers(centres, 2 * np.arange(len(neighbours) + 1, dtype=np.int64), ends)
 
     def elongation(self, state: State) -> Float:
         """Return the elongation of every bond (n_bonds,) [length]."""
@@ -240,7 +224,7 @@ class BondForces(MaterialTerm):
         rate[gradient.bonds] += gradient.along * self._whole_tension(state)[gradient.bonds]
         return rate
 
-    def softening(self, state: State) -> list[Softening]:
+    def _softening(self, state: State) -> list[Product]:
         """Return what the tangent has besides where the integrity of a bond is in more than its own force.
 
         That is, where it depends on more than the elongation of the bond, or where there is a dilatation.
@@ -257,7 +241,7 @@ class BondForces(MaterialTerm):
         if a is not None and self.a is not None and self.B is not None:
             force = (a * self.B[families.centres])[:, None] * n
             share = (self.a * self.elongation(state))[bonds]
-            found.append(SofteningFamilies.of_dilatation(self.body, gradient, force, n, share))
+            found.append(softening_dilatation(self.body, gradient, force, n, share))
         return found
 
     def shares(self, state: State) -> Float | None:
@@ -300,9 +284,16 @@ class BondForces(MaterialTerm):
         u_local = state.u_local
         kernel(families.indptr, families.neighbours, self.body.cloud.x, u_local, self.tension(state), f)
 
-    def linearised(self, state: State) -> LinearisedTerm:
+    def linearise(self, state: State) -> list[Product]:
         """Return the tangent with the directions and tensions at a state."""
-        return BondTangent(self, state)
+        return [self.product(state), *self._softening(state)]
+
+    def product(self, state: State) -> BondProduct:
+        """Return the tangent of the bonds at a state, without what the integrity has besides in other forces."""
+        a, none = self.shares(state), np.empty(0)
+        dilatation = (none, none) if a is None or self.B is None else (a, self.B)
+        of_bonds = self.tangent(state), self.secant(state), self.tension(state)
+        return BondProduct(self.body, self.finite, state.u_local, self.bonds, *of_bonds, *dilatation)
 
     def energy(self, state: State) -> float:
         """Return the energy of the bonds."""
@@ -415,71 +406,65 @@ class BondForces(MaterialTerm):
         return sharing_stencil(self.body.cloud, whole.point_ptr, whole.members, marked)
 
 
-class BondTangent(LinearisedTerm):
-    """Stiffness along bonds, tension that turns with them, and dilatation, which reaches two horizons."""
+class BondProduct(Product):
+    """Stiffness along bonds, tension that turns with them, and dilatation, which reaches two horizons.
 
-    def __init__(self, term: BondForces, state: State) -> None:
-        self._term = term
-        none = np.empty(0)
-        shares = term.shares(state)
-        a, B = (none, none) if shares is None or term.B is None else (shares, term.B)
-        families = term.body.families
-        self._u = state.u_local
-        self._data = families.indptr, families.neighbours, term.body.cloud.x, self._u
-        self._tangent, self._tension, self._secant = term.tangent(state), term.tension(state), term.secant(state)
-        self._dilatation = a, B
-        self._softening = term.softening(state)
+    Parameters
+    ----------
+    body : Body
+        Whose bonds they are.
+    finite : bool
+        Whether bonds turn.
+    u : (n_local, dim) float64
+        Displacements at which directions are taken [length].
+    bonds : StencilMembers
+        Both ends of every bond.
+    tangent, secant : (n_bonds,) float64
+        ``dt/de`` [force / length]; the secant, which is not negative, is for what preconditions.
+    tension : (n_bonds,) float64
+        [force]
+    a, B : (n_bonds,), (n_owned,) float64
+        What elongations add to the dilatation [1 / length], and its stiffness [energy]; empty if there is none.
+    """
+
+    def __init__(
+        self, body: Body, finite: bool, u: Float, bonds: StencilMembers, tangent: Float, secant: Float, tension: Float,
+        a: Float, B: Float,
+    ) -> None:  # fmt: skip
+        self._body, self._finite, self._u, self._bonds = body, int(finite), u, bonds
+        self._tangent, self._secant, self._tension, self._dilatation = tangent, secant, tension, (a, B)
+        self._data = body.families.indptr, body.families.neighbours, body.cloud.x, u
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of all bonds of the particles."""
-        kernel = bond_times_kernel(self._term.body.dim, int(self._term.finite))
+        kernel = bond_times_kernel(self._body.dim, self._finite)
         kernel(particles, *self._data, self._tangent, self._tension, *self._dilatation, du, f)
-        for softening in self._softening:
-            softening.add_product(du, f, particles)
 
     def stiffness(self) -> Float:
         """Return the derivative of ``sum_j t_ij n_ij (x) xi_ij`` by the deformation gradient of each family.
 
-        Bonds that soften count with their secant, which is not negative.
+        Bonds that soften count with their secant.
         """
-        body = self._term.body
-        D = np.empty((body.cloud.n_owned, *(body.dim,) * 4))
-        kernel = bond_moduli_kernel(body.dim, int(self._term.finite))
+        D = np.empty((self._body.cloud.n_owned, *(self._body.dim,) * 4))
+        kernel = bond_moduli_kernel(self._body.dim, self._finite)
         kernel(*self._data, self._secant, self._tension, *self._dilatation, D)
         return D
 
     def add_point_blocks(self, blocks: Float) -> bool:
-        """Add those of all bonds with their secant, which is not negative, and of the dilatation."""
-        kernel = bond_blocks_kernel(self._term.body.dim, int(self._term.finite))
+        """Add those of all bonds with their secant, and of the dilatation."""
+        kernel = bond_blocks_kernel(self._body.dim, self._finite)
         kernel(*self._data, self._secant, self._tension, *self._dilatation, blocks)
         return True
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of bonds, and those of ``sum_i B_i grad theta_i (x) grad theta_i``."""
-        term, sparsity = self._term, entries.sparsity
-        kernel = bond_rows_kernel(term.body.dim, int(term.finite))
-        for rows, own in entries.row_sets():
-            kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
-                *term.ends_by_particle, term.ends, term.body.cloud.x, self._u, self._tangent, self._tension, own,
-                entries.off,
-            )  # fmt: skip
-        for softening in self._softening:
-            softening.add_rows(entries)
-        if term.a is not None:
-            self._add_dilatation(entries)
-
-    def _add_dilatation(self, entries: Entries) -> None:
-        term, body = self._term, self._term.body
-        assert term.a is not None and term.B is not None
-        families, whole, dim = body.families, body.with_centres, body.dim
-        y = families.bonds(body.cloud.x) + term.finite * families.bonds(self._u)
-        bond = self._dilatation[0][:, None] * y / np.linalg.norm(y, axis=1)[:, None]
-        g = np.insert(bond, families.indptr[:-1], -sum_by(families.centres, bond, body.cloud.n_owned), axis=0)
-        one = np.eye(dim)
-        A = np.tile(np.einsum("im,kn->imkn", one, one), (body.cloud.n_owned, 1, 1, 1, 1))
-        for rows, own in entries.row_sets():
-            assemble_kernel(dim)(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *entries.sparsity.locals_of_columns,
-                *term.families_by_particle, whole.point_ptr, whole.members, g, g, term.B, A, own, entries.off,
-            )  # fmt: skip
+        body, bonds = self._body, self._bonds
+        kernel = bond_rows_kernel(body.dim, self._finite)
+        entries.add(kernel, bonds, bonds.members, body.cloud.x, self._u, self._tangent, self._tension)
+        a, B = self._dilatation
+        if len(a):
+            n, families = body.cloud.n_owned, body.families
+            y = families.bonds(body.cloud.x) + self._finite * families.bonds(self._u)
+            each = a[:, None] * y / np.linalg.norm(y, axis=1)[:, None]
+            g = np.insert(each, families.indptr[:-1], -sum_by(families.centres, each, n), axis=0)
+            RankOneProduct(body.with_centres, n, g, g, B).add_rows(entries)

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
-from pdpetsc.control.base import Control, ControlMatrix, Stiffness
-from pdpetsc.discrete.sparsity import Sparsity
+from pdpetsc.control.base import Control, Stiffness
 from pdpetsc.gradient.base import GradientOperator, SameGradient
+from pdpetsc.gradient.products import Product
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, LinearisedTerm, Term
-from pdpetsc.terms.softening import Softening, softening_parts
+from pdpetsc.problem.term import Term
+from pdpetsc.terms.softening import softening_products
 
 
 class ControlForces(Term):
@@ -46,8 +46,6 @@ class ControlForces(Term):
         self.damage = damage
         self._whole = control
         self.control: Control = self._whole
-        self._matrix: tuple[Control, Sparsity, ControlMatrix] | None = None
-        self._shared: tuple[Control, GradientOperator, SameGradient | None] | None = None
         if damage is not None:
             self._effect = damage.bonds.law.effect
             self._follow(False)
@@ -99,67 +97,28 @@ class ControlForces(Term):
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
         """Return what its forces take where no integrity scales them."""
         control = self.at(state)
-        return self.shared_gradient(control, operator) if control is self.control else None
+        return control.shared_gradient(operator) if control is self.control else None
 
     def energy(self, state: State) -> float:
         """Return the energy of the control."""
         u_local = state.u_local
         return self.at(state).force(u_local, np.zeros_like(u_local), self.body.families.everyone)
 
-    def linearised(self, state: State) -> LinearisedTerm:
-        """Return its constant matrix, and what the derivative of the integrity adds where it fades."""
-        control = self.at(state)
-        softening: list[Softening] = []
-        if self.damage is not None and self._fades and self.damage.bonds.softens:
-            gradient = self.damage.gradient(state)
-            v, opposite = self.control.bond_forces(state.u_local), self.damage.damageable.opposite
-            softening = softening_parts(state, gradient, v, opposite.of_vectors)
-        return ControlTangent(self, control, softening)
+    def linearise(self, state: State) -> list[Product]:
+        """Return the control, and what the derivative of the integrity adds if it fades."""
+        return [self.at(state), *self._softening(state, self.control)]
 
-    def matrix(self, control: Control, sparsity: Sparsity) -> ControlMatrix:
-        """Return the matrix of the control, made once (collective)."""
-        if self._matrix is None or self._matrix[0] is not control or self._matrix[1] is not sparsity:
-            self._matrix = control, sparsity, control.matrix(sparsity)
-        return self._matrix[2]
-
-    def shared_gradient(self, control: Control, operator: GradientOperator) -> SameGradient | None:
-        """Return what its forces take where the control uses the gradient of ``operator``, else None."""
-        if self._shared is None or self._shared[0] is not control or self._shared[1] is not operator:
-            self._shared = control, operator, control.of_gradient(operator)
-        return self._shared[2]
+    def _softening(self, state: State, unfaded: Control) -> list[Product]:
+        """Return what bonds that lose force add, for the control without the integrity that fades."""
+        if self.damage is None or not self._fades or not self.damage.bonds.softens:
+            return []
+        v, opposite = unfaded.bond_forces(state.u_local), self.damage.damageable.opposite
+        return softening_products(state, self.damage.gradient(state), v, opposite.of_vectors)
 
     def _follow(self, rebuild: bool) -> None:
         """Rebuild the control with the present integrity of the bonds."""
         assert self.damage is not None
         self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.phi))
-
-
-class ControlTangent(LinearisedTerm):
-    """The tangent of a zero-energy control."""
-
-    def __init__(self, term: ControlForces, control: Control, softening: list[Softening]) -> None:
-        self._term, self._control, self._softening = term, control, softening
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the control."""
-        self._control.force(du, f, particles)
-        for softening in self._softening:
-            softening.add_product(du, f, particles)
-
-    def add_rows(self, entries: Entries) -> None:
-        """Add its constant matrix, and what its falling bonds add (collective)."""
-        dim = self._term.body.dim
-        self._term.matrix(self._control, entries.sparsity).add(dim, entries.diag, entries.off)
-        for softening in self._softening:
-            softening.add_rows(entries)
-
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add those of its constant matrix."""
-        return self._control.add_point_blocks(blocks)
-
-    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return what its forces take where they can share the loop over a gradient, else None."""
-        return None if self._softening else self._term.shared_gradient(self._control, operator)
 
 
 def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIndex, factor: Float | None) -> Stiffness:

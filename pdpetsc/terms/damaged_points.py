@@ -12,16 +12,17 @@ from pdpetsc.damage.criterion import Gradient
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError, FlatFamilies
 from pdpetsc.gradient.base import GradientOperator, Moduli, Scheme, add_divergence
+from pdpetsc.gradient.products import PointProduct, Product
 from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
+from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.kept_history import KeptHistory
-from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
-from pdpetsc.terms.softening import Softening, softening_parts
+from pdpetsc.terms.material_points import MaterialPoints
+from pdpetsc.terms.softening import softening_products
 
 
 class DamagedPoints(MaterialPoints):
@@ -183,18 +184,27 @@ class DamagedPoints(MaterialPoints):
         """Return False: the integrity of the bonds is in its forces alone."""
         return False
 
-    def linearised(self, state: State) -> LinearisedTerm:
-        """Return the tangent with the exact derivative of the integrity, where it is not frozen."""
-        return DamagedTangent(self, state)
+    def linearise(self, state: State) -> list[Product]:
+        """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of the integrity if it is not frozen."""
+        T = self.damage.phi(state)
+        A, h = Moduli(self.moduli(self.deformation(state))), self.scaled_weights(T)
+        softening = self._softening(state) if self.damage.bonds.softens else []
+        return [PointProduct(self.operator, A, h, self._share(T)), *softening]
 
-    def softening(self, state: State) -> list[Softening]:
+    def _share(self, T: Float) -> Float:
+        """Return the mean integrity of the bonds that are left to each own particle (n_owned,) [-]."""
+        centres, n = self.body.families.centres, self.body.cloud.n_owned
+        left = np.maximum(np.bincount(centres, self.damage.bonds.intact, n), 1)
+        return np.asarray(np.bincount(centres, T, n) / left)
+
+    def _softening(self, state: State) -> list[Product]:
         """Return what the bonds whose integrity falls add to the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
         gradient = self.damage.gradient(state)
         v = self._forces(self.stress(self.deformation(state)), gradient)
-        return softening_parts(state, gradient, v, self.damage.damageable.opposite.of_vectors)
+        return softening_products(state, gradient, v, self.damage.damageable.opposite.of_vectors)
 
     def _forces(self, P: Float, gradient: Gradient) -> Float:
         """Return the force of the intact bond on its second end (n_bonds, dim) [force], of stresses at points.
@@ -341,42 +351,3 @@ class DamagedPoints(MaterialPoints):
 def _points(operator: GradientOperator) -> GlobalIndex:
     """Return the point of every entry (n_entries,)."""
     return np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
-
-
-class DamagedTangent(PointsTangent):
-    """``H^T (W A) G + d(H^T)/du (W P)``: forces fade with what drives each bond."""
-
-    points: DamagedPoints
-
-    def __init__(self, points: DamagedPoints, state: State) -> None:
-        T = points.damage.phi(state)
-        super().__init__(points, Moduli(points.moduli(points.deformation(state))), points.scaled_weights(T))
-        self._T = T
-        self._softening = points.softening(state) if points.damage.bonds.softens else []
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of moduli, and of the bonds whose integrity falls."""
-        super().add_product(du, f, particles)
-        for softening in self._softening:
-            softening.add_product(du, f, particles)
-
-    def add_rows(self, entries: Entries) -> None:
-        """Add the rows of both."""
-        super().add_rows(entries)
-        for softening in self._softening:
-            softening.add_rows(entries)
-
-    def stiffness(self) -> Float:
-        """Return the sum over the points of each particle, times the mean integrity of its bonds."""
-        return np.asarray(super().stiffness() * self._left()[:, None, None, None, None])
-
-    def strength(self) -> Float:
-        """Return the trace of ``stiffness`` without forming it."""
-        return super().strength() * self._left()
-
-    def _left(self) -> Float:
-        """Return the mean integrity of the bonds that are left to each own particle (n_owned,) [-]."""
-        body = self.points.body
-        centres, n = body.families.centres, body.cloud.n_owned
-        intact = self.points.damage.bonds.intact
-        return np.asarray(np.bincount(centres, self._T, n) / np.maximum(np.bincount(centres, intact, n), 1))

@@ -14,13 +14,14 @@ from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.gradient.base import GradientOperator, stencil_weights
 from pdpetsc.gradient.base import with_centres as with_centres_of
+from pdpetsc.gradient.products import Product
 from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.thermal import Thermal
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.expansion import PrescribedTemperature, TemperatureField
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import KeptArray, LinearisedTerm, Term
+from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.conditions import Applied
 from pdpetsc.terms.expansion import prescribed_temperature, reference_temperature
 
@@ -154,9 +155,9 @@ class Heat(Term):
         """Return whether the temperature depends on that of the step before."""
         return self.declared.duration is not None
 
-    def linearised(self, state: State) -> LinearisedTerm | None:
-        """Return None: it has no forces."""
-        return None
+    def linearise(self, state: State) -> list[Product]:
+        """Return nothing: it has no forces."""
+        return []
 
     def commit(self, state: State) -> None:
         """Take the temperature of the step for good."""

@@ -12,6 +12,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import GradientOperator, from_bond_weights, stencil_weights, whole_families
 from pdpetsc.gradient.lattice_gradient import LatticeGradient
+from pdpetsc.gradient.products import Entries, Product
 from pdpetsc.kernels.lattice_stencils import (
     add_from_cells,
     rows_bond_blocks_kernel,
@@ -23,8 +24,7 @@ from pdpetsc.kernels.lattice_stencils import (
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, LinearisedTerm
-from pdpetsc.terms.bond_forces import BondForces, BondTangent
+from pdpetsc.terms.bond_forces import BondForces
 
 
 class LatticeBonds(BondForces):
@@ -128,15 +128,15 @@ class LatticeBonds(BondForces):
         least = rows_least_length_kernel(self.body.dim)(*part.loop, ptr, steps, xi, u_cells)
         return self._irregular.admissible(self.irregular_state(state)) and bool(least > 0.0)
 
-    def linearised(self, state: State) -> LinearisedTerm:
+    def linearise(self, state: State) -> list[Product]:
         """Return the tangent with the directions and tensions at a state."""
-        return LatticeBondTangent(self, self._irregular, self._lattice, state)
+        return [LatticeBondProduct(self, self._irregular, self._lattice, state)]
 
     def moduli(self, state: State) -> Float:
         """Return the derivative of ``sum_j t n (x) xi`` by F (n_owned, dim, dim, dim, dim) [energy]."""
         own, part = self._lattice.irregular, self._lattice.whole
         D = np.empty((self.body.cloud.n_owned, *(self.body.dim,) * 4))
-        D[own.local[: own.n]] = BondTangent(self._irregular, self.irregular_state(state)).stiffness()[: own.n]
+        D[own.local[: own.n]] = self._irregular.product(self.irregular_state(state)).stiffness()[: own.n]
         kernel = rows_bond_moduli_kernel(self.body.dim, int(self.finite))
         kernel(*part.loop, self._lattice.grid.at, *self._patterns, self._lattice.grid.onto(state.u_local), D)
         return D
@@ -177,7 +177,7 @@ class LatticeBonds(BondForces):
         return np.zeros(self.body.cloud.n_owned)
 
 
-class LatticeBondTangent(LinearisedTerm):
+class LatticeBondProduct(Product):
     """The tangent of bonds that repeat.
 
     Parameters
@@ -195,7 +195,7 @@ class LatticeBondTangent(LinearisedTerm):
     def __init__(self, term: LatticeBonds, irregular: BondForces, lattice: LatticeStencils, state: State) -> None:
         self._term, self._lattice, self._state = term, lattice, state
         self._u = state.u_local
-        self._irregular = irregular.linearised(term.irregular_state(state))
+        self._irregular = irregular.product(term.irregular_state(state))
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
         """Add the forces of all bonds of the particles."""
@@ -216,4 +216,4 @@ class LatticeBondTangent(LinearisedTerm):
 
     def add_rows(self, entries: Entries) -> None:
         """Add the rows of the bonds, all listed."""
-        BondTangent(self._term, self._state).add_rows(entries)
+        self._term.product(self._state).add_rows(entries)

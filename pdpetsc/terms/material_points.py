@@ -12,16 +12,15 @@ from pdpetsc.control.tangent_scaled import tangent_share
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli
-from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.gradient.products import PointProduct, Product
 from pdpetsc.kernels.gradient import determinant_kernel
-from pdpetsc.kernels.sparsity import transpose
 from pdpetsc.material.at_points import MaterialAtPoints
 from pdpetsc.material.base import Material
 from pdpetsc.material.expanded import ExpandedAtPoints
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm, Term
+from pdpetsc.problem.term import KeptArray, Term
 
 
 class MaterialPoints(MaterialTerm):
@@ -72,7 +71,6 @@ class MaterialPoints(MaterialTerm):
         self._linear = all(material.linear for material in materials)
         self._expanded: tuple[Float, GradientOperator] | None = None
         self.followers: list[Callable[[State], None]] = []
-        self._by_particle: tuple[GradientOperator, tuple[GlobalIndex, GlobalIndex, GlobalIndex]] | None = None
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -252,9 +250,9 @@ class MaterialPoints(MaterialTerm):
         self.operator.divergence(self.stress(F), f, same)
         return True
 
-    def linearised(self, state: State) -> LinearisedTerm:
+    def linearise(self, state: State) -> list[Product]:
         """Return ``G^T W A G`` with the moduli A at a state."""
-        return PointsTangent(self, self.moduli_sets(self.deformation(state)))
+        return [PointProduct(self.operator, self.moduli_sets(self.deformation(state)))]
 
     def tangent_share(self, state: State) -> Float:
         """Return what is left of the elastic modulus of the own particles (n_owned,) [-] (``control.tangent_share``).
@@ -267,13 +265,6 @@ class MaterialPoints(MaterialTerm):
             if one.has_history and len(one.points):
                 share[one.points] = tangent_share(*one.elastic_response(F, P, A))
         return self._mean(share)
-
-    def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return the entries of the operator by particle (not collective)."""
-        if self._by_particle is None or self._by_particle[0] is not self.operator:
-            found = transpose(self.operator.point_ptr, self.operator.members, self.body.cloud.n_local)
-            self._by_particle = self.operator, found
-        return self._by_particle[1]
 
     def uniform_stress_force(self, P: Float) -> Float:
         """Return ``G^T (W P)`` (n_rows, dim) [force] for stresses (n_owned, dim, dim) of the particles."""
@@ -395,63 +386,3 @@ class MaterialPoints(MaterialTerm):
 
     def _mean(self, values: Float) -> Float:
         return self.operator.mean_over_points(values, self.body.cloud.n_owned)
-
-
-class PointsTangent(LinearisedTerm):
-    """``H^T (W A) G`` with the weights ``h`` of forces, which are those of the gradient but where damage scales them.
-
-    Parameters
-    ----------
-    points : MaterialPoints
-        The term.
-    A : Moduli
-        Moduli of the points.
-    h : (n_entries, dim) float64, optional
-        Weights with which points put forces on particles [1 / length]; those of the gradient where absent.
-    """
-
-    def __init__(self, points: MaterialPoints, A: Moduli, h: Float | None = None) -> None:
-        self.points = points
-        self.operator = points.operator
-        self._A, self._h = A, h
-        self._product = self.operator.product(A, h)
-
-    def absorb(self, other: LinearisedTerm) -> bool:
-        """Compute the forces of a control on the same gradient in the same loop; return whether ``other`` is one."""
-        return self._h is None and self._product.absorb(other.shared_gradient(self.operator))
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of the moduli, and of a control that shares the loop."""
-        self._product.add(particles, du, f)
-
-    def add_rows(self, entries: Entries) -> None:
-        """Add the rows of the points."""
-        operator, sparsity = self.operator, entries.sparsity
-        h = operator.g if self._h is None else self._h
-        for rows, own in entries.row_sets():
-            assemble_kernel(self.points.body.dim)(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
-                *self.points.by_particle(), operator.point_ptr, operator.members, h, operator.g, operator.volume,
-                self._A.listed, own, entries.off,
-            )  # fmt: skip
-
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
-        self._product.add_point_blocks(blocks)
-        return True
-
-    def stiffness(self) -> Float:
-        """Return the sum over the points of each particle."""
-        operator, A = self.operator, self._A
-        if A.of is None:
-            return operator.sum_over_points(operator.volume[:, None, None, None, None] * A.values)
-        # Points of one particle have the moduli of its material.
-        W = operator.sum_over_points(operator.volume)
-        return np.asarray(W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]])
-
-    def strength(self) -> Float:
-        """Return the trace of ``stiffness`` without forming it."""
-        of_set = np.einsum("pikik->p", self._A.values)
-        return self.operator.sum_over_points(
-            self.operator.volume * (of_set if self._A.of is None else of_set[self._A.of])
-        )

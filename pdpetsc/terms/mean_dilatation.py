@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,16 +16,16 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.axes import body_axes
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator, ListedProduct, Moduli, Patches, Scheme
+from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, Patches, Scheme, StencilMembers
 from pdpetsc.gradient.mean_dilatation import boxes
-from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.gradient.products import ConstraintProduct, PointProduct, Product, RankOneProduct
 from pdpetsc.kernels.gradient import determinant_kernel
-from pdpetsc.kernels.sparsity import sum_by, transpose
+from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Constraints, Entries, Term
-from pdpetsc.terms.material_points import MaterialPoints, PointsTangent
+from pdpetsc.problem.term import Term
+from pdpetsc.terms.material_points import MaterialPoints
 
 # Moduli of one material whose quotient is larger, without others between them, are a jump apart.
 JUMP = 1.5
@@ -65,18 +63,6 @@ class Response(NamedTuple):
     P_bar: Float
     P: Float
     lacking: Float
-
-
-@dataclass(frozen=True)
-class PatchOperator(GradientOperator):
-    """Vectors on the particles of patches in the place of the weights of points; the owner of a patch stands for it."""
-
-    n_owned: int = 0
-
-    @property
-    def points_of(self) -> GlobalIndex:
-        """Return where the patches of every own particle start (n_owned + 1,)."""
-        return np.searchsorted(self.owner, np.arange(self.n_owned + 1)).astype(np.int64)
 
 
 class PatchPoints(MaterialPoints):
@@ -142,7 +128,8 @@ class PatchPoints(MaterialPoints):
         number = np.empty(len(order), dtype=np.int64)
         number[order] = np.arange(len(order))
         self.patch_of_point = number[patch_of][operator.owner]
-        self._patch_owner = owner[order].astype(np.int32)
+        patch_owner = owner[order].astype(np.int32)
+        self._n_patches = len(order)
         self._weight = operator.volume / self._sum(operator.volume)[self.patch_of_point]
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
         pairs = self.patch_of_point[point_of] * cloud.n_local + operator.members
@@ -151,14 +138,14 @@ class PatchPoints(MaterialPoints):
         ptr = np.searchsorted(patch, np.arange(len(order) + 1)).astype(np.int64)
         # The owner is in front, without a vector of its own, as the centre of a point is.
         self._front = ptr[:-1]
-        self._patch_ptr = ptr + np.arange(len(ptr))
-        self._patch_members = np.insert(member, self._front, self._patch_owner).astype(np.int32)
+        members = np.insert(member, self._front, patch_owner).astype(np.int32)
+        self._patches = StencilMembers(patch_owner, ptr + np.arange(len(ptr)), members)
         self._point_of_entry = point_of
 
     @property
     def stencils(self) -> tuple[GlobalIndex, LocalIndex] | None:
         """Return the particles of patches with their families."""
-        return self._patch_ptr, self._patch_members
+        return self._patches.point_ptr, self._patches.members
 
     @property
     def within_families(self) -> bool:
@@ -167,7 +154,7 @@ class PatchPoints(MaterialPoints):
 
     def dependents(self, marked: Float) -> Mask:
         """Return the own particles that share a patch with a marked local one (collective)."""
-        return sharing_stencil(self.body.cloud, self._patch_ptr, self._patch_members, marked)
+        return sharing_stencil(self.body.cloud, self._patches.point_ptr, self._patches.members, marked)
 
     def shared(self, state: State) -> Shared:
         """Return the gradients at an admissible state, with the dilatations of patches."""
@@ -237,9 +224,40 @@ class PatchPoints(MaterialPoints):
         self.operator.divergence(self.response(state).P, f, ControlledGradient(control, H, state.u_local))
         return True
 
-    def linearised(self, state: State) -> PatchTangent:
-        """Return the tangent of points and patches at a state."""
-        return PatchTangent(self, state)
+    def linearise(self, state: State) -> list[Product]:
+        """Return the tangent of points that keep their mean dilatation, and those of the patches."""
+        dim, linear = self.body.dim, self._linear
+        F, F_bar, missing = self.shared(state)
+        P_bar, _, lacking = self.response(state)
+        A = self.moduli(F_bar)
+        scale = np.ones(len(F)) if linear else np.exp(missing / dim)
+        seen = np.broadcast_to(np.eye(dim), F.shape) if linear else F
+        B = np.array(np.broadcast_to(np.eye(dim), F.shape)) if linear else np.swapaxes(np.linalg.inv(F), 1, 2)
+        A *= (scale**2)[:, None, None, None, None]
+        right, left = np.einsum("pimkn,pkn->pim", A, seen), np.einsum("pim,pimkn->pkn", seen, A)
+        if not linear:
+            right += scale[:, None, None] * P_bar
+            left += scale[:, None, None] * P_bar
+        k = np.einsum("pim,pim->p", left, seen) / dim**2 + self._rest
+        A -= np.einsum("pim,pkn->pimkn", right / dim, B) + np.einsum("pim,pkn->pimkn", B, left / dim)
+        A += np.einsum("p,pim,pkn->pimkn", k, B, B)
+        if not linear:
+            A -= np.einsum("p,pin,pkm->pimkn", lacking, B, B)
+        w, volume = self._weight, self._sum(self.operator.volume)
+        b = self.vectors(w[:, None, None] * B)
+        s_right = self.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
+        s_left = self.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
+        stiff = self._sum(w * k)
+        # Softened, a patch resists its mean dilatation as it resists shear.
+        soft = np.minimum(stiff, SOFTER * self._sum(w * self.twice_shear))
+        s_left += np.repeat(soft, np.diff(self._patches.point_ptr))[:, None] * b
+        patches = self._patches, self.body.cloud.n_owned
+        return [
+            PointProduct(self.operator, Moduli(A)),
+            RankOneProduct(*patches, s_right, b, volume),
+            RankOneProduct(*patches, b, s_left, volume),
+            ConstraintProduct(*patches, b, volume * (stiff - soft), volume * soft),
+        ]
 
     def energy(self, state: State) -> float:
         """Return ``sum_p W_p (psi_p + share mu (<theta> - theta_p)^2)``."""
@@ -268,17 +286,12 @@ class PatchPoints(MaterialPoints):
         """Return ``sum_p w_p B_p g_pk`` on the entries of patches (n_entries, dim) for tensors ``w B`` of points."""
         of = self._point_of_entry
         each = np.einsum("eim,em->ei", weighted[of], self.operator.g)
-        sums = sum_by(self._slot, each, len(self._patch_members) - len(self._front))
+        sums = sum_by(self._slot, each, len(self._patches.members) - len(self._front))
         return np.asarray(np.insert(sums, self._front, 0.0, axis=0))
-
-    def patch_operator(self, vectors: Float, volume: Float) -> PatchOperator:
-        """Return vectors on the entries of patches as an operator with volumes of the patches (n_patches,)."""
-        data = self._patch_owner, self._patch_ptr, self._patch_members
-        return PatchOperator(*data, vectors, volume, n_owned=self.body.cloud.n_owned)
 
     def _sum(self, values: Float) -> Float:
         """Return the sums over the points of patches (n_patches,)."""
-        return np.asarray(np.bincount(self.patch_of_point, values, len(self._patch_owner)))
+        return np.asarray(np.bincount(self.patch_of_point, values, self._n_patches))
 
     def _own_gradient(self, state: State) -> Float:
         """Return F of the points (n_points, dim, dim) [-]."""
@@ -286,89 +299,6 @@ class PatchPoints(MaterialPoints):
 
     def _rest_energy(self, state: State) -> Float:
         return np.asarray(0.5 * self._rest * self.shared(state).missing ** 2)
-
-
-class PatchTangent(PointsTangent):
-    """The tangent of ``PatchPoints`` at a state."""
-
-    points: PatchPoints
-
-    def __init__(self, points: PatchPoints, state: State) -> None:
-        dim, linear = points.body.dim, points._linear
-        F, F_bar, missing = points.shared(state)
-        P_bar, _, lacking = points.response(state)
-        A = points.moduli(F_bar)
-        scale = np.ones(len(F)) if linear else np.exp(missing / dim)
-        seen = np.broadcast_to(np.eye(dim), F.shape) if linear else F
-        B = np.array(np.broadcast_to(np.eye(dim), F.shape)) if linear else np.swapaxes(np.linalg.inv(F), 1, 2)
-        A *= (scale**2)[:, None, None, None, None]
-        right, left = np.einsum("pimkn,pkn->pim", A, seen), np.einsum("pim,pimkn->pkn", seen, A)
-        if not linear:
-            right += scale[:, None, None] * P_bar
-            left += scale[:, None, None] * P_bar
-        k = np.einsum("pim,pim->p", left, seen) / dim**2 + points._rest
-        A -= np.einsum("pim,pkn->pimkn", right / dim, B) + np.einsum("pim,pkn->pimkn", B, left / dim)
-        A += np.einsum("p,pim,pkn->pimkn", k, B, B)
-        if not linear:
-            A -= np.einsum("p,pin,pkm->pimkn", lacking, B, B)
-        super().__init__(points, Moduli(A))
-        w = points._weight
-        self._b, self._volume = points.vectors(w[:, None, None] * B), points._sum(points.operator.volume)
-        self._k = points._sum(w * k)
-        # Softened, a patch resists its mean dilatation as it resists shear.
-        self._soft = np.minimum(self._k, SOFTER * points._sum(w * points.twice_shear))
-        self._s_right = points.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))
-        self._s_left = points.vectors(w[:, None, None] * (left / dim - k[:, None, None] * B))
-        one = np.eye(dim)
-        self._one = np.tile(np.einsum("im,kn->imkn", one, one), (len(self._k), 1, 1, 1, 1))
-        self._couple(self._k)
-
-    def _couple(self, k: Float) -> None:
-        """Set up the products of the patches, whose means are resisted with ``k`` (n_patches,) [stress]."""
-        points, volume = self.points, self._volume
-        left = self._s_left + np.repeat(k, np.diff(points._patch_ptr))[:, None] * self._b
-        self._pairs = [
-            (self._s_right, points.patch_operator(self._b, volume)), (self._b, points.patch_operator(left, volume))
-        ]  # fmt: skip
-        self._products = [ListedProduct(operator, self._one, h) for h, operator in self._pairs]
-
-    def softened(self) -> PatchTangent:
-        """Return it with means that are resisted as shear is."""
-        soft = copy.copy(self)
-        soft._product = self.operator.product(self._A)
-        soft._couple(self._soft)
-        return soft
-
-    def constraints(self) -> Constraints:
-        """Return the rest of what the means of patches are resisted with."""
-        points, stiff = self.points, self._volume * np.maximum(self._k - self._soft, 0.0)
-        data = points._patch_ptr, points._patch_members, self._b
-        return Constraints(*data, stiff, self._volume * self._soft)
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of points and patches, and of a control that shares the loop."""
-        super().add_product(du, f, particles)
-        for product in self._products:
-            product.add(particles, du, f)
-
-    def add_rows(self, entries: Entries) -> None:
-        """Add the rows of points and patches."""
-        super().add_rows(entries)
-        points, sparsity = self.points, entries.sparsity
-        by_particle = transpose(points._patch_ptr, points._patch_members, points.body.cloud.n_local)
-        for h, operator in self._pairs:
-            for rows, own in entries.row_sets():
-                assemble_kernel(points.body.dim)(
-                    rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *by_particle,
-                    operator.point_ptr, operator.members, h, operator.g, operator.volume, self._one, own, entries.off,
-                )  # fmt: skip
-
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add those of points and patches."""
-        super().add_point_blocks(blocks)
-        for product in self._products:
-            product.add_point_blocks(blocks)
-        return True
 
 
 def material_points(

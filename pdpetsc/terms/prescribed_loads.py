@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, SolveError
+from pdpetsc.gradient.products import Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import LinearisedTerm, Term
+from pdpetsc.problem.term import Term
 
 # The record has the resultant of a load at the first of these step times at which it is not zero.
 SHOWN = (1.0, 0.75, 0.5, 0.25)
@@ -50,9 +51,9 @@ class PrescribedLoads(Term):
         """Subtract the forces at the step time of the state."""
         r -= self.forces(state.t)
 
-    def linearised(self, state: State) -> LinearisedTerm | None:
-        """Return None: they do not depend on the displacement."""
-        return None
+    def linearise(self, state: State) -> list[Product]:
+        """Return nothing: they do not depend on the displacement."""
+        return []
 
     def forces(self, t: float) -> Float:
         """Return the external forces at step time ``t`` (n_rows, dim) [force]; not to be changed."""

@@ -8,19 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float
 from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.tangent_scaled import Yielding
-from pdpetsc.gradient.base import GradientOperator, ListedProduct, SameGradient
-from pdpetsc.kernels.assembly import assemble_kernel
-from pdpetsc.kernels.sparsity import transpose
+from pdpetsc.gradient.base import StencilMembers
+from pdpetsc.gradient.products import Product, RankOneProduct
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Entries, KeptArray, LinearisedTerm
-from pdpetsc.terms.control import ControlForces, ControlTangent
+from pdpetsc.problem.term import KeptArray
+from pdpetsc.terms.control import ControlForces
 from pdpetsc.terms.material_points import MaterialPoints
-from pdpetsc.terms.softening import Softening, softening_parts
 
 
 class Families(NamedTuple):
@@ -82,15 +80,9 @@ class TangentScaledForces(ControlForces):
         return True
 
     @cached_property
-    def entries(self) -> tuple[GlobalIndex, LocalIndex]:
+    def _members(self) -> StencilMembers:
         """Return the families with their centre first."""
-        return self._whole.stencils
-
-    @cached_property
-    def by_particle(self) -> tuple[GlobalIndex, GlobalIndex, GlobalIndex]:
-        """Return their entries by particle (not collective)."""
-        found: tuple[GlobalIndex, GlobalIndex, GlobalIndex] = transpose(*self.entries, self.body.cloud.n_local)
-        return found
+        return StencilMembers(np.arange(self.body.cloud.n_owned, dtype=np.int32), *self._whole.stencils)
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return what the families remember."""
@@ -105,7 +97,7 @@ class TangentScaledForces(ControlForces):
         """Return the families at a state, computed once."""
 
         def make() -> Families:
-            u, (ptr, members) = state.u_local, self.entries
+            u, ptr, members = state.u_local, self._members.point_ptr, self._members.members
             forces = self.control.family_forces(u)
             # Relative to the centre, so that what moves the family as a whole does not round.
             eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
@@ -122,18 +114,16 @@ class TangentScaledForces(ControlForces):
         beyond_secant = self._yielding.energy(e) - 0.5 * self._yielding.secant(e) * e**2
         return super().energy(state) + float(beyond_secant.sum())
 
-    def linearised(self, state: State) -> LinearisedTerm:
-        """Return the tangent of the secant, of its change, and of the integrity where it fades."""
+    def linearise(self, state: State) -> list[Product]:
+        """Return the secant, what the integrity adds if it fades, and ``b_i h_i (x) m_i`` of the families.
+
+        ``h_i`` are the forces ``m_i`` with the integrity that fades.
+        """
         families, fading = self.families(state), self._fading(state)
-        softening: list[Softening] = []
-        if fading is not None and self.damage is not None and self.damage.bonds.softens:
-            gradient = self.damage.gradient(state)
-            v, opposite = families.secant.bond_forces(state.u_local), self.damage.damageable.opposite
-            softening = softening_parts(state, gradient, v, opposite.of_vectors)
-        faded = None if fading is None else self.control.faded(fading).family_forces(state.u_local)
-        return TangentScaledTangent(
-            self, self.at(state), softening, self._yielding.bend(families.e), families.forces, faded
-        )
+        m, bend = families.forces, self._yielding.bend(families.e)
+        h = m if fading is None else self.control.faded(fading).family_forces(state.u_local)
+        bending = RankOneProduct(self._members, self.body.cloud.n_owned, h, m, bend)
+        return [self.at(state), *self._softening(state, families.secant), bending]
 
     def commit(self, state: State) -> None:
         """Take the sizes at a state for good, and the slope ahead from the material as it was found there."""
@@ -146,63 +136,6 @@ class TangentScaledForces(ControlForces):
 
     def _fading(self, state: State) -> Float | None:
         return None if self.damage is None else self._effect.fading(self.damage.phi(state))
-
-
-class TangentScaledTangent(ControlTangent):
-    """The tangent of a control that follows: that of its secant, and ``b_i h_i (x) m_i`` of every family.
-
-    Parameters
-    ----------
-    term, control, falling
-        As for ``ControlTangent``, of the secant.
-    bend : (n_owned,) float64
-        ``b_i`` [1 / energy].
-    m : (n_entries, dim) float64
-        ``m_i``, forces of the elastic control [force].
-    h : (n_entries, dim) float64 or None
-        ``h_i``, forces with the integrity that fades [force]; ``m_i`` where None.
-    """
-
-    def __init__(
-        self, term: TangentScaledForces, control: Control, softening: list[Softening], bend: Float,
-        m: Float, h: Float | None,
-    ) -> None:  # fmt: skip
-        super().__init__(term, control, softening)
-        self._families = term
-        n, dim = len(bend), term.body.dim
-        ptr, members = term.entries
-        one = np.eye(dim)
-        self._A = np.tile(np.einsum("im,kn->imkn", one, one), (n, 1, 1, 1, 1))
-        self._operator = GradientOperator(np.arange(n, dtype=np.int32), ptr, members, m, bend)
-        self._h = m if h is None else h
-        self._product = ListedProduct(self._operator, self._A, h)
-
-    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
-        """Add the forces of both."""
-        super().add_product(du, f, particles)
-        self._product.add(particles, du, f)
-
-    def add_rows(self, entries: Entries) -> None:
-        """Add the rows of both (collective)."""
-        super().add_rows(entries)
-        operator, sparsity = self._operator, entries.sparsity
-        for rows, own in entries.row_sets():
-            assemble_kernel(self._families.body.dim)(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns,
-                *self._families.by_particle, operator.point_ptr, operator.members, self._h, operator.g,
-                operator.volume, self._A, own, entries.off,
-            )  # fmt: skip
-
-    def add_point_blocks(self, blocks: Float) -> bool:
-        """Add those of both."""
-        known = super().add_point_blocks(blocks)
-        if known:
-            self._product.add_point_blocks(blocks)
-        return known
-
-    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return None: its forces are not those of the secant alone."""
-        return None
 
 
 def control_forces(

@@ -35,8 +35,8 @@ class Bed(pd.Term):
     def add_row_force(self, state, r):
         r[: len(self.k), 1] += self.k * state.own[:, 1]
 
-    def linearised(self, state):
-        return pd.PointTangent(self.k[:, None, None] * np.diag([0.0, 1.0]))
+    def linearise(self, state):
+        return [pd.PointBlocks(self.k[:, None, None] * np.diag([0.0, 1.0]))]
 
     def energy(self, state):
         return 0.5 * float(self.k @ state.own[:, 1] ** 2)

@@ -1,0 +1,267 @@
+"""What tangents are the sum of: ``sum_s h_s (x) A_s (x) g_s`` over stencils, in a few kinds.
+
+A product is applied to a displacement, adds its rows to a matrix, and adds its diagonal blocks; solvers need no more.
+Controls are products too (``control.base.Control``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.discrete.sparsity import Sparsity
+from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
+from pdpetsc.kernels.assembly import assemble_kernel
+from pdpetsc.kernels.rank_one import rank_one_blocks_kernel, rank_one_rows_kernel, rank_one_times_kernel
+
+# Adds forces for a displacement, both with ghosts (n_local, dim), of the stencils of some own particles.
+Loop: TypeAlias = Callable[[Float, Float, LocalIndex], None]
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Values of the tangent matrix, which products add their rows to.
+
+    Attributes
+    ----------
+    sparsity : Sparsity
+        The blocks there are.
+    diag, off : float64
+        Values of the own rows, own columns and others, in scalar CSR layout.
+    ghost : float64
+        This rank's share of the rows of its ghosts.
+    """
+
+    sparsity: Sparsity
+    diag: Float
+    off: Float
+    ghost: Float
+
+    def add(self, kernel: Callable[..., Any], stencils: StencilMembers, *data: Any) -> None:
+        """Add the rows of own particles and of ghosts that stencils give (not collective).
+
+        Parameters
+        ----------
+        kernel : callable
+            Adds rows, with the arguments of ``kernels.assembly.assemble_kernel``.
+        stencils : StencilMembers
+            What the kernel runs over.
+        data
+            What it reads after ``entry_point``.
+        """
+        sparsity = self.sparsity
+        by_particle = stencils.by_particle(sparsity.cloud.n_local)
+        for rows, own in ((sparsity.owned, self.diag), (sparsity.ghost, self.ghost)):
+            kernel(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *by_particle,
+                *data, own, self.off,
+            )  # fmt: skip
+
+
+class Product:
+    """A linear map from displacements to forces, which tangents are a sum of.
+
+    A term without ghosts (a foundation, a spring) gives ``PointBlocks``; one that couples families derives from this
+    class and gives ``add_product``, ``add_rows`` and ``stiffness``.
+    """
+
+    @property
+    def blocks(self) -> Float | None:
+        """Return what couples each own particle to itself (n_owned, dim, dim) [force / length], or None."""
+        return None
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add ``K du`` of the families of some own particles, both with ghosts (n_local, dim) (not collective)."""
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the matrix (collective)."""
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add what couples each local particle to itself in the families (n_local, dim, dim) [force / length].
+
+        These are the blocks on the diagonal of the rows that ``add_rows`` adds, but for bonds that soften: those count
+        with their secant. What ``blocks`` gives is not among them. Return False, with nothing added, if they are not
+        known; they are then computed from the rows (not collective).
+        """
+        return False
+
+    def stiffness(self) -> Float | None:
+        """Return ``sum_p W_p dP/dF`` of the own particles (n_owned, dim, dim, dim, dim) [energy], or None.
+
+        It is what a matrix of nearest neighbours is made of (not collective).
+        """
+        return None
+
+    def strength(self) -> Float | None:
+        """Return the trace of ``stiffness`` (n_owned,) [energy], or None (not collective)."""
+        D = self.stiffness()
+        return None if D is None else np.asarray(np.einsum("pikik->p", D))
+
+    def constraint(self) -> ConstraintProduct | None:
+        """Return it if it is so stiff that it is nearly conditions on the displacement, else None (not collective)."""
+        return None
+
+    def together(self, other: Product) -> Loop | None:
+        """Return ``add_product`` of both in one loop if that is quicker, else None (not collective)."""
+        return None
+
+    def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
+        """Return what its forces need in the loop over ``operator`` if it is a control on that gradient, else None."""
+        return None
+
+
+class PointBlocks(Product):
+    """What couples each particle to itself alone, as foundations and springs.
+
+    Parameters
+    ----------
+    blocks : (n_owned, dim, dim) float64
+        Minus the derivative of the force on each own particle by its displacement [force / length].
+    """
+
+    def __init__(self, blocks: Float) -> None:
+        self._blocks = blocks
+
+    @property
+    def blocks(self) -> Float:
+        """Return the blocks."""
+        return self._blocks
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add nothing: no family is in it."""
+        return True
+
+
+class PointProduct(Product):
+    """``H^T (W A) G`` over gradient points.
+
+    Parameters
+    ----------
+    operator : GradientOperator
+        Gradients, with the volumes of the points.
+    A : Moduli
+        Moduli of the points.
+    h : (n_entries, dim) float64, optional
+        Weights with which points put forces on particles [1 / length]; those of the gradient if absent.
+    share : (n_owned,) float64, optional
+        What is left of the stiffness of each own particle with such weights [-].
+    """
+
+    def __init__(
+        self, operator: GradientOperator, A: Moduli, h: Float | None = None, share: Float | None = None
+    ) -> None:
+        self._operator, self._A, self._h, self._share = operator, A, h, share
+        self._loop = operator.loop(A, h)
+
+    def together(self, other: Product) -> Loop | None:
+        """Return the loop with a control on the same gradient, if ``other`` is one."""
+        if self._h is not None:
+            return None
+        loop = self._loop.controlled(other.shared_gradient(self._operator))
+        return None if loop is None else loop.add
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add the forces of the moduli."""
+        self._loop.add(du, f, particles)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add the rows of the points."""
+        operator, A = self._operator, self._A.listed
+        g, h = operator.g, operator.g if self._h is None else self._h
+        kernel = assemble_kernel(entries.sparsity.cloud.dim)
+        entries.add(kernel, operator, operator.point_ptr, operator.members, h, g, operator.volume, A)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``sum_p W_p h_pk . A_p . g_pk`` of every local particle ``k``."""
+        self._loop.add_point_blocks(blocks)
+        return True
+
+    def stiffness(self) -> Float:
+        """Return the sum over the points of each particle, times its share."""
+        operator, A = self._operator, self._A
+        if A.of is None:
+            D = operator.sum_over_points(operator.volume[:, None, None, None, None] * A.values)
+        else:  # points of one particle have the moduli of its material
+            W = operator.sum_over_points(operator.volume)
+            D = W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]]
+        return np.asarray(D if self._share is None else D * self._share[:, None, None, None, None])
+
+    def strength(self) -> Float:
+        """Return the trace of ``stiffness`` without forming it."""
+        operator, A = self._operator, self._A
+        trace = np.einsum("pikik->p", A.values)
+        sums = operator.sum_over_points(operator.volume * (trace if A.of is None else trace[A.of]))
+        return sums if self._share is None else sums * self._share
+
+
+class RankOneProduct(Product):
+    """``sum_s b_s h_s (x) g_s``: a vector of forces on the members of a stencil times one number of its displacements.
+
+    Parameters
+    ----------
+    stencils : StencilMembers
+        The stencils.
+    n_owned : int
+        Number of own particles.
+    h, g : (n_entries, dim) float64
+        Vectors of the members; ``g`` sums to zero in each stencil.
+    b : (n_stencils,) float64
+        What multiplies each stencil. ``b h g`` is a force per length.
+    """
+
+    def __init__(self, stencils: StencilMembers, n_owned: int, h: Float, g: Float, b: Float) -> None:
+        self._stencils, self._data = stencils, (stencils.point_ptr, stencils.members, h, g, b)
+        self._first = np.searchsorted(stencils.owner, np.arange(n_owned + 1))
+
+    def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
+        """Add ``b_s h_s (g_s . du)`` of the stencils of the particles."""
+        rank_one_times_kernel(du.shape[1])(particles, self._first, *self._data, du, f)
+
+    def add_rows(self, entries: Entries) -> None:
+        """Add ``b_s h_s (x) g_s``."""
+        entries.add(rank_one_rows_kernel(entries.sparsity.cloud.dim), self._stencils, *self._data)
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add ``b_s h_sk (x) g_sk`` of every member ``k``."""
+        rank_one_blocks_kernel(blocks.shape[-1])(*self._data, blocks)
+        return True
+
+
+class SofteningProduct(RankOneProduct):
+    """What bonds add to a tangent as they lose force: force of the intact bond times gradient of its degradation.
+
+    It is not in the diagonal blocks, which count such bonds with their secant.
+    """
+
+    def add_point_blocks(self, blocks: Float) -> bool:
+        """Add nothing."""
+        return True
+
+
+class ConstraintProduct(RankOneProduct):
+    """``sum_c D_c b_c (x) b_c``, so stiff that it is nearly one condition ``b_c . du = 0`` for each stencil.
+
+    Parameters
+    ----------
+    stencils, n_owned
+        As for ``RankOneProduct``.
+    b : (n_entries, dim) float64
+        ``b_c`` [1 / length].
+    D : (n,) float64
+        ``D_c`` [energy].
+    soft : (n,) float64
+        What the rest of the tangent resists such displacements with, about [energy].
+    """
+
+    def __init__(self, stencils: StencilMembers, n_owned: int, b: Float, D: Float, soft: Float) -> None:
+        super().__init__(stencils, n_owned, b, b, D)
+        self.ptr, self.members = stencils.point_ptr, stencils.members
+        self.b, self.D, self.soft = b, D, soft
+
+    def constraint(self) -> ConstraintProduct:
+        """Return itself."""
+        return self

@@ -42,9 +42,9 @@ class InertiaTerm(pd.Term):
     def add_row_force(self, state, r):
         r[: self.n] += self.mass * self.motion(state)[1]
 
-    def linearised(self, state):
+    def linearise(self, state):
         dt = self.motion(state)[2]
-        return pd.PointTangent(4.0 / dt**2 * self.mass[:, :, None] * np.eye(state.own.shape[1]))
+        return [pd.PointBlocks(4.0 / dt**2 * self.mass[:, :, None] * np.eye(state.own.shape[1]))]
 
     def energy(self, state):
         return float(0.5 * (self.mass * self.motion(state)[0] ** 2).sum())
@@ -129,10 +129,10 @@ class PlaneContact(pd.Term):
     def add_row_force(self, state, r):
         r[: self.n, 1] += self.pressure(state)
 
-    def linearised(self, state):
+    def linearise(self, state):
         blocks = np.zeros((self.n, 2, 2))
         blocks[:, 1, 1] = self.k * (self.gap(state) < 0.0)
-        return pd.PointTangent(blocks)
+        return [pd.PointBlocks(blocks)]
 
     def energy(self, state):
         return float(0.5 * (self.k * np.minimum(self.gap(state), 0.0) ** 2).sum())

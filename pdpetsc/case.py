@@ -182,8 +182,8 @@ class Case(Declared):
 
     @property
     def needs_surface(self) -> bool:
-        """Return whether weights that are required, loads or quantities need the facets of the surface."""
-        asked = [*self.conditions, *self.history.values()]
+        """Return True if required weights, loads, quantities or terms need the facets of the surface."""
+        asked = [*self.conditions, *self.terms, *self.history.values()]
         required = self.weights is not None and self.weights.required
         return required or any(getattr(one, "on_surface", False) for one in asked)
 

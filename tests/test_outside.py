@@ -1,4 +1,4 @@
-"""Inertia in time and contact with a rigid tool as terms from outside the package, without a change in it."""
+"""Inertia, contact with a rigid tool and a pressure that follows the surface, as terms from outside the package."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.gradient.base import StencilMembers
+from pdpetsc.gradient.products import RankOneProduct
 from tests.commands import script_on
 
 
@@ -171,19 +173,96 @@ def test_a_rigid_plane_from_outside_presses_as_much_as_is_held(tmp_path):
     assert max(step["newton_iterations"] for step in result.summary["steps"]) <= 8
 
 
+@dataclass(frozen=True)
+class FollowerPressure(pd.ExtraTerm):
+    """A pressure on the deformed surface of a plane body, by Nanson's formula with the gradient of each facet."""
+
+    pressure: float
+    on_surface = True
+
+    def build(self, body):
+        return PressureTerm(body, self.pressure)
+
+
+class PressureTerm(pd.Term):
+    linear, symmetric, load, horizons = False, False, True, 2
+
+    def __init__(self, body, pressure):
+        surface, cloud = body.surface, body.cloud
+        self.n_owned, self.pressure = cloud.n_owned, pressure
+        order = np.argsort(surface.owner, kind="stable")
+        sizes = np.diff(surface.ptr)[order]
+        entries = np.concatenate([np.arange(surface.ptr[f], surface.ptr[f + 1]) for f in order] or [[]]).astype(int)
+        self.ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        self.members, self.N = surface.members[entries], surface.N[entries]
+        self.facet = np.repeat(np.arange(len(sizes)), sizes)
+        self.area, self.owner = surface.area[order], surface.owner[order]
+        # Weights of the gradient that fits the members of a facet best.
+        x = cloud.x[self.members]
+        middle = np.stack([np.bincount(self.facet, x[:, a], len(sizes)) for a in (0, 1)], axis=1) / sizes[:, None]
+        xi = x - middle[self.facet]
+        M = np.zeros((len(sizes), 2, 2))
+        np.add.at(M, self.facet, xi[:, :, None] * xi[:, None, :])
+        self.g = np.einsum("emn,en->em", np.linalg.inv(M)[self.facet], xi)
+
+    @property
+    def stencils(self):
+        return self.ptr, self.members
+
+    def add_force(self, state, f):
+        F = np.tile(np.eye(2), (len(self.area), 1, 1))
+        np.add.at(F, self.facet, state.u_local[self.members][:, :, None] * self.g[:, None, :])
+        (a, b), (c, d) = np.moveaxis(F, 0, 2)
+        cofactor = np.moveaxis(np.array([[d, -c], [-b, a]]), 2, 0)
+        force = self.pressure * state.t * np.einsum("fij,fj->fi", cofactor, self.area)
+        np.add.at(f, self.members, self.N[:, None] * force[self.facet])
+
+    def linearise(self, state):
+        stencils = StencilMembers(self.owner.astype(np.int32), self.ptr, self.members)
+        A, p, products = self.area, self.pressure * state.t, []
+        # Component of the force, and of the displacement gradient that changes it, with the area that multiplies it.
+        parts = (0, 1, 1, A[:, 0]), (0, 1, 0, -A[:, 1]), (1, 0, 1, -A[:, 0]), (1, 0, 0, A[:, 1])
+        for force, moved, gradient, by in parts:
+            h, g = np.zeros((2, len(self.members), 2))
+            h[:, force], g[:, moved] = self.N, self.g[:, gradient]
+            products.append(RankOneProduct(stencils, self.n_owned, h, g, p * by))
+        return products
+
+
+def squeezed(**given):
+    """Return a block under a pressure that follows its surface all round."""
+    corner = pd.region.Nearest((0.0, 0.0))
+    declared = {
+        "particles": pd.LatticeNodes((0.0, 0.0), (6.0, 4.0), 1.0), "horizon": 2.015, "material": pd.Hencky(10.0, 0.3),
+        "conditions": [
+            pd.Displacement(corner, x=0.0, y=0.0), pd.Displacement(pd.region.Nearest((6.0, 0.0)), y=0.0)
+        ],
+        "terms": [FollowerPressure(3.0)], "steps": pd.Steps(4), "fields": [pd.displacement],
+    }  # fmt: skip
+    return pd.Case(**{**declared, **given})
+
+
+def test_a_follower_pressure_from_outside_makes_a_uniform_cauchy_stress(tmp_path):
+    result = pd.run(squeezed(), output=tmp_path)
+    sigma = pd.stress(result.solution)
+    assert np.abs(sigma[:, :2, :2] + 3.0 * np.eye(2)).max() < 1e-8
+    assert np.abs(result.solution.u).max() > 0.5
+    assert max(step["newton_iterations"] for step in result.summary["steps"]) <= 6
+
+
 PRESSED = """
 import sys
 import numpy as np
 import pdpetsc as pd
-from tests.test_outside import pressed, struck
-case = {"pressed": pressed, "struck": struck}[sys.argv[1]](fields=[pd.displacement])
+from tests.test_outside import pressed, squeezed, struck
+case = {"pressed": pressed, "squeezed": squeezed, "struck": struck}[sys.argv[1]](fields=[pd.displacement])
 u = pd.run(case, output=sys.argv[2]).gathered(pd.displacement)
 if u is not None:
     np.save(sys.argv[3], u)
 """
 
 
-@pytest.mark.parametrize("name", ["pressed", "struck"])
+@pytest.mark.parametrize("name", ["pressed", "squeezed", "struck"])
 def test_two_ranks_find_the_same(name, tmp_path):
     for ranks in (1, 2):
         script_on(ranks, PRESSED, name, tmp_path / f"run{ranks}", tmp_path / f"u{ranks}.npy")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -208,6 +209,11 @@ class Term(ABC):
 class ExtraTerm(Declared, ABC):
     """A term as a case declares it, besides material, control and conditions.
 
+    Attributes
+    ----------
+    on_surface : bool
+        Whether it needs the facets of the surface, ``body.surface``.
+
     Examples
     --------
     A bed of springs under every particle of a region::
@@ -219,6 +225,8 @@ class ExtraTerm(Declared, ABC):
             def build(self, body):
                 return FoundationTerm(self.stiffness * body.cloud.volume[: body.cloud.n_owned])
     """
+
+    on_surface: ClassVar[bool] = False
 
     @abstractmethod
     def build(self, body: Body) -> Term:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import linecache
 import os
 import shutil
 import signal
@@ -58,6 +59,7 @@ def scene(tmp_path):
 @functools.cache
 def _case_function():
     names = {}
+    linecache.cache["scene.py"] = len(CASE), None, CASE.splitlines(keepends=True), "scene.py"
     exec(compile(CASE, "scene.py", "exec"), names)
     return names["case"]
 
@@ -179,6 +181,8 @@ def test_a_fingerprint_sees_what_a_function_does():
     one = fingerprint(load(1.0))
     assert fingerprint(load(1)) == one == fingerprint(load(1.0, -0.0))
     assert len({one, fingerprint(load(2.0)), fingerprint(load(1.0, 1.0)), fingerprint(lambda x, t: t)}) == 4
+    signs = [lambda x, t: x + t, lambda x, t: x - t, lambda x, t: -(x + t), lambda x, t: (x, lambda: t)]
+    assert len({fingerprint(sign) for sign in signs}) == 4
     assert fingerprint(Load(1.0)) == fingerprint(Load(1.0)) != fingerprint(Load(2.0))
     assert fingerprint(functools.partial(load, 1.0)) != fingerprint(functools.partial(load, 2.0))
     array = np.arange(3.0)

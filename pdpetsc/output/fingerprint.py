@@ -1,20 +1,23 @@
-"""Fingerprints of what a case declares: the same for the same source in every process, another for another case."""
+"""Fingerprints of what a case declares: they tell a case from another one, in every process and on every rank."""
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import dataclasses
 import enum
 import functools
 import hashlib
 import itertools
-import json
+import linecache
 import os
 import stat
 import struct
 import sys
 import sysconfig
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -35,13 +38,14 @@ MAY_DIFFER = {
 _PACKAGE = f"{Path(__file__).parent.parent}{os.sep}"
 _PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
 _LIBRARIES = (_PACKAGE, *(f"{sysconfig.get_path(name)}{os.sep}" for name in _PLACES))
-_COUNTS: tuple[type, ...] = (
+# Globals that are part of what a function computes, not of what it has computed.
+_READ: tuple[type, ...] = (
     bool, int, float, str, bytes, tuple, list, set, frozenset, dict, np.ndarray, np.generic,
     FunctionType, functools.partial, type, ModuleType,
 )  # fmt: skip
-_RANDOM: tuple[type, ...] = (np.random.Generator, np.random.RandomState)
-_PLAIN: tuple[type, ...] = (bool, int, float, np.generic, enum.Enum, str, bytes, PurePath, set, frozenset, *_RANDOM)
-# Stands between a variable of a function and the path of the function.
+# What must be equal on all ranks also inside a function, which may read the number of its rank.
+_NUMBERS: tuple[type, ...] = (float, np.floating, np.ndarray, np.random.Generator, np.random.RandomState)
+# Label of a variable that a function reads; it stands before the path of the function.
 _OF = "` of `"
 
 
@@ -73,19 +77,19 @@ def differing(found: Mapping[str, str], declared: Mapping[str, str]) -> list[str
 def fingerprint(value: Any) -> str:
     """Return the fingerprint of a declared object.
 
-    Dataclasses count by class and fields, arrays by type, shape and bytes, functions by qualified name, code,
-    constants, defaults, closure and the globals that they name, other objects by class and state, files of particles by
-    their content. Code of installed libraries counts by its name.
+    Dataclasses count by class and fields, arrays by type, shape and bytes, files of particles by their content, other
+    objects by class and state. Functions count by their source without comments, and by the defaults, closures and
+    globals that they read; without a source by their names and constants. Code of installed libraries counts by its
+    name.
     """
-    return _Walk().of(value).hex()
+    return _Walk().of(value).digest.hex()
 
 
 def refuse_differing(comm: Comm, declared: Mapping[str, Any]) -> None:
     """Raise CaseError on all ranks if a declared value differs between ranks.
 
-    All plain values, arrays and the content of files of particles are compared exactly. Of functions and of objects
-    other than dataclasses the floating-point numbers, arrays and random generators in them are compared: a function
-    may read the number of its rank.
+    Inside functions and objects other than dataclasses only floating-point numbers, arrays and random generators are
+    compared: a function may read the number of its rank.
 
     Parameters
     ----------
@@ -99,20 +103,21 @@ def refuse_differing(comm: Comm, declared: Mapping[str, Any]) -> None:
 
     Notes
     -----
-    Collective. Each value is walked and each array hashed once on every rank.
+    Collective.
     """
     if comm.size == 1:
         return
     with agreed(comm):
-        digest = _Entries().digest_of(declared)
-    digests = comm.allgather(digest)
-    other = next((rank for rank, told in enumerate(digests) if told != digests[0]), None)
+        walk = _Walk(across_ranks=True)
+        parts = [(name, walk.of(value)) for name, value in declared.items()]
+    digests = comm.allgather([part.digest for _, part in parts])
+    other = next((rank for rank, digest in enumerate(digests) if digest != digests[0]), None)
     if other is None:
         return
     with agreed(comm):
-        entries = _Entries(listed=[])
-        entries.digest_of(declared)
-    mine = comm.bcast(entries.listed), comm.bcast(entries.listed, root=other)
+        seen: set[int] = set()
+        listed = [entry for name, part in parts for entry in _entries(part, name, seen)]
+    mine = comm.bcast(listed), comm.bcast(listed, root=other)
     nothing = ("", b"", "nothing")
     first, second = next(pair for pair in itertools.zip_longest(*mine, fillvalue=nothing) if pair[0][:2] != pair[1][:2])
     path = (first if first[0] else second)[0]
@@ -123,11 +128,42 @@ def refuse_differing(comm: Comm, declared: Mapping[str, Any]) -> None:
         )
 
 
-def _hash(kind: str, *parts: bytes) -> bytes:
-    digest = hashlib.blake2b(kind.encode(), digest_size=12)
+@dataclass(frozen=True)
+class _Part:
+    """A declared value: what it is without what is in it, and what is in it by labels; nothing if it does not count."""
+
+    value: Any
+    own: bytes = b""
+    parts: Sequence[tuple[str, _Part]] = ()
+
+    @property
+    def counts(self) -> bool:
+        return bool(self.own or self.parts)
+
+    @functools.cached_property
+    def digest(self) -> bytes:
+        # Keys of mappings and the number of entries count in the part itself.
+        inside = [(b"" if label.startswith("[") else label.encode(), part.digest) for label, part in self.parts]
+        return _hash(self.own, *itertools.chain.from_iterable(inside))
+
+
+def _entries(part: _Part, path: str, seen: set[int]) -> Iterator[tuple[str, bytes, str]]:
+    """Yield path, content and text of a value and of what is in it, of each object once."""
+    if id(part) in seen:
+        return
+    seen.add(id(part))
+    if part.own:
+        value = part.value
+        yield path, part.own, f"{len(value)} entries" if isinstance(value, list | tuple) else shown(value)
+    for label, inner in part.parts:
+        yield from _entries(inner, f"{label}{path}" if label.endswith(_OF) else f"{path}{label}", seen)
+
+
+def _hash(*parts: bytes | str) -> bytes:
+    digest = hashlib.blake2b(digest_size=12)
     for part in parts:
-        digest.update(struct.pack("<Q", len(part)))
-        digest.update(part)
+        data = part.encode(errors="surrogatepass") if isinstance(part, str) else part
+        digest.update(struct.pack("<Q", len(data)) + data)
     return digest.digest()
 
 
@@ -136,229 +172,172 @@ class _Walk:
 
     ``_open`` are the objects on the way to the present one, which may refer back to them; ``_done`` are those that have
     been walked, held so that no other one gets their number.
-    """
-
-    def __init__(self) -> None:
-        self._open: list[int] = []
-        self._done: dict[int, tuple[Any, bytes]] = {}
-
-    def of(self, value: Any, label: str = "") -> bytes:
-        """Return the fingerprint of any object; ``label`` says where in the object around it it is."""
-        if value is None or value is Ellipsis or isinstance(value, bool | np.bool_):
-            return _hash("constant", str(value).encode())
-        if isinstance(value, enum.Enum):
-            return _hash("enum", type(value).__qualname__.encode(), value.name.encode())
-        if isinstance(value, int | float | np.integer | np.floating):
-            # 1 and 1.0 are the same load.
-            number: Any = value
-            exact = isinstance(value, float | np.floating) or -(2**53) < number < 2**53
-            return _hash("number", repr((float(number) if exact else int(number)) + 0).encode())
-        if isinstance(value, str | bytes | PurePath):
-            return _hash("text", value if isinstance(value, bytes) else str(value).encode(errors="surrogatepass"))
-        if id(value) in self._open:
-            return _hash("again", str(len(self._open) - self._open.index(id(value))).encode())
-        if id(value) not in self._done:
-            self._open.append(id(value))
-            try:
-                self._done[id(value)] = value, self._composite(value)
-            except RecursionError:
-                self._done[id(value)] = value, _hash("deep", type(value).__qualname__.encode())
-            finally:
-                self._open.pop()
-        return self._done[id(value)][1]
-
-    def _all(self, values: Iterable[Any]) -> list[bytes]:
-        return [self.of(value, f"[{n}]") for n, value in enumerate(values)]
-
-    def _mapping(self, values: Mapping[Any, Any], label: str = "[{!r}]") -> bytes:
-        items = (_hash("item", self.of(key), self.of(item, label.format(key))) for key, item in values.items())
-        return _hash("mapping", *sorted(items))
-
-    def _composite(self, value: Any) -> bytes:
-        if isinstance(value, np.ndarray) and value.dtype != object:
-            whole = np.ascontiguousarray(value)
-            return _hash("array", whole.dtype.str.encode(), str(whole.shape).encode(), whole.tobytes())
-        if isinstance(value, list | tuple | np.ndarray):
-            return _hash("sequence", *self._all(value))
-        if isinstance(value, set | frozenset):
-            return _hash("set", *sorted(self._all(value)))
-        if isinstance(value, Mapping):
-            return self._mapping(value)
-        if isinstance(value, ModuleType):
-            return _hash("module", value.__name__.encode())
-        if isinstance(value, CodeType):
-            return self._code(value)
-        if isinstance(value, type):
-            return self._class(value)
-        if isinstance(value, FunctionType):
-            return self._function(value)
-        if isinstance(value, MethodType):
-            return _hash("method", self.of(value.__func__), self.of(value.__self__))
-        if isinstance(value, functools.partial):
-            return self._partial(value)
-        if isinstance(value, BuiltinFunctionType | np.ufunc):
-            return _hash("builtin", str(getattr(value, "__qualname__", value.__name__)).encode())
-        inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
-        if isinstance(inner, FunctionType):
-            return _hash("wrapped", type(value).__qualname__.encode(), self.of(inner))
-        return _hash("object", self._class(type(value)), self._state(value))
-
-    def _state(self, value: Any) -> bytes:
-        """Return the fingerprint of what an instance holds."""
-        if isinstance(value, TextFile | Column | Mesh):
-            found = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-            sets = found.get("node_sets", {})
-            named = {name: _content(one) if isinstance(one, str | Path) else one for name, one in sets.items()}
-            files = files_of(Path(value.path), value.format) if isinstance(value, Mesh) else [value.path]
-            return self._mapping({**found, "path": _contents(files), "node_sets": named}, ".{}")
-        if dataclasses.is_dataclass(value):
-            fields = [f.name for f in dataclasses.fields(value) if f.compare]
-            return self._mapping({name: getattr(value, name, None) for name in fields}, ".{}")
-        if hasattr(value, "__dict__"):
-            return self._mapping(vars(value), ".{}")
-        try:
-            return self.of(value.__reduce_ex__(4)[1:3])
-        except Exception:  # what cannot be taken apart (a lock, a generator) counts by its class
-            return b""
-
-    def _class(self, kind: type) -> bytes:
-        """Return the fingerprint of a class: its name, and methods and constants where the user wrote it."""
-        name = kind.__qualname__.encode()
-        if id(kind) in self._open[:-1]:
-            return _hash("class", name)
-        module = sys.modules.get(kind.__module__)
-        written = module is None or not of_library(getattr(module, "__file__", None) or _PACKAGE)
-        members = {}
-        for key, member in vars(kind).items():
-            plain = getattr(member, "__func__", None) or getattr(member, "fget", None) or member
-            # What dataclasses make has no file; it follows from the fields.
-            if isinstance(plain, FunctionType):
-                if plain.__code__.co_filename != "<string>" and not of_library(plain.__code__.co_filename):
-                    members[key] = plain
-            elif written and not key.startswith("_") and _counts(plain) and not isinstance(plain, type):
-                members[key] = plain
-        self._open.append(id(kind))
-        try:
-            bases = [self._class(base) for base in kind.__bases__]
-            return _hash("class", name, *bases, self._mapping(members, ".{}"))
-        finally:
-            self._open.pop()
-
-    def _function(self, function: FunctionType) -> bytes:
-        """Return the fingerprint of a function."""
-        cells = []
-        for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-            try:
-                cells.append(self.of(cell.cell_contents, f"{name}{_OF}"))
-            except ValueError:  # not yet filled
-                cells.append(b"")
-        own = [function.__qualname__.encode(), self.of(function.__defaults__), self.of(function.__kwdefaults__), *cells]
-        if of_library(function.__code__.co_filename):
-            return _hash("function", *own)
-        named = _names(function.__code__)
-        known = {name: function.__globals__[name] for name in sorted(named) if name in function.__globals__}
-        used = {name: value for name, value in known.items() if _counts(value)}
-        return _hash("function", *own, self._code(function.__code__), self._mapping(used, f"{{}}{_OF}"))
-
-    def _partial(self, value: functools.partial[Any]) -> bytes:
-        return _hash("partial", self.of(value.func), self.of(value.args), self.of(value.keywords))
-
-    def _code(self, code: CodeType) -> bytes:
-        # Neither file nor lines: a case may move, and so may a function in it.
-        constants = self._all(code.co_consts)
-        names = [",".join(part).encode() for part in (code.co_names, code.co_varnames, code.co_freevars)]
-        counts = json.dumps([code.co_argcount, code.co_kwonlyargcount, code.co_posonlyargcount, code.co_flags])
-        return _hash("code", code.co_code, *constants, *names, counts.encode())
-
-
-class _Entries(_Walk):
-    """Walks an object and notes the values in it that have to be the same on all ranks.
 
     Parameters
     ----------
-    listed : list, optional
-        Takes path, digest and text of each of these values.
+    across_ranks : bool
+        Leave out what may differ between ranks, and let the order of mappings count.
     """
 
-    def __init__(self, listed: list[tuple[str, bytes, str]] | None = None) -> None:
-        super().__init__()
-        self.listed = listed
-        self._digest = hashlib.blake2b(digest_size=16)
-        self._path = ""
-        # An object that a function reads counts in full if it is declared elsewhere too.
-        self._done_of_functions: dict[int, tuple[Any, bytes]] = {}
+    def __init__(self, across_ranks: bool = False) -> None:
+        self._across_ranks = across_ranks
         self._in_function = False
+        self._open: list[int] = []
+        self._done: dict[tuple[int, bool], _Part] = {}
 
-    def digest_of(self, declared: Mapping[str, Any]) -> bytes:
-        """Return the digest of the values that are declared under some names."""
-        for name, value in declared.items():
-            self.of(value, name)
-        return self._digest.digest()
+    def of(self, value: Any) -> _Part:
+        """Return any object as a part."""
+        content = _content_of(value)
+        if content is not None:
+            return _Part(value, content if not self._leaves_out or isinstance(value, _NUMBERS) else b"")
+        if id(value) in self._open:
+            return _Part(value, b"" if self._leaves_out else _hash("again", str(self._open[::-1].index(id(value)))))
+        key = id(value), self._in_function
+        if key not in self._done:
+            self._open.append(id(value))
+            try:
+                own, parts = self._composite(value)
+                parts = [(label, part) for label, part in parts if part.counts]
+                self._done[key] = _Part(value, b"" if self._leaves_out else own, parts)
+            except RecursionError:
+                self._done[key] = _Part(value, _hash("deep", type(value).__qualname__))
+            finally:
+                self._open.pop()
+        return self._done[key]
 
-    def of(self, value: Any, label: str = "") -> bytes:
-        """Note an object and what is in it."""
-        outer = self._path
-        self._path = f"{label}{outer}" if label.endswith(_OF) else f"{outer}{label}"
+    @property
+    def _leaves_out(self) -> bool:
+        return self._across_ranks and self._in_function
+
+    def _read_by_function(self, values: Mapping[str, Any]) -> list[tuple[str, _Part]]:
+        """Return what a function or a class of the user reads, by its labels."""
+        outer, self._in_function = self._in_function, True
         try:
-            is_array = isinstance(value, np.ndarray) and value.dtype != object
-            if value is None or is_array or isinstance(value, _PLAIN):
-                if is_array or not self._in_function or isinstance(value, (float, np.floating, *_RANDOM)):
-                    self._note(value, bytes.fromhex(fingerprint(value)))
-                return b""
-            if not self._in_function:
-                self._note(value, _kind(value))
-            return super().of(value)
+            return [(label, self.of(value)) for label, value in values.items()]
         finally:
-            self._path = outer
+            self._in_function = outer
 
-    def _note(self, value: Any, digest: bytes) -> None:
-        self._digest.update(_hash(self._path, digest))
-        if self.listed is not None:
-            text = f"{len(value)} entries" if isinstance(value, list | tuple) else shown(value)
-            self.listed.append((self._path, digest, text))
-
-    @contextmanager
-    def _of_function(self) -> Iterator[None]:
-        """Note in the body only what a function of the case must not have of its own on a rank."""
-        outer, within = self._done, self._in_function
-        self._done, self._in_function = self._done_of_functions, True
-        try:
-            yield
-        finally:
-            self._done, self._in_function = outer, within
-
-    def _mapping(self, values: Mapping[Any, Any], label: str = "[{!r}]") -> bytes:
-        for key, item in values.items():
-            self.of(item, label.format(key))
-        return b""
-
-    def _function(self, function: FunctionType) -> bytes:
-        with self._of_function():
-            return super()._function(function)
-
-    def _partial(self, value: functools.partial[Any]) -> bytes:
-        with self._of_function():
-            return super()._partial(value)
-
-    def _class(self, kind: type) -> bytes:
-        with self._of_function():
-            return super()._class(kind)
-
-    def _state(self, value: Any) -> bytes:
+    def _composite(self, value: Any) -> tuple[bytes, list[tuple[str, _Part]]]:
+        """Return an object without what is in it, and what is in it."""
+        if isinstance(value, list | tuple | np.ndarray):
+            return _hash("sequence", str(len(value))), [(f"[{n}]", self.of(entry)) for n, entry in enumerate(value)]
+        if isinstance(value, set | frozenset):
+            return _hash("set", *sorted(self.of(entry).digest for entry in value)), []
+        if isinstance(value, Mapping):
+            items = [(self.of(key).digest, f"[{key!r}]", self.of(entry)) for key, entry in value.items()]
+            items = items if self._across_ranks else sorted(items, key=lambda item: item[0])
+            return _hash("mapping", *(key for key, _, _ in items)), [item[1:] for item in items]
+        if isinstance(value, type):
+            return _hash("class", value.__qualname__), self._read_by_function(_members(value))
+        if isinstance(value, FunctionType):
+            text = "" if of_library(value.__code__.co_filename) else _source(value.__code__)
+            return _hash("function", value.__qualname__, text), self._read_by_function(_variables(value))
+        if isinstance(value, MethodType):
+            return b"method", [*self._read_by_function({".__func__": value.__func__}), ("", self.of(value.__self__))]
+        if isinstance(value, functools.partial):
+            read = {".func": value.func, ".args": value.args, ".keywords": value.keywords}
+            return b"partial", self._read_by_function(read)
+        inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
+        if isinstance(inner, FunctionType):
+            return _hash("wrapped", type(value).__qualname__), [("", self.of(inner))]
+        kind = self._read_by_function({f"class{_OF}": type(value)})
         if dataclasses.is_dataclass(value):
-            return super()._state(value)
-        with self._of_function():
-            return super()._state(value)
+            fields = {f.name: getattr(value, f.name, None) for f in dataclasses.fields(value) if f.compare}
+            if isinstance(value, TextFile | Column | Mesh):
+                fields |= _contents(value)
+            parts = [(f".{name}", self.of(field)) for name, field in fields.items()]
+        else:
+            parts = self._read_by_function(_state(value))
+        return _hash("object", type(value).__qualname__), kind + parts
 
 
-def _kind(value: Any) -> bytes:
-    """Return the digest of what an object is, without what is in it; the order of a mapping counts."""
-    if isinstance(value, Mapping):
-        return _hash("mapping", bytes.fromhex(fingerprint(list(value))))
-    if isinstance(value, list | tuple | np.ndarray):
-        return _hash("sequence", str(len(value)).encode())
-    named = value if hasattr(value, "__qualname__") else type(value)
-    return _hash("object", str(named.__qualname__).encode())
+def _content_of(value: Any) -> bytes | None:
+    """Return the content of a value with nothing in it; None for others."""
+    if value is None or value is Ellipsis or isinstance(value, bool | np.bool_):
+        return _hash("constant", str(value))
+    if isinstance(value, enum.Enum):
+        return _hash("enum", type(value).__qualname__, value.name)
+    if isinstance(value, int | float | np.integer | np.floating):
+        # 1 and 1.0 are the same load.
+        number: Any = value
+        exact = isinstance(value, float | np.floating) or -(2**53) < number < 2**53
+        return _hash("number", repr((float(number) if exact else int(number)) + 0))
+    if isinstance(value, str | bytes | PurePath):
+        return _hash("text", value if isinstance(value, bytes) else str(value))
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        return _hash("array", value.dtype.str, str(value.shape), np.ascontiguousarray(value).tobytes())
+    if isinstance(value, np.random.Generator | np.random.RandomState):
+        return _hash("random", fingerprint(value.__reduce_ex__(4)[1:3]))
+    if isinstance(value, ModuleType):
+        return _hash("module", value.__name__)
+    if isinstance(value, BuiltinFunctionType | np.ufunc):
+        return _hash("builtin", str(getattr(value, "__qualname__", value.__name__)))
+    return None
+
+
+def _state(value: Any) -> dict[str, Any]:
+    """Return what an instance that is no dataclass holds, by labels."""
+    if hasattr(value, "__dict__"):
+        return {f".{name}": held for name, held in vars(value).items()}
+    try:
+        return {".state": value.__reduce_ex__(4)[1:3]}
+    except Exception:  # what cannot be taken apart (a lock, a generator) counts by its class
+        return {}
+
+
+def _members(kind: type) -> dict[str, Any]:
+    """Return the bases of a class, and methods and constants that the user wrote, by labels."""
+    module = sys.modules.get(kind.__module__)
+    written = module is None or not of_library(getattr(module, "__file__", None) or _PACKAGE)
+    members: dict[str, Any] = {f".base{n}": base for n, base in enumerate(kind.__bases__) if base is not object}
+    for name, member in vars(kind).items():
+        plain = getattr(member, "__func__", None) or getattr(member, "fget", None) or member
+        # What dataclasses make has no file; it follows from the fields.
+        if isinstance(plain, FunctionType):
+            if plain.__code__.co_filename != "<string>" and not of_library(plain.__code__.co_filename):
+                members[f".{name}"] = plain
+        elif written and not name.startswith("_") and _is_read(plain) and not isinstance(plain, type):
+            members[f".{name}"] = plain
+    return members
+
+
+def _variables(function: FunctionType) -> dict[str, Any]:
+    """Return what a function reads besides its arguments, by labels: closure, defaults and globals."""
+    code = function.__code__
+    read: dict[str, Any] = {".defaults": (function.__defaults__, function.__kwdefaults__)}
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+        with contextlib.suppress(ValueError):  # not yet filled
+            read[f"{name}{_OF}"] = cell.cell_contents
+    if not of_library(code.co_filename):
+        known = function.__globals__
+        named = [name for name in sorted(_names(code)) if name in known and _is_read(known[name])]
+        read |= {f"{name}{_OF}": known[name] for name in named}
+        # The source does not tell all of them if there is none.
+        read |= {f".constant{n}": value for n, value in enumerate(code.co_consts) if not isinstance(value, CodeType)}
+    return read
+
+
+def _source(code: CodeType) -> str:
+    """Return the definition of a function without comments; the names in it if there is no source."""
+    text = "".join(linecache.getlines(code.co_filename))
+    begun = _definitions(text).get(code.co_firstlineno, {})
+    # Of several functions in one line, the one whose last expression ends with the code.
+    ends = {(line, column) for _, line, _, column in getattr(code, "co_positions", tuple)()}
+    definitions = [found for end, found in begun.items() if end in ends] or begun.values()
+    return "\n".join(definitions or [*code.co_names, *code.co_varnames])
+
+
+@functools.lru_cache(maxsize=64)
+def _definitions(text: str) -> Mapping[int, Mapping[tuple[int | None, int | None], str]]:
+    """Return the functions of a source by the lines at which they begin and the places at which they end."""
+    found: dict[int, dict[tuple[int | None, int | None], str]] = defaultdict(dict)
+    with contextlib.suppress(SyntaxError, ValueError):
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+                decorators = [decorator.lineno for decorator in getattr(node, "decorator_list", [])]
+                end = node.end_lineno, node.end_col_offset
+                found[min([node.lineno, *decorators])][end] = ast.unparse(node)
+    return found
 
 
 def _names(code: CodeType) -> set[str]:
@@ -367,19 +346,23 @@ def _names(code: CodeType) -> set[str]:
     return set(code.co_names).union(*inside)
 
 
-def _counts(value: Any) -> bool:
-    """Return whether a global that a function names is part of what it does, not of what it has done."""
-    return value is None or isinstance(value, _COUNTS) or dataclasses.is_dataclass(value)
+def _is_read(value: Any) -> bool:
+    """Return True if a global that a function names is part of what it computes."""
+    return value is None or isinstance(value, _READ) or dataclasses.is_dataclass(value)
 
 
 def of_library(file: str) -> bool:
-    """Return whether code in a file is of Python, pdpetsc or an installed package, not of the user."""
+    """Return True if code in a file is of Python, pdpetsc or an installed package, not of the user."""
     return file.startswith(_LIBRARIES) or "site-packages" in file or "dist-packages" in file
 
 
-def _contents(paths: Sequence[str | Path]) -> str:
-    """Return the fingerprint of the content of files together."""
-    return " ".join(_content(path) for path in paths)
+def _contents(declared: TextFile | Column | Mesh) -> dict[str, Any]:
+    """Return the content of the files that an object names, in place of their paths."""
+    path = declared.path
+    files = files_of(Path(path), declared.format) if isinstance(declared, Mesh) else [path]
+    sets = getattr(declared, "node_sets", {})
+    named = {name: _content(rows) if isinstance(rows, str | Path) else rows for name, rows in sets.items()}
+    return {"path": " ".join(map(_content, files)), "node_sets": named}
 
 
 def _content(path: str | Path) -> str:

@@ -271,9 +271,6 @@ def _convergence(summary: Mapping[str, Any]) -> str:
     linear = sum(int(step.get("linear_iterations") or 0) for step in steps)
     words = f"{len(steps)} steps, {total} iterations, {linear} linear iterations; residuals over forces and reactions."
     figure = _figure(_png(newton_figure(summary)), "Residual by iteration") if len(steps) <= 2 * ROWS else ""
-    first = steps[0].get("step")
-    if summary.get("restart") and first != 1:
-        words += f" The run before the restart has left no record of the steps before step {first}."
     return f"<p>{words}</p>" + figure + _table(heads, rows) + left
 
 

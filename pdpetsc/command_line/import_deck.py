@@ -11,7 +11,7 @@ from typing import Any
 
 from pdpetsc.command_line.case_file import load_case
 from pdpetsc.decks import peridigm, perilab
-from pdpetsc.decks.script import Notes, Script, plain
+from pdpetsc.decks.script import Deck, Notes, Script, plain
 from pdpetsc.decks.sections import Section, read
 from pdpetsc.errors import CaseError
 
@@ -27,7 +27,7 @@ USAGE = """usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...]
 Everything that the deck says is translated, listed as a comment where it only says what is written or tunes a solver,
 or refused by name. Meshes are read from where they are. What differs is said at the head of the written file."""
 
-Translate = Callable[[Path, Section, Notes, Path, bool], Script]
+Translate = Callable[[Deck], Script]
 
 
 def import_deck(
@@ -71,7 +71,7 @@ def import_deck(
         raise _nothing_called(deck, left[0])
     # They may be columns of the mesh, which is read later.
     notes.columns = {name.lower(): False for name in left}
-    script = translate(deck, root, notes, path.parent, static)
+    script = translate(Deck(deck, root, notes, path.parent, static))
     for name in left:
         if not notes.columns[name.lower()]:
             raise _nothing_called(deck, name)

@@ -5,8 +5,10 @@ What the entries mean is Peridigm's source, version 1.5 of August 2023: ``src/ma
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
+import operator
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,37 +18,31 @@ import numpy as np
 from pdpetsc.bounds import MOST_STEPS, real_number, whole_number
 from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.free_motions import hold_free_motions
-from pdpetsc.decks.quick_grid import families_code, grid_body
-from pdpetsc.decks.script import (
-    Body,
-    Given,
-    Notes,
-    Script,
-    Times,
-    Where,
-    cracks,
+from pdpetsc.decks.parts import (
+    Law,
     damage_by_block,
     elastic_constants,
+    exodus_body,
+    histories,
+    horizon_of,
     note_ties,
     own_influence,
-    quoted,
+    put_cracks,
+    put_gradients,
     reads_influence,
     refuse_same_names,
     refuse_steps,
     refuse_unknown,
-    relative,
     single_horizon,
-    tidy,
+    text_body,
     words,
 )
+from pdpetsc.decks.quick_grid import families_code, grid_body
+from pdpetsc.decks.script import STATIC_STEPS, Body, Deck, Given, Script, Times, Where, quoted, tidy
 from pdpetsc.decks.sections import Section
-from pdpetsc.declare.files import Mesh
-from pdpetsc.declare.text_file import TextFile
 from pdpetsc.errors import CaseError
 
 PROGRAM = "Peridigm"
-# Load steps of a deck in time that is solved statically because it was asked for.
-STATIC_STEPS = 10
 # Entries that every material may have and that have no part in a static answer.
 _OF_MOTION = ("Density",)
 # What a quasi-static solver is tuned with.
@@ -66,46 +62,27 @@ _OF_SOLVERS = ("Verbose", "Peridigm Preconditioner", "Initialize Predictor From 
 _OF_OUTPUT = ("Verbose", "Save Restart")
 
 
-def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: bool) -> Script:
-    """Return what a deck says.
-
-    Parameters
-    ----------
-    deck : Path
-        The file.
-    root : Section
-        What it holds, without what is to be ignored.
-    notes : Notes
-        Where differences and what is left out are noted.
-    folder : Path
-        Where the case file will be.
-    static : bool
-        Whether decks in time are solved statically.
-
-    Raises
-    ------
-    CaseError
-        An entry has no counterpart here.
-    """
+def translate(deck: Deck) -> Script:
+    """Translate a deck; raise CaseError if an entry has no counterpart here."""
+    root, notes = deck.root, deck.notes
     notes.leave_out(root, *_OF_OUTPUT)
     solvers = [root.sections[name] for name in root.sections if re.fullmatch(r"Solver\d*", name)]
-    times = _times(solvers, notes, static)
-    body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck.parent, folder)
-    script = Script(deck, PROGRAM, body, times, notes)
+    times = _times(solvers, deck)
+    body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck)
+    script = Script(deck.path, PROGRAM, body, times, notes)
     _blocks(script, root)
     note_ties(script)
-    if "Bond Filters" in root.section("Discretization").sections:
-        found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
-        if "cracks" in script.arguments:
-            raise CaseError("The deck has bond filters, which Peridigm does not take for a PdQuickGrid.")
-        script.arguments["cracks"] = f"[{', '.join(found)}]"
+    put_cracks(script, root.section("Discretization"))
     if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
     if "Boundary Conditions" in root.sections:
-        _conditions(script, root.section("Boundary Conditions"), static)
+        _conditions(script, root.section("Boundary Conditions"), deck)
     if not script.given:
         raise CaseError("The deck prescribes nothing, and a static answer needs supports and loads.")
-    _outputs(script, root)
+    histories(script, root, "Force", "Displacement")
+    for name in root.sections:
+        if re.fullmatch(r"Output\d*", name):
+            notes.leave_out_all(root.sections[name])
     refuse_unknown(root)
     hold_free_motions(script)
     return script
@@ -114,7 +91,8 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
 # --- particles
 
 
-def _body(section: Section, conditions: Section | None, beside: Path, folder: Path) -> Body:
+def _body(section: Section, conditions: Section | None, deck: Deck) -> Body:
+    beside = deck.path.parent
     kind = section.text("Type")
     if section.flag("Compute Element-Horizon Intersections"):
         raise CaseError(f"{section.place} of the deck asks for intersections of elements with horizons: volumes of "
@@ -131,42 +109,12 @@ def _body(section: Section, conditions: Section | None, beside: Path, folder: Pa
             raise CaseError(
                 f"The deck gives node set {next(iter(sets))!r} by numbers beside an Exodus mesh; put it into the mesh."
             )
-        return exodus_body(path, folder, "nodelist", "block")
+        return exodus_body(path, deck.folder, "nodelist", "block")
     if kind == "Text File":
-        return text_body(path, folder, sets, dim=3)
+        return text_body(path, deck.folder, sets, dim=3)
     raise CaseError(
         f"{section.entries['Type'].place} of the deck is {kind!r}; known are Exodus, Text File, PdQuickGrid."
     )
-
-
-def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
-    """Return the particles of an Exodus mesh, whose unnamed sets decks call ``nodes_n`` and ``blocks_n``."""
-    mesh = Mesh(path, format="exodus")
-    whole = mesh.chunk(0, 1)
-    refuse_same_names(whole.sets)
-    called = {tidy(name): name for name in whole.sets}
-    for ours, theirs in (("node_set", nodes), ("group", blocks)):
-        for name in whole.sets:
-            found = re.fullmatch(rf"{ours}_(\d+)", name)
-            if found:
-                called.setdefault(tidy(f"{theirs}_{found[1]}"), name)
-    code = [f'particles = pd.Mesh({relative(path, folder)}, format="exodus")']
-    of_nodes = {tidy(name.removesuffix(" nodes")): name for name in whole.sets if name.endswith(" nodes")}
-    return Body(code, [], whole.x, dict(whole.sets), called, of_nodes=of_nodes, volume=whole.volume)
-
-
-def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: int) -> Body:
-    """Return the particles of a text file with sets of the deck by file or numbers."""
-    whole = TextFile(path, sets, dim=dim).chunk(0, 1)
-    codes = {name: relative(given, folder) if isinstance(given, Path) else repr(given) for name, given in sets.items()}
-    lines = [f"    {quoted(name)}: {code}," for name, code in codes.items()]
-    given = (
-        f"{relative(path, folder)}, node_sets=NODE_SETS, dim={dim}" if sets else f"{relative(path, folder)}, dim={dim}"
-    )
-    helpers = ["NODE_SETS = {", *lines, "}"] if sets else []
-    refuse_same_names(whole.sets)
-    called = {tidy(name): name for name in whole.sets}
-    return Body([f"particles = pd.TextFile({given})"], helpers, whole.x, dict(whole.sets), called, volume=whole.volume)
 
 
 def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | list[int]]:
@@ -193,7 +141,7 @@ def _blocks(script: Script, root: Section) -> None:
     groups = list(root.section("Blocks").sections.values())
     # The default block is what the others leave.
     groups.sort(key=lambda group: group.text("Block Names").lower() == "default")
-    controls, kinds, used, horizons = set[str | None](), set[str](), set[str](), list[float]()
+    laws, used, horizons = list[Law](), set[str](), list[float]()
     damages = list[tuple[Where, str, Section]]()
     for group in groups:
         names = words(group.text("Block Names"))
@@ -206,54 +154,31 @@ def _blocks(script: Script, root: Section) -> None:
             group.text("Material")
             group.text("Horizon")
             continue
-        where = parts[0]
-        for part in parts[1:]:
-            where = where | part
+        where = functools.reduce(operator.or_, parts)
         if not (where.mask <= left).all():
             raise CaseError(f"{group.place} of the deck has blocks that another group has too.")
         left &= ~where.mask
-        horizon = _horizon(group)
+        horizon = horizon_of(group)
         horizons.append(horizon)
         radius = _radius(script, horizon)
         script.horizon.append((where, radius))
         name = group.text("Material")
         used.add(name)
-        code, control, kind = _material(materials.section(name), script, radius / horizon)
-        script.material.append((where, code))
-        controls.add(control)
-        kinds.add(kind)
+        laws.append(_material(materials.section(name), script, radius / horizon))
+        script.material.append((where, laws[-1].code))
         damages.append((where, group.text("Damage Model", "None"), materials.section(name)))
     if left.any():
         raise CaseError(f"The deck gives {np.count_nonzero(left)} particles no block, material and horizon.")
     for name, section in materials.sections.items():
         if name not in used:
             script.notes.leave_out_all(section)
-    if len(kinds) > 1:
-        raise CaseError(
-            "The deck mixes correspondence materials with state-based or bond-based ones, which share no body."
-        )
-    if len(controls) > 1:
-        raise CaseError("The deck has blocks with different hourglass coefficients; a body has one control here.")
-    if kinds == {"gradients"}:
-        script.arguments["scheme"] = "pd.Correspondence()"
-        script.arguments["weights"] = "pd.Standard()"
-        control = controls.pop()
-        if control is not None:
-            script.arguments["control"] = control
-        script.fields += ["pd.deformation_gradient", "pd.stress"]
+    put_gradients(script, laws)
     _influence(script, root, horizons)
-    _damage(script, models, damages, kinds)
+    _damage(script, models, damages)
 
 
 def _is_block(name: str) -> bool:
     return re.fullmatch(r"(?:block|group)_\d+", name) is not None
-
-
-def _horizon(group: Section) -> float:
-    value = group.number("Horizon")
-    if not value > 0.0:
-        raise CaseError(f"{group.entries['Horizon'].place} of the deck is {value:g}; a horizon is positive.")
-    return value
 
 
 def _radius(script: Script, horizon: float) -> float:
@@ -293,8 +218,8 @@ def _influence(script: Script, root: Section, horizons: Sequence[float]) -> None
         own_influence(script, body, "zeta", script.horizon[0][1])
 
 
-def _material(section: Section, script: Script, widened: float) -> tuple[str, str | None, str]:
-    """Return the material as code, its control, and whether it has gradients or bonds.
+def _material(section: Section, script: Script, widened: float) -> Law:
+    """Translate a material.
 
     ``widened`` is the radius of families over the horizon of the deck: micromoduli fall with its fourth power [-].
     """
@@ -340,7 +265,7 @@ def _material(section: Section, script: Script, widened: float) -> tuple[str, st
             if of_gradients
             else "A bond expands by the temperature of both of its ends; in Peridigm by that of each."
         )
-    return found, control, "gradients" if of_gradients else "bonds"
+    return Law(found, "gradients" if of_gradients else "bonds", control)
 
 
 def _law(model: str, section: Section, script: Script, widened: float) -> str | None:
@@ -383,47 +308,31 @@ def _refuse_other_expansion(damage: Section, materials: list[Section]) -> None:
             )
 
 
-def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str, Section]],
-            kinds: set[str]) -> None:  # fmt: skip
+def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str, Section]]) -> None:
     """Put the damage of blocks into the script; each has its particles, the name of its model and its material."""
     names = {name for _, name, _ in blocks}
-    if models is not None:
-        for name, section in models.sections.items():
-            if name not in names:
-                script.notes.leave_out_all(section)
+    for name, section in ({} if models is None else models.sections).items():
+        if name not in names:
+            script.notes.leave_out_all(section)
 
-    def law(name: str) -> str:
-        if models is None:
-            raise CaseError(f"The deck names the damage model {name!r} and has none.")
-        section = models.section(name)
-        model = section.text("Damage Model")
-        if model != "Critical Stretch" or kinds != {"bonds"}:
-            raise CaseError(
-                f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of "
-                f"materials that are not correspondence materials."
-            )
-        critical = section.number("Critical Stretch")
+    def critical(name: str, section: Section) -> float:
         _refuse_other_expansion(section, [material for _, own, material in blocks if own == name])
-        script.notes.differs(
-            "Bonds break one after another with equilibrium between them; Peridigm breaks once in a step all that are "
-            "too long."
-        )
-        return f"pd.Brittle(pd.ConstantCritical({critical!r}))"
+        return section.number("Critical Stretch")
 
-    damage_by_block(script, [(where, "" if name == "None" else name) for where, name, _ in blocks], law)
+    by_name = [(where, "" if name == "None" else name) for where, name, _ in blocks]
+    damage_by_block(script, models, by_name, "materials that are not correspondence materials", critical)
 
 
 # --- conditions
 
 
-def _conditions(script: Script, section: Section, static: bool) -> None:
+def _conditions(script: Script, section: Section, deck: Deck) -> None:
     if "Create Node Set For Rank Deficient Nodes" in section.entries:
         script.notes.leave_out(section, "Create Node Set For Rank Deficient Nodes")
     for one in section.sections.values():
         kind = one.text("Type").replace("_", " ")
-        if kind == "Initial Velocity" and static:
-            for entry in one.leaves():
-                entry.used = True
+        if kind == "Initial Velocity" and deck.static:
+            one.use_all()
             script.notes.ignored.append(f"{one.place}: Initial Velocity, of a deck in time that is solved statically")
             continue
         known = {"Prescribed Displacement": "Displacement", "Body Force": "BodyForce",
@@ -450,20 +359,18 @@ def _conditions(script: Script, section: Section, static: bool) -> None:
                 f"time 0, so it has no effect; leave it out with --ignore {one.path!r}."
             )
         script.given.append(given)
-    if any(given.kind == "Temperature" for given in script.given):
-        script.fields.append("pd.temperature")
 
 
 # --- time
 
 
-def _times(solvers: list[Section], notes: Notes, static: bool) -> Times:
+def _times(solvers: list[Section], deck: Deck) -> Times:
     if not solvers:
         raise CaseError("The deck has no solver.")
     values: list[float] = []
     for solver in solvers:
-        notes.leave_out(solver, *_OF_SOLVERS)
-        own = _times_of(solver, notes, static)
+        deck.notes.leave_out(solver, *_OF_SOLVERS)
+        own = _times_of(solver, deck)
         if values and abs(own[0] - values[-1]) > 1e-12 * max(abs(own[0]), abs(values[-1])):
             raise CaseError(
                 f"{solver.place} of the deck begins at {own[0]:g}, and the solver before ends at {values[-1]:g}."
@@ -474,11 +381,12 @@ def _times(solvers: list[Section], notes: Notes, static: bool) -> Times:
     return Times(values)
 
 
-def _times_of(solver: Section, notes: Notes, static: bool) -> list[float]:
+def _times_of(solver: Section, deck: Deck) -> list[float]:
+    notes = deck.notes
     kinds = [name for name in solver.sections if name in ("QuasiStatic", "NOXQuasiStatic")]
     in_time = [name for name in solver.sections if name in ("Verlet", "Implicit", "ImplicitDiffusion")]
     if in_time and not kinds:
-        return _times_in_time(solver, solver.sections[in_time[0]], notes, static)
+        return _times_in_time(solver, solver.sections[in_time[0]], deck)
     if len(kinds) != 1 or in_time:
         have = ", ".join(solver.sections) or "none"
         raise CaseError(f"{solver.place} of the deck needs one solver, QuasiStatic or NOXQuasiStatic; it has {have}.")
@@ -501,61 +409,12 @@ def _times_of(solver: Section, notes: Notes, static: bool) -> list[float]:
     first, last = solver.number("Initial Time", 0.0), solver.number("Final Time")
     count = section.whole("Number of Load Steps")
     refuse_steps(solver, count, first, last)
-    return [first + (last - first) * n / count for n in range(count)] + [last]
+    return Times.even(first, last, count).values
 
 
-def _times_in_time(solver: Section, section: Section, notes: Notes, static: bool) -> list[float]:
-    if not static:
-        raise CaseError(
-            f"{section.place} of the deck is a solver in time, and this program finds static equilibrium; give "
-            f"--static to solve the deck statically up to its final time."
-        )
+def _times_in_time(solver: Section, section: Section, deck: Deck) -> list[float]:
+    deck.leave_out_inertia(section)
     first, last = solver.number("Initial Time", 0.0), solver.number("Final Time", 1.0)
-    for entry in section.leaves():
-        entry.used = True
-    notes.differs(
-        f"Inertia is left out: the deck is solved in time with {section.name}, here in {STATIC_STEPS} load steps."
-    )
     if not last > first:
         raise CaseError(f"{solver.place} of the deck goes from {first:g} to {last:g}.")
-    return [first + (last - first) * n / STATIC_STEPS for n in range(STATIC_STEPS)] + [last]
-
-
-# --- output
-
-
-def _outputs(script: Script, root: Section) -> None:
-    """Turn forces of blocks and displacements of points into the history; note everything else."""
-    if "Compute Class Parameters" in root.sections:
-        for one in root.section("Compute Class Parameters").sections.values():
-            history(script, one, "Force", "Displacement")
-            script.notes.leave_out_all(one)
-        script.notes.leave_out_all(root.section("Compute Class Parameters"))
-    for name in root.sections:
-        if re.fullmatch(r"Output\d*", name):
-            script.notes.leave_out_all(root.sections[name])
-
-
-def history(script: Script, one: Section, force: str, displacement: str) -> None:
-    """Add what a compute class gives to the history, where it is a force of a block or a displacement."""
-    kind, variable = one.peek("Compute Class"), one.peek("Variable")
-    label = "".join(c if c.isalnum() or c == "_" else "_" for c in one.peek("Output Label") or one.name)
-    axes = "xyz"[: script.body.dim]
-    if kind == "Block_Data" and variable == force and one.peek("Calculation Type") == "Sum":
-        where = script.body.named(one.text("Block"), one.place)
-        for axis in axes:
-            # Support forces, the opposite of the internal forces that the deck sums up.
-            script.history[f"{label}_{axis}"] = f'pd.Reaction("{axis}", {where.code})'
-        script.notes.differs("Forces of blocks in the history are support forces, the opposite of internal forces.")
-        taken = ("Compute Class", "Variable", "Calculation Type", "Output Label")
-    elif kind == "Nearest_Point_Data" and variable == displacement:
-        point = tuple(one.number(axis) for axis in "XYZ"[: script.body.dim])
-        for axis in axes:
-            region = f"pd.region.Nearest({point!r})"
-            script.history[f"{label}_{axis}"] = f'pd.Mean(pd.displacement, "{axis}", {region})'
-        taken = ("Compute Class", "Variable", "Output Label", "")
-    else:
-        return
-    for name in taken:
-        if name in one.entries:
-            one.text(name)
+    return Times.even(first, last, STATIC_STEPS).values

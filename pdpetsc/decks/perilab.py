@@ -5,7 +5,9 @@ What the entries mean is PeriLab's source of August 2026: ``src/Models``, ``src/
 
 from __future__ import annotations
 
+import functools
 import itertools
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,27 +18,25 @@ from pdpetsc.arrays import Mask
 from pdpetsc.bounds import MOST_STEPS, whole_number
 from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.free_motions import hold_free_motions
-from pdpetsc.decks.peridigm import STATIC_STEPS, history, text_body
-from pdpetsc.decks.script import (
-    Body,
-    Given,
-    Notes,
-    Script,
-    Times,
-    Where,
-    cracks,
+from pdpetsc.decks.parts import (
+    Law,
     damage_by_block,
     elastic_constants,
+    histories,
+    horizon_of,
     note_ties,
     own_influence,
+    put_cracks,
+    put_gradients,
     reads_influence,
     refuse_same_names,
     refuse_steps,
     refuse_unknown,
     single_horizon,
-    tidy,
+    text_body,
     words,
 )
+from pdpetsc.decks.script import STATIC_STEPS, Body, Deck, Given, Script, Times, Where, tidy
 from pdpetsc.decks.sections import Section
 from pdpetsc.declare.text_file import TextFile
 from pdpetsc.errors import CaseError
@@ -56,12 +56,13 @@ _UNUSED_COLUMNS = ("activation_time", "time")
 _NO_PART = "has no counterpart here"
 
 
-def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: bool) -> Script:
-    """Return what a deck says; arguments and errors as of ``peridigm.translate``."""
+def translate(deck: Deck) -> Script:
+    """Translate a deck; raise CaseError if an entry has no counterpart here."""
+    root, notes = deck.root, deck.notes
     solver = root.section("Solver")
-    linear, times = _times(solver, notes, static)
-    body = _body(root.section("Discretization"), deck.parent, folder, notes)
-    script = Script(deck, PROGRAM, body, times, notes)
+    times = _times(solver, deck)
+    body = _body(root.section("Discretization"), deck)
+    script = Script(deck.path, PROGRAM, body, times, notes)
     on = {name: solver.flag(name, name == "Material Models") for name in _SWITCHES}
     for name in _OTHER_SWITCHES:
         if solver.flag(name):
@@ -71,11 +72,9 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
     for name in ("FEM", "Contact", "Surface Correction", "Multistep Solver", "Physics"):
         if name in root.sections:
             raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
-    warm = _blocks(script, root, linear, on)
+    warm = _blocks(script, root, on)
     note_ties(script)
-    if "Bond Filters" in root.section("Discretization").sections:
-        found = cracks(root.section("Discretization").section("Bond Filters"), body.x)
-        script.arguments["cracks"] = f"[{', '.join(found)}]"
+    put_cracks(script, root.section("Discretization"))
     _conditions(script, root.section("Boundary Conditions"))
     for given in script.given:
         warm &= ~given.where.mask if given.kind == "Temperature" else True
@@ -84,10 +83,7 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
             f"The deck prescribes no temperature of {np.count_nonzero(warm)} particles whose reference temperature is "
             f"not zero; PeriLab gives them zero, and this program the reference temperature: prescribe it."
         )
-    if "Compute Class Parameters" in root.sections:
-        for one in root.section("Compute Class Parameters").sections.values():
-            history(script, one, "Forces", "Displacements")
-            notes.leave_out_all(one)
+    histories(script, root, "Forces", "Displacements")
     notes.leave_out(root, "Outputs")
     refuse_unknown(root)
     hold_free_motions(script)
@@ -97,7 +93,8 @@ def translate(deck: Path, root: Section, notes: Notes, folder: Path, static: boo
 # --- particles
 
 
-def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
+def _body(section: Section, deck: Deck) -> Body:
+    beside, notes = deck.path.parent, deck.notes
     kind = section.text("Type")
     if kind != "Text File":
         more = (
@@ -147,7 +144,7 @@ def _body(section: Section, beside: Path, folder: Path, notes: Notes) -> Body:
             chosen[name] = np.array(
                 [node.value(dict(zip("xyz", map(float, x), strict=False))) != 0.0 for x in places], dtype=bool
             )
-    body = text_body(path, folder, files, dim)
+    body = text_body(path, deck.folder, files, dim)
     refuse_same_names([*body.sets, *chosen])
     sets = {**body.sets, **chosen}
     called = {**body.called, **{tidy(name): name for name in chosen}}
@@ -168,7 +165,7 @@ def _numbers(place: str, text: str, count: int) -> list[int] | None:
 # --- materials
 
 
-def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) -> Mask:
+def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
     """Put materials, horizons and what goes with them into the script.
 
     Return the particles whose stress-free temperature is not zero (n,).
@@ -184,7 +181,7 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
     materials = models.section("Material Models")
     thermals, damages = models.sections.get("Thermal Models"), models.sections.get("Damage Models")
     left = np.ones(len(script.body.x), dtype=bool)
-    controls, kinds, used = set[str | None](), set[str](), set[str]()
+    laws, used = list[Law](), set[str]()
     broken = list[tuple[Where, str]]()
     for block in root.section("Blocks").sections.values():
         number = block.whole("Block ID")
@@ -194,25 +191,22 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
             continue
         where = script.body.named(f"block_{number}", block.place)
         left &= ~where.mask
-        horizon = block.number("Horizon")
-        if not horizon > 0.0:
-            raise CaseError(f"{block.entries['Horizon'].place} of the deck is {horizon:g}; a horizon is positive.")
-        script.horizon.append((where, horizon))
+        script.horizon.append((where, horizon_of(block)))
         script.notes.leave_out(block, "Density", "Specific Heat Capacity")
         name = block.text("Material Model")
-        code, control, kind = _material(materials.section(name), script, linear)
+        law = _material(materials.section(name), script, solver)
+        code = law.code
         _refuse_off(block, solver, on, script)
         thermal = block.text("Thermal Model", "")
         if thermal and on["Thermal Models"]:
             if thermals is None:
                 raise CaseError(f"{block.place} of the deck names the thermal model {thermal!r}, and it has none.")
-            code = _thermal(thermals.section(thermal), code, kind, script)
+            code = _thermal(thermals.section(thermal), law, script)
             if thermals.section(thermal).number("Reference Temperature", 0.0) != 0.0:
                 warm |= where.mask
             used.add(thermal)
         script.material.append((where, code))
-        controls.add(control)
-        kinds.add(kind)
+        laws.append(law)
         used.add(name)
         damage = block.text("Damage Model", "")
         broken.append((where, damage if on["Damage Models"] else ""))
@@ -222,18 +216,9 @@ def _blocks(script: Script, root: Section, linear: bool, on: dict[str, bool]) ->
         for name, section in held.sections.items() if held is not None else ():
             if name not in used and (held is not damages or name not in {model for _, model in broken}):
                 script.notes.leave_out_all(section)
-    if len(kinds) > 1 or len(controls) > 1:
-        raise CaseError("The deck mixes correspondence and other materials, or blocks with and without zero-energy "
-                        "control, which share no body here.")  # fmt: skip
-    if kinds == {"gradients"}:
-        script.arguments["scheme"] = "pd.Correspondence()"
-        script.arguments["weights"] = "pd.Standard()"
-        control = controls.pop()
-        if control is not None:
-            script.arguments["control"] = control
-        script.fields += ["pd.deformation_gradient", "pd.stress"]
+    put_gradients(script, laws)
     _influence(script, root.section("Discretization"))
-    _damage(script, damages, broken, kinds)
+    _damage(script, damages, broken)
     return warm
 
 
@@ -265,8 +250,7 @@ def _plane(section: Section, script: Script) -> str:
     raise CaseError(f"{section.place} of the deck has a plane body, and neither plane stress nor plane strain.")
 
 
-def _material(section: Section, script: Script, linear: bool) -> tuple[str, str | None, str]:
-    """Return the material as code, its control, and whether it has gradients or bonds."""
+def _material(section: Section, script: Script, solver: Section) -> Law:
     model = section.text("Material Model")
     plane = _plane(section, script)
     if section.flag("Bond Associated"):
@@ -274,11 +258,11 @@ def _material(section: Section, script: Script, linear: bool) -> tuple[str, str 
     if model == "Bond-based Elastic":
         script.notes.leave_out(section, "Zero Energy Control")
         E = _bond_based_modulus(section, script)
-        return f'pd.BondBased(E={E!r}{plane}, kinematics="finite")', None, "bonds"
+        return Law(f'pd.BondBased(E={E!r}{plane}, kinematics="finite")', "bonds")
     if model == "PD Solid Elastic":
         script.notes.leave_out(section, "Zero Energy Control")
         E, nu = elastic_constants(section)
-        return f'pd.LinearSolid(E={E!r}, nu={nu!r}{plane}, kinematics="finite")', None, "bonds"
+        return Law(f'pd.LinearSolid(E={E!r}, nu={nu!r}{plane}, kinematics="finite")', "bonds")
     if model != "Correspondence Elastic":
         raise CaseError(
             f"{section.entries['Material Model'].place} of the deck is {model!r}, which {_NO_PART}; known are "
@@ -295,13 +279,13 @@ def _material(section: Section, script: Script, linear: bool) -> tuple[str, str 
             "Shear stress is 2 G times the tensor strain; PeriLab of August 2026 takes 4 G in solids of Correspondence "
             "Elastic, whose stiffness of 2 G it multiplies by the engineering strain."
         )
-    if linear or section.flag("Linear Strain"):
-        return f"pd.LinearElastic(E={E!r}, nu={nu!r}{plane})", control, "gradients"
+    if _LINEAR in solver.sections or section.flag("Linear Strain"):
+        return Law(f"pd.LinearElastic(E={E!r}, nu={nu!r}{plane})", "gradients", control)
     script.notes.differs(
         "Stress is the second Piola-Kirchhoff one of Green's strain; PeriLab takes it for Cauchy's and divides by F, "
         "which is the same at small strain."
     )
-    return f"pd.SaintVenantKirchhoff(E={E!r}, nu={nu!r}{plane})", control, "gradients"
+    return Law(f"pd.SaintVenantKirchhoff(E={E!r}, nu={nu!r}{plane})", "gradients", control)
 
 
 def _bond_based_modulus(section: Section, script: Script) -> float:
@@ -330,7 +314,7 @@ def _bond_based_modulus(section: Section, script: Script) -> float:
     raise CaseError(f"{section.place} of the deck has no modulus.")
 
 
-def _thermal(section: Section, code: str, kind: str, script: Script) -> str:
+def _thermal(section: Section, law: Law, script: Script) -> str:
     model = section.text("Thermal Model")
     if model != "Thermal Expansion":
         raise CaseError(
@@ -344,9 +328,9 @@ def _thermal(section: Section, code: str, kind: str, script: Script) -> str:
         section, "Environmental Temperature", "Heat Transfer Coefficient", "Thermal Conductivity",
         "Thermal Conductivity Print Bed", "Print Bed Temperature", "Print Bed Y Coordinate",
     )  # fmt: skip
-    if kind == "bonds":
+    if law.kind == "bonds":
         script.notes.differs("A bond expands by the temperature of both of its ends; in PeriLab by that of each.")
-    return f"pd.Thermal({code}, expansion={expansion!r}, reference={reference!r})"
+    return f"pd.Thermal({law.code}, expansion={expansion!r}, reference={reference!r})"
 
 
 def _influence(script: Script, section: Section) -> None:
@@ -361,34 +345,20 @@ def _influence(script: Script, section: Section) -> None:
     own_influence(script, node.python({"xi": "xi", "pi": "np.pi"}), "xi", horizon)
 
 
-def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str]], kinds: set[str]) -> None:
+def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str]]) -> None:
     """Put the damage of blocks into the script; each has its particles and the name of its model."""
 
-    def law(name: str) -> str:
-        if models is None:
-            raise CaseError(f"The deck names the damage model {name!r} and has none.")
-        section = models.section(name)
-        model = section.text("Damage Model")
-        if model != "Critical Stretch" or kinds != {"bonds"}:
-            raise CaseError(
-                f"{section.entries['Damage Model'].place} of the deck is {model!r}; known is Critical Stretch, of PD "
-                f"Solid Elastic and Bond-based Elastic."
-            )
+    def critical(name: str, section: Section) -> float:
         if section.flag("Only Tension", True) is False:
             raise CaseError(f"{section.entries['Only Tension'].place} of the deck: damage by compression {_NO_PART}.")
-        critical = section.number("Critical Value")
         if any("pd.LinearSolid(" in code for _, code in script.material):
             script.notes.differs(
                 "Broken bonds still count in the weighted volume of PD Solid Elastic; in PeriLab only those that hold "
                 "do, so that the forces of particles that have lost some of their bonds are larger there."
             )
-        script.notes.differs(
-            "Bonds break one after another with equilibrium between them; PeriLab breaks once in a step all that are "
-            "too long."
-        )
-        return f"pd.Brittle(pd.ConstantCritical({critical!r}))"
+        return section.number("Critical Value")
 
-    damage_by_block(script, blocks, law)
+    damage_by_block(script, models, blocks, "PD Solid Elastic and Bond-based Elastic", critical)
 
 
 # --- conditions
@@ -411,9 +381,7 @@ def _conditions(script: Script, section: Section) -> None:
         if not axis and "Coordinate" in one.entries:
             one.text("Coordinate")
         parts = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
-        where = parts[0]
-        for part in parts[1:]:
-            where = where | part
+        where = functools.reduce(operator.or_, parts)
         value = parse(one.text("Value"), one.entries["Value"].place, {"x", "y", "z", "t"})
         script.given.append(Given(found, axis, where, value, one.place))
     for first, second in itertools.combinations(script.given, 2):
@@ -423,8 +391,6 @@ def _conditions(script: Script, section: Section) -> None:
                 f"{first.place} and {second.place} of the deck prescribe the same component of some particles; PeriLab "
                 f"does not say which holds."
             )
-    if any(given.kind == "Temperature" for given in script.given):
-        script.fields.append("pd.temperature")
 
 
 def _where(body: Body, name: str, place: str) -> Where:
@@ -438,8 +404,8 @@ def _where(body: Body, name: str, place: str) -> Where:
 # --- time
 
 
-def _times(solver: Section, notes: Notes, static: bool) -> tuple[bool, Times]:
-    """Return whether the answer is linear, and the times of the load steps."""
+def _times(solver: Section, deck: Deck) -> Times:
+    """Return the times of the load steps."""
     first, last = solver.number("Initial Time", 0.0), solver.number("Final Time")
     kinds = [name for name in solver.sections if name in (_LINEAR, "Static", *_IN_TIME)]
     if len(kinds) != 1:
@@ -448,23 +414,16 @@ def _times(solver: Section, notes: Notes, static: bool) -> tuple[bool, Times]:
     section = solver.sections[kinds[0]]
     count = solver.whole("Number of Steps", 1)
     if kinds[0] in _IN_TIME:
-        if not static:
-            raise CaseError(
-                f"{section.place} of the deck is a solver in time, and this program finds static equilibrium; give "
-                f"--static to solve the deck statically up to its final time."
-            )
-        for entry in section.leaves():
-            entry.used = True
+        deck.leave_out_inertia(section)
         count = STATIC_STEPS
-        notes.differs(f"Inertia is left out: the deck is solved in time with {kinds[0]}, here in {count} load steps.")
     else:
         dt = section.number("Fixed dt", 0.0) if kinds[0] == "Static" else 0.0
         if dt > 0.0:
             # Rounded, half to even: the last step may end before or after the final time.
             count = round(min(max((last - first) / dt, 0.0), 2.0 * MOST_STEPS))
             last = first + count * dt
-        notes.leave_out(section, *_TUNING)
+        deck.notes.leave_out(section, *_TUNING)
     for name in ("Calculation", "Calculate Cauchy", "Calculate von Mises stress", "Calculate Strain"):
-        notes.leave_out(solver, name)
+        deck.notes.leave_out(solver, name)
     refuse_steps(solver, count, first, last)
-    return kinds[0] == _LINEAR, Times([first + (last - first) * n / count for n in range(count)] + [last])
+    return Times.even(first, last, count)

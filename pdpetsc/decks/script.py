@@ -11,20 +11,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.bounds import MOST_STEPS
 from pdpetsc.decks.expressions import Node
 from pdpetsc.decks.sections import Entry, Section
 from pdpetsc.errors import CaseError
 
 # Lines of a written file are at most this long.
 _WIDTH = 116
-# An edge of a crack is this wide, as a share of its size.
-_EDGE = 1e-9
+# Load steps of a deck in time that is solved statically.
+STATIC_STEPS = 10
 # Lengths that differ by less than this share are the same within rounding.
-_TIE = 1e-9
+TIE = 1e-9
 _COORDINATES = {"x": "x[:, 0]", "y": "x[:, 1]", "z": "x[:, 2]", "pi": "np.pi"}
 
 
@@ -183,11 +181,59 @@ class Notes:
             self.left_out.append(entry)
 
 
+@dataclass(frozen=True)
+class Deck:
+    """A deck to be translated.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    root : Section
+        What it holds, without what is to be ignored.
+    notes : Notes
+        Where differences and what is left out are noted.
+    folder : Path
+        Where the case file will be.
+    static : bool
+        Whether a deck in time is solved statically.
+    """
+
+    path: Path
+    root: Section
+    notes: Notes
+    folder: Path
+    static: bool
+
+    def leave_out_inertia(self, solver: Section) -> None:
+        """Note that a solver in time becomes a static one.
+
+        Raises
+        ------
+        CaseError
+            The deck is not to be solved statically.
+        """
+        if not self.static:
+            raise CaseError(
+                f"{solver.place} of the deck is a solver in time, and this program finds static equilibrium; give "
+                f"--static to solve the deck statically up to its final time."
+            )
+        solver.use_all()
+        self.notes.differs(
+            f"Inertia is left out: the deck is solved in time with {solver.name}, here in {STATIC_STEPS} load steps."
+        )
+
+
 @dataclass
 class Times:
     """The times of the deck at the load steps, ascending, the first one at the beginning."""
 
     values: list[float]
+
+    @classmethod
+    def even(cls, first: float, last: float, count: int) -> Times:
+        """Return the times of steps of equal size."""
+        return cls([first + (last - first) * n / count for n in range(count)] + [last])
 
     @property
     def first(self) -> float:
@@ -243,6 +289,11 @@ class Script:
     history: dict[str, str] = field(default_factory=dict)
     fields: list[str] = field(default_factory=lambda: ["pd.displacement"])
 
+    @property
+    def has_temperatures(self) -> bool:
+        """Return True if the deck prescribes a temperature."""
+        return any(given.kind == "Temperature" for given in self.given)
+
     def text(self) -> str:
         """Return the case file."""
         self._part_overlaps()
@@ -254,7 +305,7 @@ class Script:
             "conditions": _listed(conditions),
             **self.arguments,
             "steps": "pd.Steps(steps)",
-            "fields": _listed(self.fields),
+            "fields": _listed([*self.fields, *(["pd.temperature"] if self.has_temperatures else [])]),
         }
         if self.history:
             entries = [f"{quoted(name)}: {code}," for name, code in self.history.items()]
@@ -453,253 +504,3 @@ def relative(path: Path, folder: Path) -> str:
     """Return code for a path of the deck, from the folder of the case file."""
     found = os.path.relpath(path.resolve(), folder.resolve())
     return f"FOLDER / {quoted(Path(found).as_posix())}"
-
-
-def cracks(section: Section, x: Float) -> list[str]:
-    """Return the cracks of bond filters as code; their names have blanks or underscores.
-
-    Bonds through the edge of a rectangle are cut and those through the rim of a disc are not, as in Peridigm.
-
-    Parameters
-    ----------
-    section : Section
-        The filters.
-    x : (n, dim) float64
-        Where the particles are [length].
-
-    Raises
-    ------
-    CaseError
-        One is neither rectangle nor disc, or not flat, or particles lie on its plane.
-    """
-    found, dim = [], x.shape[1]
-    for one in section.sections.values():
-        kind = one.text("Type").replace(" ", "_")
-
-        def named(name: str, one: Section = one) -> str:
-            return name if name in one.entries else name.replace(" ", "_")
-
-        def vector(name: str, one: Section = one) -> Float:
-            values = [
-                one.number(named(f"{name} {axis}", one), 0.0 if k >= dim else None) for k, axis in enumerate("XYZ")
-            ]
-            return np.array(values[:dim])
-
-        if one.flag("Allow Contact"):
-            raise CaseError(f"{one.entries['Allow Contact'].place} of the deck has no counterpart here.")
-        if kind == "Rectangular_Plane":
-            normal, corner, bottom = vector("Normal"), vector("Lower Left Corner"), vector("Bottom Unit Vector")
-            along, side = one.number(named("Bottom Length")), one.number(named("Side Length"))
-            sizes = float(np.linalg.norm(bottom)), float(np.linalg.norm(normal))
-            if min(*sizes, along, side) <= 0.0 or abs(bottom @ normal) > 1e-9 * sizes[0] * sizes[1]:
-                raise CaseError(f"{one.place} of the deck is no rectangle.")
-            bottom, normal = bottom / sizes[0], normal / sizes[1]
-            _refuse_on_plane(one, x, corner, normal)
-            if dim == 2:
-                found.append(f"pd.Segment({_point(corner)}, {_point(corner + along * bottom)})")
-            else:
-                up = side * np.cross(bottom, normal)
-                corner, along, up = (
-                    corner - _EDGE * (along * bottom + up),
-                    along * (1 + 2 * _EDGE),
-                    up * (1 + 2 * _EDGE),
-                )
-                corners = [corner, corner + along * bottom, corner + along * bottom + up, corner + up]
-                found.append(f"pd.PolygonCrack([{', '.join(_point(point) for point in corners)}])")
-        elif kind == "Disk" and dim == 3:
-            centre, normal, radius = vector("Center"), vector("Normal"), one.number("Radius")
-            if not (np.linalg.norm(normal) > 0.0 and radius > 0.0):
-                raise CaseError(f"{one.place} of the deck is no disc.")
-            _refuse_on_plane(one, x, centre, normal / np.linalg.norm(normal))
-            found.append(f"pd.Disc({_point(centre)}, {_point(normal)}, {radius * (1.0 - _EDGE)!r})")
-        else:
-            raise CaseError(f"{one.entries['Type'].place} of the deck is {kind!r}, which has no counterpart in {dim}D.")
-    return found
-
-
-def _refuse_on_plane(one: Section, x: Float, point: Float, normal: Float) -> None:
-    """Raise CaseError where particles lie on the plane of a crack: which of their bonds it cuts nobody knows."""
-    extent = max(float(np.ptp(x, axis=0).max()), 1e-300)
-    on = np.flatnonzero(np.abs((x - point) @ normal) <= _EDGE * extent)
-    if len(on):
-        raise CaseError(
-            f"{len(on)} particles lie on the plane of {one.place} of the deck, such as {x[on[0]].tolist()}; move it "
-            f"between particles."
-        )
-
-
-def _point(point: Float) -> str:
-    return f"({', '.join(repr(float(value)) for value in point)})"
-
-
-def note_ties(script: Script) -> None:
-    """Note bonds that are as long as the horizon within rounding, which families of a grid of the deck have not."""
-    if script.body.families is not None:
-        return
-    every, count = cKDTree(script.body.x), 0
-    for where, length in script.horizon:
-        own = cKDTree(script.body.x[where.mask])
-        shorter, longer = own.count_neighbors(every, np.array([1.0 - _TIE, 1.0 + _TIE]) * length)
-        count += int(longer - shorter)
-    if count:
-        script.notes.differs(
-            f"{count} bonds are as long as the horizon within rounding, from one end or both: all of them count here, "
-            f"and in {script.program} rounding decides."
-        )
-
-
-def reads_influence(script: Script, section: Section) -> bool:
-    """Return True if the materials read the influence function of the deck, and note it as left out otherwise.
-
-    Raises
-    ------
-    CaseError
-        Some of the materials read it and others do not.
-    """
-    without = {"pd.BondBased(" in code for _, code in script.material}
-    place = section.entries["Influence Function"].place
-    if len(without) > 1:
-        raise CaseError(
-            f"{place} of the deck is read by some materials and not by the bond-based ones of {script.program}; make a "
-            f"deck of each."
-        )
-    if without == {True}:
-        script.notes.leave_out(section, "Influence Function")
-        section.entries["Influence Function"].used = True
-        script.notes.differs(f"{place} has no effect: the bond-based material of {script.program} does not read it.")
-    return without == {False}
-
-
-def single_horizon(horizons: set[float], place: str) -> float:
-    """Return the horizon of a deck; raises CaseError if it has several."""
-    if len(horizons) > 1:
-        raise CaseError(f"{place} of the deck: an influence of the length of bonds needs one horizon here.")
-    return next(iter(horizons))
-
-
-def own_influence(script: Script, body: str, length: str, scale: float) -> None:
-    """Put an influence function into the script: Python of a length, which is ``scale`` times bond over horizon."""
-    script.arguments["influence"] = "OwnInfluence()"
-    script.body.helpers += [
-        *([""] * 2 if script.body.helpers else []),
-        "class OwnInfluence(pd.influence.Influence):", '    """That of the deck, of the length of a bond."""', "",
-        "    def __call__(self, s):", '        """Return the influence of bonds of length s horizons."""',
-        f"        {length} = {scale!r} * s",
-        f"        return {body} + 0.0 * {length}",
-    ]  # fmt: skip
-
-
-def damage_by_block(script: Script, blocks: Sequence[tuple[Where, str]], law: Callable[[str], str]) -> None:
-    """Put the damage of blocks into the script.
-
-    Parameters
-    ----------
-    script : Script
-        Where to, with the horizons of the blocks.
-    blocks : sequence of (Where, str)
-        The particles of each block and the name of its damage model; empty for a block without one.
-    law : callable
-        The model of a name as code.
-
-    Raises
-    ------
-    CaseError
-        Blocks of different models share bonds: the program of the deck breaks them from one end alone.
-    """
-    parts: dict[str, Where] = {}
-    for where, name in blocks:
-        parts[name] = parts[name] | where if name in parts else where
-    laws = {name: law(name) if name else "None" for name in parts}
-    if len(parts) == 1:
-        if "" not in parts:
-            script.arguments["damage"] = laws.popitem()[1]
-        return
-    reach = max(length for _, length in script.horizon) * (1.0 + _TIE)
-    for (one, here), (other, there) in itertools.combinations(parts.items(), 2):
-        shared = cKDTree(script.body.x[here.mask]).count_neighbors(cKDTree(script.body.x[there.mask]), reach)
-        if shared:
-            raise CaseError(
-                f"The deck has bonds between blocks with the damage model {one or 'None'} and blocks with "
-                f"{other or 'None'}; {script.program} breaks them from one end alone, which has no counterpart here: "
-                f"give these blocks one model."
-            )
-    regions = [f"    {quoted(name or 'None')}: {where.code}," for name, where in parts.items()]
-    codes = [f"    {quoted(name or 'None')}: {code}," for name, code in laws.items()]
-    script.arguments["damage"] = "\n".join(
-        ["pd.DamageOf(", "    {", *(f"    {line}" for line in regions), "    },", "    {",
-         *(f"    {line}" for line in codes), "    },", ")"]
-    )  # fmt: skip
-
-
-def elastic_constants(section: Section) -> tuple[float, float]:
-    """Return Young's modulus and Poisson's ratio from two of the constants of a material.
-
-    Raises
-    ------
-    CaseError
-        There are not two of them, or no material has these.
-    """
-    names = ("Bulk Modulus", "Shear Modulus", "Young's Modulus", "Poisson's Ratio")
-    given = {name: section.number(name) for name in names if name in section.entries}
-    if len(given) != 2:
-        raise CaseError(
-            f"{section.place} of the deck needs two of {', '.join(names)}, and has {', '.join(given) or 'none'}."
-        )
-    K, G, E, nu = (given.get(name) for name in names)
-    try:
-        if K is not None and G is not None:
-            found = 9.0 * K * G / (3.0 * K + G), (3.0 * K - 2.0 * G) / (6.0 * K + 2.0 * G)
-        elif K is not None and E is not None:
-            found = E, (3.0 * K - E) / (6.0 * K)
-        elif K is not None and nu is not None:
-            found = 3.0 * K * (1.0 - 2.0 * nu), nu
-        elif G is not None and E is not None:
-            found = E, E / (2.0 * G) - 1.0
-        elif G is not None and nu is not None:
-            found = 2.0 * G * (1.0 + nu), nu
-        else:
-            assert E is not None
-            assert nu is not None
-            found = E, nu
-    except ZeroDivisionError:
-        found = math.nan, math.nan
-    if not (found[0] > 0.0 and -1.0 < found[1] < 0.5):
-        raise CaseError(f"{section.place} of the deck has E = {found[0]:g} and nu = {found[1]:g}, as no material has.")
-    return found
-
-
-def refuse_steps(solver: Section, count: int, first: float, last: float) -> None:
-    """Raise CaseError unless a solver has load steps, not too many, between times that ascend."""
-    if not 1 <= count <= MOST_STEPS or not last > first:
-        raise CaseError(
-            f"{solver.place} of the deck has {count} steps from {first:g} to {last:g}; it needs 1 to {MOST_STEPS} of "
-            f"them, and times that ascend."
-        )
-
-
-def refuse_unknown(root: Section) -> None:
-    """Raise CaseError where an entry of the deck has neither been read nor noted."""
-    left = root.unread()
-    if left:
-        more = ", ".join(one.path for one in left[1:6]) + (", ..." if len(left) > 6 else "")
-        raise CaseError(
-            f"The deck has {left[0].place}{f' and {more}' if more else ''}, which {'have' if more else 'has'} no "
-            f"counterpart here; give --ignore '{left[0].path}' and so on if the answer does not depend on it."
-        )
-
-
-def refuse_same_names(names: Iterable[str]) -> None:
-    """Raise CaseError where two sets of a deck have names that are the same without blanks and capitals."""
-    found: dict[str, str] = {}
-    for name in names:
-        if tidy(name) in found:
-            raise CaseError(
-                f"The deck or its mesh has the sets {found[tidy(name)]!r} and {name!r}, whose names are the same "
-                f"without blanks and capitals; give one another name."
-            )
-        found[tidy(name)] = name
-
-
-def words(text: str) -> Sequence[str]:
-    """Return the words of a text, without commas."""
-    return text.replace(",", " ").split()

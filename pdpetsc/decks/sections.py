@@ -118,6 +118,11 @@ class Section:
                 continue
             yield from section.leaves()
 
+    def use_all(self) -> None:
+        """Mark all entries of it and of the sections in it as read."""
+        for entry in self.leaves():
+            entry.used = True
+
     def unread(self) -> list[Entry | Section]:
         """Return the entries that have not been read, and sections in the place of all of theirs."""
         found: list[Entry | Section] = [entry for entry in self.entries.values() if not entry.used]

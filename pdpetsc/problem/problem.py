@@ -435,8 +435,7 @@ def diagonal_blocks_of_rows(body: Body, products: Sequence[Product]) -> Float:
     """
     cloud, dim = body.cloud, body.dim
     sparsity = build_sparsity(cloud, body.with_centres.point_ptr, body.with_centres.members)
-    sizes = sparsity.owned.diag_ptr[-1], sparsity.owned.off_ptr[-1], sparsity.ghost.diag_ptr[-1]
-    entries = Entries(sparsity, *(np.zeros(dim**2 * int(size)) for size in sizes))
+    entries = Entries.zeros(sparsity)
     for product in products:
         product.add_rows(entries)
     sparsity.complete(entries.ghost, entries.diag, entries.off, dim)

@@ -161,7 +161,7 @@ class Small:
         return self.problem.break_bonds(self.at(u), most)
 
     def soften(self, u):
-        return self.problem.damage.soften(self.at(u))
+        return self.problem.soften(self.at(u))
 
     def elongation(self, u):
         return self.problem.body.elongated(
@@ -172,7 +172,7 @@ class Small:
         return self.problem.damage.driving_values(self.at(u))
 
     def take_failure(self):
-        self.problem.damage.restored()
+        self.problem.bonds_restored()
 
 
 def dense_tangent(small, u, assembler=None):

@@ -15,7 +15,9 @@ from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import make_damage
+from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.problem.supports import Supports
 from pdpetsc.solvers.table import refuse_unmet
 from pdpetsc.terms.bond_forces import BondForces
 from tests.commands import ROOT, Stop, field, jacobian_ratios, results
@@ -193,6 +195,7 @@ def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion
     material_term = BondForces(around, bonds, [pd.BondBased(E=10.0)], np.zeros(cloud.n_owned, dtype=np.int32))
     damage = make_damage(LAWS[law](criterion(Gc)), around, bonds.omega, material_term.k, False)
     material_term.take_damage(damage)
+    problem = Problem(around, material_term, [], Supports(around), damage)
     right = cloud.x[: cloud.n_owned, 0] > 0.5 * dx * sides[0]
     limit = damage.limit
     apart = np.linspace(0.0, 1.5 * horizon * damage.bonds.law.final * limit.max(), 801)
@@ -201,12 +204,12 @@ def test_pulling_two_rigid_halves_apart_takes_the_fracture_energy(dim, criterion
         u = np.zeros((cloud.n_rows, dim))
         u[: cloud.n_owned][right, 0] = w
         state = State(around, u)
-        while damage.break_bonds(state, 10**6):
+        while problem.break_bonds(state, 10**6):
             state = State(around, u)
         f = np.zeros((cloud.n_local, dim))
         material_term.add_force(state, f)
         pull.append(around.gather(f)[: cloud.n_owned][right, 0].sum())
-        damage.soften(state)
+        problem.soften(state)
     assert pull[-1] == pytest.approx(0.0, abs=1e-9 * max(pull))
     work = 0.5 * ((np.array(pull)[1:] + np.array(pull)[:-1]) * np.diff(apart)).sum()
     area = dx ** (dim - 1) * np.prod(sides[1:])

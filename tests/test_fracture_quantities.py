@@ -667,7 +667,7 @@ def test_a_domain_follows_the_tip_and_says_nan_where_it_has_left_the_body(materi
         across = a[:, 1] * b[:, 1] < 0.0
         where = a[:, 0] + np.where(across, a[:, 1] / np.where(across, a[:, 1] - b[:, 1], 1.0), 0.0) * (b - a)[:, 0]
         bonds.phi[across & (where < reached)] = 0.0
-        prepared.problem.damage.changed(rebuild=True)
+        prepared.problem.bonds_restored()
         solution = at(prepared, lambda x, to=reached: k_field(x - [to, 0.0], 1.0, 0.0, law))
         moving = pd.JIntegral((-0.2, 0.0), (1.0, 0.0), 0.25, 0.6, follows=tip)
         found.append(moving.evaluate(solution) * law.E)

@@ -458,8 +458,8 @@ def test_heat_alone_tears_no_bond_beside_a_broken_one():
     assert model.break_bonds(u) > 0
     heated = expanded(model, np.diag([0.2, 0.1, 0.0]))
     free = model.cloud.x[: model.cloud.n_owned] * [0.2, 0.1]
-    assert np.abs(heated.material_term.tensile_strain(heated.at(free))).max() < 1e-12
-    assert heated.material_term.tensile_strain(heated.at(2.0 * free)).max() > 0.05
+    assert np.abs(heated.material_term.family_strain(heated.at(free))).max() < 1e-12
+    assert heated.material_term.family_strain(heated.at(2.0 * free)).max() > 0.05
     assert heated.break_bonds(free) == 0
     assert np.abs(heated.internal_force(free)).max() < 1e-11
 
@@ -595,7 +595,7 @@ def test_a_gradient_tears_bonds_by_the_elongation_that_drives_them(material):
     assert model.break_bonds(u) > 0
     model = expanded(model, np.diag([0.2, 0.2, 0.0]))
     uniform = model.at(model.cloud.x[: model.cloud.n_owned] * [0.5, 0.2])
-    family_strain = model.material_term.tensile_strain(uniform)
+    family_strain = model.material_term.family_strain(uniform)
     e, _ = uniform.elongated(True)
     xi = model.families.bonds(model.cloud.x)
     along = (np.abs(xi[:, 1]) < 1e-9) & (family_strain > 0.0)

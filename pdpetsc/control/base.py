@@ -16,10 +16,9 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator, SameGradient
+from pdpetsc.gradient.base import GradientOperator, SameGradient, StencilMembers
 from pdpetsc.gradient.products import Entries, Product
 from pdpetsc.kernels.assembly import add_diagonal_kernel
-from pdpetsc.kernels.sparsity import transpose
 
 Stencil: TypeAlias = tuple[GlobalIndex, LocalIndex]
 _NO_DAMAGE = (
@@ -121,48 +120,38 @@ def isotropic(sparsity: Sparsity, kernel: Callable[..., None], stencils: Stencil
     Arguments as for ``fill``. A component turns its sign behind some mirror planes and not behind others.
     """
     components = sparsity.cloud.dim if len(sparsity.cloud.places.mirrors[0]) > 1 else 1
-    parts = [fill(sparsity, 1, kernel, stencils, *data, component=c) for c in range(components)]
+    parts = [fill(sparsity, kernel, stencils, *data, component=c) for c in range(components)]
     return IsotropicMatrix(sparsity, np.array([diag for diag, _ in parts]), np.array([off for _, off in parts]))
 
 
 def fill(
-    sparsity: Sparsity, dim: int, kernel: Callable[..., None], stencils: Stencil, *data: Float, component: int = 0
+    sparsity: Sparsity, kernel: Callable[..., None], stencils: Stencil, *data: Float, component: int | None = None
 ) -> tuple[Float, Float]:
-    """Return the values of the own rows, own columns and others, of a matrix with ``dim x dim`` values per block.
+    """Return the values of the own rows, own columns and others, of the matrix of a control.
 
     Parameters
     ----------
     sparsity : Sparsity
         Where its blocks are.
-    dim : int
-        Block size: the dimension, or 1 for a matrix of one scalar per block.
     kernel : callable
         Row-wise loop with the arguments of ``kernels.assembly.assemble_kernel``.
     stencils : (point_ptr, members)
         What the matrix couples.
     data
         What the kernel reads after the stencils.
-    component : int
-        The first of the components that a block has.
+    component : int, optional
+        The component that blocks of one value have; whole blocks if absent.
 
     Notes
     -----
     Collective.
     """
-    transposed = transpose(*stencils, sparsity.cloud.n_local)
-    *locals_of_columns, signs = sparsity.locals_of_columns
-    signs = np.ascontiguousarray(signs[:, component : component + dim])
-    values = []
-    for rows in (sparsity.owned, sparsity.ghost):
-        diag, off = np.zeros(dim * dim * rows.diag_ptr[-1]), np.zeros(dim * dim * rows.off_ptr[-1])
-        kernel(
-            rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *locals_of_columns, signs, *transposed,
-            *stencils, *data, diag, off,
-        )  # fmt: skip
-        values.append((diag, off))
-    diag, off = values[0]
-    sparsity.complete(values[1][0], diag, off, dim)
-    return diag, off
+    ptr, members = stencils
+    own = np.arange(len(ptr) - 1, dtype=np.int32)
+    entries = Entries.zeros(sparsity, component)
+    entries.add(kernel, StencilMembers(own, ptr, members), ptr, members, *data)
+    sparsity.complete(entries.ghost, entries.diag, entries.off, sparsity.cloud.dim if component is None else 1)
+    return entries.diag, entries.off
 
 
 class Control(Product, ABC):

@@ -183,7 +183,7 @@ class Directed(Control):
         T = np.zeros((cloud.n_owned, dim, dim, dim, dim))
         np.add.at(T, self._families.centres, np.einsum("bij,bm,bn->bijmn", self._S, xi, xi))
         data = self._S, self._g, T, cloud.x
-        return BlockMatrix(*fill(sparsity, dim, directed_matrix_kernel(dim), self.stencils, *data))
+        return BlockMatrix(*fill(sparsity, directed_matrix_kernel(dim), self.stencils, *data))
 
     def add_point_blocks(self, blocks: Float) -> bool:
         """Add to the blocks of local particles (n_local, dim, dim)."""

@@ -34,12 +34,23 @@ class Entries:
         Values of the own rows, own columns and others, in scalar CSR layout.
     ghost : float64
         This rank's share of the rows of its ghosts.
+    component : int or None
+        The component of the displacement that blocks of one value have; None for whole blocks.
     """
 
     sparsity: Sparsity
     diag: Float
     off: Float
     ghost: Float
+    component: int | None = None
+
+    @classmethod
+    def zeros(cls, sparsity: Sparsity, component: int | None = None) -> Entries:
+        """Return zeros for all blocks."""
+        size = sparsity.cloud.dim**2 if component is None else 1
+        blocks = sparsity.owned.diag_ptr[-1], sparsity.owned.off_ptr[-1], sparsity.ghost.diag_ptr[-1]
+        diag, off, ghost = (np.zeros(size * int(n)) for n in blocks)
+        return cls(sparsity, diag, off, ghost, component)
 
     def add(self, kernel: Callable[..., Any], stencils: StencilMembers, *data: Any) -> None:
         """Add the rows of own particles and of ghosts that stencils give (not collective).
@@ -55,9 +66,12 @@ class Entries:
         """
         sparsity = self.sparsity
         by_particle = stencils.by_particle(sparsity.cloud.n_local)
+        *locals_of_columns, signs = sparsity.locals_of_columns
+        if self.component is not None:
+            signs = np.ascontiguousarray(signs[:, [self.component]])
         for rows, own in ((sparsity.owned, self.diag), (sparsity.ghost, self.ghost)):
             kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *sparsity.locals_of_columns, *by_particle,
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *locals_of_columns, signs, *by_particle,
                 *data, own, self.off,
             )  # fmt: skip
 

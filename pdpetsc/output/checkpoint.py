@@ -358,7 +358,7 @@ def read_checkpoint(
         )
     if damage is not None:
         damage.bonds.frozen = bool(values["frozen"])
-        damage.restored()
+        problem.bonds_restored()
     for name, kept in arrays.items():
         _put(kept, cloud, order.from_parts(tables[name]), f"{path}: {name}")
     problem.restored()

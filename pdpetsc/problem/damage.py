@@ -1,8 +1,8 @@
-"""Damage of the bonds of a body: what happens to them, and who follows."""
+"""Damage of the bonds of a body."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -43,14 +43,11 @@ class Damage:
     ----------
     version, breaks : int
         Grow whenever the integrity of a bond changes; and whenever bonds break or mend.
-    followers : list of callable
-        Called with whether bonds have broken or mended, whenever the integrity has changed (collective).
-    torn : callable or None
-        Gives the tensile strain on every bond (n_bonds,) [-] at a state, by which bonds break besides their own drive.
 
     Notes
     -----
-    Every method is collective but where it says otherwise.
+    Every method is collective but where it says otherwise. Methods that change bonds are called by ``Problem``, which
+    lets terms follow.
     """
 
     def __init__(
@@ -68,13 +65,16 @@ class Damage:
         self.damageable = damageable
         self.version = 0
         self.breaks = 0
-        self.followers: list[Callable[[bool], None]] = []
-        self.family_strain: Callable[[State], Float] | None = None
 
     @property
     def softens(self) -> bool:
         """Return whether bonds lose their force gradually (not collective)."""
         return self.bonds.laws.softens
+
+    @property
+    def breaks_by_family_strain(self) -> bool:
+        """Return whether bonds also break by the strain of a family (not collective)."""
+        return self.bonds.law.effect.breaks_by_family_strain
 
     @property
     def reversible(self) -> bool:
@@ -148,31 +148,25 @@ class Damage:
             self.version += 1
 
     def commit(self, state: State) -> None:
-        """Take the damage at a converged state for good."""
-        self.soften(state)
+        """Keep the bonds, and what the driving variable remembers, at a converged state."""
         self.driving_variable.commit(state)
         self.bonds.commit()
 
-    def revert(self) -> None:
-        """Take back what failed since the last ``commit``."""
+    def revert(self) -> bool:
+        """Take back what failed since the last ``commit``; return whether bonds have mended."""
         intact = self.bonds.intact
         self.bonds.revert()
         mended = int(np.any(intact != self.bonds.intact))
-        self.changed(rebuild=int(total(self.body.cloud.comm, mended)) > 0)
+        return int(total(self.body.cloud.comm, mended)) > 0
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
-        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs.
+        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs."""
+        return self.bonds.break_bonds(self.driving_values(state), most)
 
-        If none is past it, bonds break by the strain of a family (``family_strain``), if the damage evolution and the
-        driving variable allow it.
-        """
-        broken = self.bonds.break_bonds(self.driving_values(state), most)
-        if not broken and self.family_strain is not None and self.bonds.law.effect.breaks_by_family_strain:
-            over = self.driving_variable.at_strain(self.family_strain(state))
-            broken = 0 if over is None else self.bonds.tear(self._spared(over), most)
-        if broken:
-            self.changed(rebuild=True)
-        return broken
+    def break_families(self, strain: Float, most: int | None = None) -> int:
+        """Break bonds by the tensile strain of their families (n_bonds,) [-], likewise; return how many pairs."""
+        over = self.driving_variable.at_strain(strain)
+        return 0 if over is None else self.bonds.tear(self._spared(over), most)
 
     def fading(self, state: State) -> float:
         """Return by how much the integrity of a bond would change at most [-]."""
@@ -180,31 +174,15 @@ class Damage:
 
     def soften(self, state: State) -> float:
         """Take the damage at a state for good; return the largest change of an integrity [-]."""
-        change = self.bonds.soften(self.driving_values(state))
-        if change > 0.0:
-            self.changed(rebuild=False)
-        return change
+        return self.bonds.soften(self.driving_values(state))
 
-    def kept(self) -> tuple[Float, Float]:
-        """Return a copy of the state of the bonds, integrity and largest drive, for ``take`` (not collective)."""
+    def stored(self) -> tuple[Float, Float]:
+        """Return a copy of the state of the bonds, integrity and largest drive, for ``reset`` (not collective)."""
         return self.bonds.phi.copy(), self.bonds.kappa.copy()
 
-    def take(self, kept: tuple[Float, Float]) -> None:
-        """Go back to a state of the bonds in which the same ones are broken."""
-        self.bonds.phi[:], self.bonds.kappa[:] = kept
-        self.changed(rebuild=False)
-
-    def restored(self) -> None:
-        """Follow the state of the bonds, set from outside, and keep it."""
-        self.bonds.commit()
-        self.changed(rebuild=True)
-
-    def changed(self, rebuild: bool) -> None:
-        """Let everybody follow a change of the integrity of bonds, and of which are broken where ``rebuild``."""
-        for follow in self.followers:
-            follow(rebuild)
-        self.version += 1
-        self.breaks += rebuild
+    def reset(self, stored: tuple[Float, Float]) -> None:
+        """Go back to a state of the bonds (not collective)."""
+        self.bonds.phi[:], self.bonds.kappa[:] = stored
 
     def most_driven(self, state: State, band: float) -> tuple[Float, float]:
         """Return how the largest drive grows with the unknowns, and that drive.

@@ -7,6 +7,7 @@ from abc import abstractmethod
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.damage.criterion import Solid
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
@@ -64,6 +65,15 @@ class MaterialTerm(Term):
         raise CaseError(
             f"{type(self).__name__} knows no strain without stress; leave temperatures and eigenstrains out."
         )
+
+    @property
+    def driving_points(self) -> Solid | None:
+        """Return the gradient points that driving variables of damage may read (not collective)."""
+        return None
+
+    def family_strain(self, state: State) -> Float | None:
+        """Return the tensile strain by which bonds break besides their own drive (n_bonds,) [-], None for none."""
+        return None
 
     @abstractmethod
     def deformation_gradient(self, state: State) -> Float:

@@ -70,6 +70,9 @@ class Problem:
         # What has been cut off a cell, heated or damaged does not go on as in the step before.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
         self.last_step = LastStep(self) if goes_on and material_term.has_history else None
+        points = material_term.driving_points
+        if damage is not None and points is not None:
+            damage.driving_variable.take(points)
         self._last: State | None = None
         self._last_version = -1
         self._unstrained: tuple[tuple[float, int, int], Float] | None = None
@@ -87,11 +90,7 @@ class Problem:
     @property
     def piecewise_linear(self) -> bool:
         """Return whether the residual is linear in the unknowns as long as no bond fails (not collective)."""
-        frozen = self.damage is not None and self.damage.bonds.frozen
-        self.freeze(True)
-        linear = self.linear
-        self.freeze(frozen)
-        return linear
+        return all(term.piecewise_linear for term in self.terms)
 
     @property
     def symmetric(self) -> bool:
@@ -258,7 +257,10 @@ class Problem:
     def commit(self, state: State) -> None:
         """Take a state as converged: what has a history remembers it."""
         if self.damage is not None:
+            self.soften(state)
             self.damage.commit(state)
+        for term in self.terms:
+            term.before_commit(state)
         for term in self.terms:
             term.commit(state)
         if self.last_step is not None:
@@ -267,7 +269,7 @@ class Problem:
     def revert(self) -> None:
         """Take back what failed since the last ``commit``."""
         if self.damage is not None:
-            self.damage.revert()
+            self._bonds_changed(rebuild=self.damage.revert())
         for one in self.staggered:
             one.revert()
             self._last = None
@@ -287,8 +289,48 @@ class Problem:
         return largest(self.body.cloud.comm, self.material_term.plastic_growth(state))
 
     def break_bonds(self, state: State, most: int | None = None) -> int:
-        """Break bonds past their final stretch (``Damage.break_bonds``); 0 where bonds do not fail."""
-        return 0 if self.damage is None else self.damage.break_bonds(state, most)
+        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs.
+
+        If none is past it, bonds break by the strain of a family, if the damage evolution and the driving variable
+        allow it. Return 0 if bonds do not fail.
+        """
+        if self.damage is None:
+            return 0
+        broken = self.damage.break_bonds(state, most)
+        if not broken and self.damage.breaks_by_family_strain:
+            strain = self.material_term.family_strain(state)
+            broken = 0 if strain is None else self.damage.break_families(strain, most)
+        if broken:
+            self._bonds_changed(rebuild=True)
+        return broken
+
+    def soften(self, state: State) -> float:
+        """Take the damage at a state for good; return the largest change of an integrity [-]."""
+        assert self.damage is not None
+        change = self.damage.soften(state)
+        if change > 0.0:
+            self._bonds_changed(rebuild=False)
+        return change
+
+    def reset_bonds(self, stored: tuple[Float, Float]) -> None:
+        """Go back to a state of the bonds (``Damage.stored``) in which the same ones are broken."""
+        assert self.damage is not None
+        self.damage.reset(stored)
+        self._bonds_changed(rebuild=False)
+
+    def bonds_restored(self) -> None:
+        """Follow the state of the bonds, set from outside, and keep it."""
+        assert self.damage is not None
+        self.damage.bonds.commit()
+        self._bonds_changed(rebuild=True)
+
+    def _bonds_changed(self, rebuild: bool) -> None:
+        """Let terms follow bonds that have lost or regained force, and broken or mended ones if ``rebuild``."""
+        assert self.damage is not None
+        for term in self.terms:
+            term.bonds_changed(rebuild)
+        self.damage.version += 1
+        self.damage.breaks += rebuild
 
     @property
     def softens(self) -> bool:
@@ -408,8 +450,7 @@ def diagonal_blocks_of_rows(body: Body, products: Sequence[Product]) -> Float:
     """
     cloud, dim = body.cloud, body.dim
     sparsity = build_sparsity(cloud, body.with_centres.point_ptr, body.with_centres.members)
-    sizes = sparsity.owned.diag_ptr[-1], sparsity.owned.off_ptr[-1], sparsity.ghost.diag_ptr[-1]
-    entries = Entries(sparsity, *(np.zeros(dim**2 * int(size)) for size in sizes))
+    entries = Entries.zeros(sparsity)
     for product in products:
         product.add_rows(entries)
     sparsity.complete(entries.ghost, entries.diag, entries.off, dim)

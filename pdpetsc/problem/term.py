@@ -174,6 +174,17 @@ class Term(ABC):
         """Return its energy on this rank [energy]."""
         return 0.0
 
+    @property
+    def piecewise_linear(self) -> bool:
+        """Return whether its forces are linear in the unknowns as long as no bond loses force (not collective)."""
+        return self.linear
+
+    def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027
+        """Follow bonds that have lost or regained force, and if ``rebuild`` bonds that have broken or mended."""
+
+    def before_commit(self, state: State) -> None:  # noqa: B027
+        """Read a converged state before any term updates its history."""
+
     def commit(self, state: State) -> None:  # noqa: B027
         """Take a state as converged: what has a history remembers it."""
 

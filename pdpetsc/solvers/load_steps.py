@@ -197,7 +197,7 @@ def followed(
         change = damage.fading(solver.state(u))
         if change > most:
             break
-        damage.soften(solver.state(u))
+        solver.problem.soften(solver.state(u))
         if change <= LAST:
             break
         u, again = solver.solve(u, target)
@@ -238,7 +238,7 @@ def settle(
         iterations, linear = iterations + result.iterations, linear + result.linear_iterations
         if not result.converged:
             return u, result, broken, sweep
-        change = damage.soften(solver.state(u))
+        change = solver.problem.soften(solver.state(u))
         more = 0 if reversible and change >= SETTLED else fail(u)
         if change < SETTLED and not more:
             damage.freeze(False)

@@ -137,8 +137,6 @@ class BondForces(MaterialTerm):
             solids = [kind(one.E, one.nu, one.plane) for one in self._elastic]
             scheme, of, factor = Correspondence(), self._material_of, self._factor
             self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
-            # Forces are those of bonds, which break by what drives them alone.
-            damage.family_strain = None
         self._is_nonlocal = damage.driving_variable.is_nonlocal
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
 
@@ -170,9 +168,24 @@ class BondForces(MaterialTerm):
         return made + ([] if self.a is None else ["dilatation"])
 
     @property
+    def piecewise_linear(self) -> bool:
+        """Return whether bonds keep their directions, and their stiffness as they shorten."""
+        return not self.finite and not self._closes
+
+    @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether bonds keep their directions and their integrity while the displacement changes."""
-        return not self.finite and not self._closes and (self.damage is None or not self.damage.bonds.softens)
+        """Return whether bonds also keep their integrity while the displacement changes."""
+        return self.piecewise_linear and (self.damage is None or not self.damage.bonds.softens)
+
+    @property
+    def driving_points(self) -> DamagedPoints | None:
+        """Return the gradient points that drive damage, None if it reads none."""
+        return self._driving
+
+    def bonds_changed(self, rebuild: bool) -> None:
+        """Let the gradient points that drive damage follow."""
+        if self._driving is not None:
+            self._driving.bonds_changed(rebuild)
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]

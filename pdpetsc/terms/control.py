@@ -48,13 +48,17 @@ class ControlForces(Term):
         self.control: Control = self._whole
         if damage is not None:
             self._effect = damage.bonds.law.effect
-            self._follow(False)
-            damage.followers.append(self._follow)
+            self.bonds_changed(False)
 
     @property
     def parts(self) -> list[str]:
         """Return its name."""
         return [f"control {self.name}"]
+
+    @property
+    def piecewise_linear(self) -> bool:
+        """Return True."""
+        return True
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -115,10 +119,10 @@ class ControlForces(Term):
         v, opposite = unfaded.bond_forces(state.u_local), self.damage.damageable.opposite
         return softening_products(state, self.damage.gradient(state), v, opposite.of_vectors)
 
-    def _follow(self, rebuild: bool) -> None:
+    def bonds_changed(self, rebuild: bool) -> None:
         """Rebuild the control with the present integrity of the bonds."""
-        assert self.damage is not None
-        self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.phi))
+        if self.damage is not None:
+            self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.phi))
 
 
 def stiffness_of(body: Body, materials: Sequence[Material], material_of: LocalIndex, factor: Float | None) -> Stiffness:

@@ -78,12 +78,14 @@ class DamagedPoints(MaterialPoints):
         self.damage = damage
         self._effect = damage.bonds.law.effect
         self._take_operator(self.operator)
-        damage.followers.append(self._follow)
-        damage.family_strain = self.tensile_strain
         flows = [type(one).plastic_strain is not Material.plastic_strain for one in materials]
         if damage.driving_variable.reads_flow and not any(flows):
             raise CaseError("Plastic strain drives damage, and no material of this body flows; take one that does.")
-        damage.driving_variable.take(self)
+
+    @property
+    def driving_points(self) -> DamagedPoints:
+        """Return itself."""
+        return self
 
     def _undeformed(self) -> KeptHistory | None:
         """Return the histories of the materials at the start, None where they have none (not collective)."""
@@ -110,6 +112,11 @@ class DamagedPoints(MaterialPoints):
     def _without(self) -> Mask:
         """Return the points that are lost: a law that flowed to where it has no stress at F = I is not asked there."""
         return self._dead
+
+    @property
+    def piecewise_linear(self) -> bool:
+        """Return whether materials are linear."""
+        return self._linear
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -219,7 +226,7 @@ class DamagedPoints(MaterialPoints):
         force = operator.volume[point_of, None] * np.einsum("tim,tm->ti", P[point_of], operator.g[entries])
         return np.asarray(sum_by(self.bond_of_entry[entries], force, n))
 
-    def tensile_strain(self, state: State) -> Float:
+    def family_strain(self, state: State) -> Float:
         """Return ``|<U_p - I>+ xi| / |xi|`` (n_bonds,) [-], the largest of the points of its centre that a bond serves.
 
         ``<.>+`` keeps the positive principal strains of the stretch ``U = (F^T F)^1/2``. It is the stretch of a bond
@@ -271,8 +278,8 @@ class DamagedPoints(MaterialPoints):
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
 
-    def _follow(self, rebuild: bool) -> None:
-        """Follow bonds that have broken or mended (collective)."""
+    def bonds_changed(self, rebuild: bool) -> None:
+        """Rebuild the gradient without broken bonds (collective)."""
         if rebuild:
             self._take_operator(self._rebuilt())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -39,11 +39,6 @@ class MaterialPoints(MaterialTerm):
     factor : (n_owned,) float64, optional
         What multiplies the moduli of each own particle [-].
 
-    Attributes
-    ----------
-    followers : list of callable
-        Called with a converged state before materials with history take it for good.
-
     Notes
     -----
     Construction is collective.
@@ -70,7 +65,6 @@ class MaterialPoints(MaterialTerm):
                 self.materials.append(MaterialAtPoints(material, points, body.dim, factors, body.cloud.x[of]))
         self._linear = all(material.linear for material in materials)
         self._expanded: tuple[Float, GradientOperator] | None = None
-        self.followers: list[Callable[[State], None]] = []
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
@@ -284,8 +278,6 @@ class MaterialPoints(MaterialTerm):
     def commit(self, state: State) -> None:
         """Let materials with history remember a converged state."""
         if self.has_history:
-            for follow in self.followers:
-                follow(state)
             F = self.deformation(state)
             for at_points in self.materials:
                 at_points.commit(F)

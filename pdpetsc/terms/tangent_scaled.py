@@ -67,10 +67,14 @@ class TangentScaledForces(ControlForces):
         self._material_term, self._least = material_term, least
         self._yielding = Yielding.unloaded(body.cloud.n_owned)
         self._share = np.ones(body.cloud.n_owned)
-        material_term.followers.append(self._see)
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
+        """Return False."""
+        return False
+
+    @property
+    def piecewise_linear(self) -> bool:
         """Return False."""
         return False
 
@@ -130,8 +134,8 @@ class TangentScaledForces(ControlForces):
         self._yielding.commit(self.families(state).e, np.clip(self._share, self._least, 1.0))
         self.version += 1
 
-    def _see(self, state: State) -> None:
-        """Note the tangent modulus of a state that the material is about to take for good."""
+    def before_commit(self, state: State) -> None:
+        """Read the tangent modulus of the material."""
         self._share = self._material_term.tangent_share(state)
 
     def _fading(self, state: State) -> Float | None:

@@ -51,12 +51,13 @@ class Clock:
         self.spent[name] = largest(world(), time.perf_counter() - before)
 
 
-def failed_bonds(damage, share):
+def failed_bonds(problem, share):
     """Break a share of the bonds, the same from both ends and on any ranks."""
-    keys = damage.bonds.keys
+    bonds = problem.damage.bonds
+    keys = bonds.keys
     number = (keys[:, 0] * 2654435761 + keys[:, 1] * 40503 + keys[:, 2] * 97) % 1000003
-    damage.bonds.phi[number % 1000 < 1000 * share] = 0.0
-    damage.restored()
+    bonds.phi[number % 1000 < 1000 * share] = 0.0
+    problem.bonds_restored()
 
 
 def solve(scene, jacobian, broken=0.0, around=nullcontext):
@@ -69,7 +70,7 @@ def solve(scene, jacobian, broken=0.0, around=nullcontext):
     with clock("model"):
         problem = make_problem(scene, cloud, families)
         if broken:
-            failed_bonds(problem.damage, broken)
+            failed_bonds(problem, broken)
     supports = problem.supports
     chosen = {"pd_jacobian": jacobian}
     choice = choose(problem, chosen, Newton())

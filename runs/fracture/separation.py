@@ -16,7 +16,9 @@ from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import make_damage
+from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
@@ -62,6 +64,7 @@ def share(model, law, criterion=pd.FractureEnergy, horizon=3.015, steps=301, dx=
     if control is not None:
         built = control.build(cloud, families, bonds.omega, stiffness_of(body, [material], one, None))
         terms.append(ControlForces(body, type(control).__name__, built, damage))
+    problem = Problem(body, terms[0], terms[1:], Supports(body), damage)
     right = cloud.x[: cloud.n_owned, 0] > 0.5 * dx * SIDES[0]
     apart = np.linspace(0.0, 1.5 * horizon * damage.bonds.laws.final() * damage.limit.max(), steps)
     pull = np.zeros(steps)
@@ -69,13 +72,13 @@ def share(model, law, criterion=pd.FractureEnergy, horizon=3.015, steps=301, dx=
         u = np.zeros((cloud.n_rows, 2))
         u[: cloud.n_owned][right, 0] = opening
         state = State(body, u)
-        while damage.break_bonds(state, 10**6):
+        while problem.break_bonds(state, 10**6):
             state = State(body, u)
         f = np.zeros((cloud.n_local, 2))
         for term in terms:
             term.add_force(state, f)
         pull[step] = body.gather(f)[: cloud.n_owned][right, 0].sum()
-        damage.soften(state)
+        problem.soften(state)
     work = 0.5 * ((pull[1:] + pull[:-1]) * np.diff(apart)).sum()
     return work / (dx * SIDES[1] * GC), abs(pull[-1]) / pull.max()
 

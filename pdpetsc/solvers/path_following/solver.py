@@ -281,11 +281,11 @@ class PathSolver(StepSolver):
             reached, load = self._measure.reached(u, self.load), self.load
             if reached <= most * (1.0 + BAND):
                 break
-            kept = damage_of(self).kept()
+            stored = damage_of(self).stored()
             self._aim(u, 1.0)
             attempt, again, sweeps = self._settle(u, most - reached)
             if not again.converged or self._measure.reached(attempt, self.load) >= reached:
-                damage_of(self).take(kept)
+                self.problem.reset_bonds(stored)
                 self.load = self.t = load
                 break
             u, result, swept = attempt, again, swept + sweeps
@@ -302,13 +302,12 @@ class PathSolver(StepSolver):
         attempt, result = self.solve(u, size)
         if not problem.softens or self._stop():
             return attempt, result, 0
-        damage = damage_of(self)
-        kept = damage.kept()
+        stored = damage_of(self).stored()
         if result.converged:
             attempt, result, change = followed(self, attempt, result, size)
             if self._stop() or (result.converged and change <= LAST):
                 return attempt, result, 0
-        damage.take(kept)
+        problem.reset_bonds(stored)
         self.load = load
         attempt, result, _, sweeps = settle(self, u, size, SWEEPS, lambda v: 0)
         return attempt, result, sweeps

@@ -13,6 +13,7 @@ from typing import IO, Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.discrete.cloud import Cloud
@@ -141,62 +142,51 @@ def write_checkpoint(
     OutputError
         The disk is full; an earlier checkpoint stays as it was.
     """
-    problem, u = solution.problem, solution.unknowns
-    cloud, arrays = solution.cloud, problem.arrays()
-    identity = _identity(cloud)
-    keys, states = _damaged_bonds(problem)
-    counts = cloud.comm.gather(len(keys)) or []
+    problem, u, cloud = solution.problem, solution.unknowns, solution.cloud
+    comm, identity = cloud.comm, _identity(cloud)
     at = np.empty((0, cloud.dim)) if solution.tangent_at is None else solution.tangent_at
-    virtual = cloud.comm.bcast((u[cloud.n_owned :].ravel(), at[cloud.n_owned :].ravel()), root=cloud.comm.size - 1)
-    parts = order.parts_on_root(u[: cloud.n_owned])
-    tangent = iter(()) if solution.tangent_at is None else order.parts_on_root(at[: cloud.n_owned])
-    damaged = [rank_by_rank(cloud.comm, keys, counts), rank_by_rank(cloud.comm, states, counts)]
-    with agreed(cloud.comm):
+    virtual = comm.bcast((u[cloud.n_owned :].ravel(), at[cloud.n_owned :].ravel()), root=comm.size - 1)
+    arrays = problem.arrays()
+    with agreed(comm):
         for name, array in arrays.items():
             if not np.isfinite(array.values).all():
                 raise OutputError(f"Cannot write {path}: {name} of a term is not a number; an earlier one stays.")
-    tables = {name: _by_particle(array, cloud) for name, array in arrays.items()}
-    # An array without rows anywhere has nothing to go on with.
-    tables = {name: table for name, table in tables.items() if table.shape[1]}
-    of_terms = {name: order.parts_on_root(table) for name, table in tables.items()}
+    tables = {"u": u[: cloud.n_owned]}
+    if solution.tangent_at is not None:
+        tables["tangent"] = at[: cloud.n_owned]
+    for name, array in arrays.items():
+        table = _by_particle(array, cloud)
+        if table.shape[1]:  # an array without rows anywhere has nothing to go on with
+            tables[f"terms/{name}"] = table
+    # Name, rows and parts of what the ranks hold; root receives the parts in this order.
+    streams: list[tuple[str, NDArray[Any], int, Iterator[tuple[slice, NDArray[Any]]]]]
+    streams = [(name, table, cloud.n_global, order.parts_on_root(table)) for name, table in tables.items()]
+    if problem.damage is not None:
+        keys, states = problem.damage.bonds.damaged()
+        counts = comm.gather(len(keys)) or []
+        for name, rows in (("bonds/keys", keys), ("bonds/states", states)):
+            streams.append((name, rows, sum(counts), rank_by_rank(comm, rows, counts)))
     failure: OutputError | None = None
-    if is_root(cloud.comm):
-        size = 2 * cloud.n_global * cloud.dim * 8 + sum(counts) * (keys.itemsize * 3 + states.itemsize * 2)
-        size += sum(8 * cloud.n_global * table.shape[1] for table in tables.values()) + sum(map(len, texts.values()))
+    if is_root(comm):
+        size = sum(n * rows.itemsize * rows.shape[1] for _, rows, n, _ in streams) + sum(map(len, texts.values()))
         try:
             with replacing(path) as aside:
                 with writing_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD) as file:
                     _write_attributes(file, solution, run, declared, identity, virtual)
                     for name, text in texts.items():
                         _dataset(file, f"texts/{name}", (len(text),), np.uint8)[:] = np.frombuffer(text, np.uint8)
-                    dataset = _dataset(file, "u", (cloud.n_global, cloud.dim), np.float64)
-                    for rows, part in parts:
-                        dataset[rows] = part
-                    if solution.tangent_at is not None:
-                        dataset = _dataset(file, "tangent", (cloud.n_global, cloud.dim), np.float64)
-                        for rows, part in tangent:
-                            dataset[rows] = part
-                    # What other ranks send arrives in this order, of bonds that there are none too.
-                    for name, mine, of_ranks in zip(("keys", "states"), (keys, states), damaged, strict=True):
-                        if problem.damage is not None:
-                            dataset = _dataset(file, f"bonds/{name}", (sum(counts), *mine.shape[1:]), mine.dtype)
-                        for rows, part in of_ranks:
-                            if problem.damage is not None:
-                                dataset[rows] = part
-                    for name, of_particles in of_terms.items():
-                        shape = cloud.n_global, tables[name].shape[1]
-                        dataset = _dataset(file, f"terms/{name}", shape, np.float64)
-                        for rows, part in of_particles:
-                            dataset[rows] = part
+                    for name, rows, n, parts in streams:
+                        dataset = _dataset(file, name, (n, *rows.shape[1:]), rows.dtype)
+                        for place, part in parts:
+                            dataset[place] = part
                     file.attrs["checksum"] = _checksum(file)
                 seal(aside)
         except WRITE_ERRORS as error:
             failure = cannot_write(path, error)
-    for _ in itertools.chain(
-        parts, tangent, *damaged, *of_terms.values()
-    ):  # other ranks send here, and after a failure root still has to receive
+    # Other ranks send here, and after a failure root still has to receive.
+    for _ in itertools.chain(*(parts for *_, parts in streams)):
         pass
-    with agreed(cloud.comm):
+    with agreed(comm):
         if failure is not None:
             raise failure
 
@@ -469,46 +459,34 @@ def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> 
 
 def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int]) -> None:
     """Raise where datasets are missing, too many, elsewhere, or of a wrong type or shape."""
-    broken = ["bonds"] if "bonds" in file else []
-    tangent = ["tangent"] if "tangent" in file else []
-    terms = ["terms"] if widths else []
-    _must(sorted(file) == sorted(["u", "texts", *broken, *tangent, *terms]), f"it holds {', '.join(sorted(file))}")
-    size = len(file.attrs["virtual"]) if tangent else 0
+    # Links to elsewhere are not visited.
+    is_dataset: dict[str, bool] = {}
+    file.visititems(lambda name, item: is_dataset.__setitem__(name, isinstance(item, h5py.Dataset)))
+    columns: dict[str, tuple[tuple[int, ...], Any]] = {"u": ((cloud.dim,), np.float64)}
+    if "tangent" in is_dataset:
+        columns["tangent"] = columns["u"]
+    columns |= {f"terms/{name}": ((width,), np.float64) for name, width in widths.items()}
+    of_particles = list(columns)
+    if "bonds" in is_dataset:
+        columns |= {"bonds/keys": ((3,), np.int64), "bonds/states": ((2,), np.float64)}
+    texts = [f"texts/{name}" for name in (STEPS, *TABLES) if name == STEPS or f"texts/{name}" in is_dataset]
+    columns |= dict.fromkeys(texts, ((), np.uint8))
+    groups = {name.split("/")[0] for name in columns if "/" in name}
+    expected = dict.fromkeys(groups, False) | dict.fromkeys(columns, True)
+    _must(is_dataset == expected, f"it holds {', '.join(sorted(is_dataset))}")
+    size = len(file.attrs["virtual"]) if "tangent" in is_dataset else 0
     _must(len(file.attrs["tangent_virtual"]) == size, f"its tangent is not of {size} numbers of a cell")
-    for name in file:
-        _must(isinstance(file.get(name, getlink=True), h5py.HardLink), f"{name} is a link")
-    shapes: dict[str, tuple[tuple[int, ...], Any]] = {
-        name: ((cloud.n_global, cloud.dim), np.float64) for name in ("u", *tangent)
-    }
-    if terms:
-        of_terms = file["terms"]
-        _must(isinstance(of_terms, h5py.Group), "what it holds of terms is no group")
-        _must(sorted(of_terms) == sorted(widths), f"it holds {', '.join(sorted(of_terms))} of terms")
-        for name, width in widths.items():
-            _must(isinstance(of_terms.get(name, getlink=True), h5py.HardLink), f"terms/{name} is a link")
-            shapes[f"terms/{name}"] = (cloud.n_global, width), np.float64
-    texts = file["texts"]
-    _must(isinstance(texts, h5py.Group) and {STEPS} <= set(texts) <= {STEPS, *TABLES}, "its texts are incomplete")
-    for name in texts:
-        _must(isinstance(texts.get(name, getlink=True), h5py.HardLink), f"texts/{name} is a link")
-        _must(isinstance(texts[name], h5py.Dataset) and texts[name].ndim == 1, f"texts/{name} has the wrong shape")
-        shapes[f"texts/{name}"] = texts[name].shape, np.uint8
-    if broken:
-        bonds = file["bonds"]
-        _must(isinstance(bonds, h5py.Group) and sorted(bonds) == ["keys", "states"], "its bonds are incomplete")
-        for name in bonds:
-            _must(isinstance(bonds.get(name, getlink=True), h5py.HardLink), f"bonds/{name} is a link")
-        _must(isinstance(bonds["keys"], h5py.Dataset) and bonds["keys"].ndim == 2, "bonds/keys has the wrong shape")
-        count = bonds["keys"].shape[0]
-        shapes |= {"bonds/keys": ((count, 3), np.int64), "bonds/states": ((count, 2), np.float64)}
-    _must((values := file.attrs["damage"]) == "none" or bool(broken), f"it lacks the bonds of {values}")
-    for name, (shape, dtype) in shapes.items():
+    _must((law := file.attrs["damage"]) == "none" or "bonds" in is_dataset, f"it lacks the bonds of {law}")
+    for name, (width, dtype) in columns.items():
         data = file[name]
-        _must(isinstance(data, h5py.Dataset), f"{name} is no dataset")
-        _must(data.shape == shape and data.dtype == dtype, f"{name} is {data.shape} {data.dtype}, not {shape}")
+        _must(data.ndim == 1 + len(width) and data.shape[1:] == width, f"{name} has the wrong shape")
+        _must(data.dtype == dtype, f"{name} is of the wrong type")
+        _must(name not in of_particles or len(data) == cloud.n_global, f"{name} is of {len(data)} particles")
         _must(not data.external and not data.is_virtual, f"the data of {name} are in another file")
-        plain = bool(data.fletcher32) and data.compression is None and data.scaleoffset is None
-        _must(plain and data.chunks is not None, f"{name} has no checksums")
+        checked = bool(data.fletcher32) and data.compression is None and data.scaleoffset is None
+        _must(checked and data.chunks is not None, f"{name} has no checksums")
+    if "bonds" in is_dataset:
+        _must(len(file["bonds/keys"]) == len(file["bonds/states"]), "its bonds are incomplete")
 
 
 def _blocks(file: h5py.File, n: int) -> Iterator[tuple[GlobalIndex, Float]]:
@@ -533,13 +511,6 @@ def _identity(cloud: Cloud) -> Float:
     reach = cloud.local_horizon[:n]
     reaches = total(cloud.comm, [reach.sum(), (cloud.gid[:n] % 97) @ reach])[: 2 * cloud.varies]
     return np.array([cloud.n_global, cloud.dim, cloud.horizon, *periods, *sums, *planes, *reaches])
-
-
-def _damaged_bonds(problem: Problem) -> tuple[GlobalIndex, Float]:
-    """Return keys and states of the damaged bonds of this rank (not collective)."""
-    if problem.damage is None:
-        return np.empty((0, 3), dtype=np.int64), np.empty((0, 2))
-    return problem.damage.bonds.damaged()
 
 
 def _law(problem: Problem) -> str:

@@ -227,19 +227,11 @@ class _Walk:
             items = [(self.of(key).digest, f"[{key!r}]", self.of(entry)) for key, entry in value.items()]
             items = items if self._across_ranks else sorted(items, key=lambda item: item[0])
             return _hash("mapping", *(key for key, _, _ in items)), [item[1:] for item in items]
-        if isinstance(value, type):
-            return _hash("class", value.__qualname__), self._read_by_function(_members(value))
-        if isinstance(value, FunctionType):
-            text = "" if of_library(value.__code__.co_filename) else _source(value.__code__)
-            return _hash("function", value.__qualname__, text), self._read_by_function(_variables(value))
-        if isinstance(value, MethodType):
-            return b"method", [*self._read_by_function({".__func__": value.__func__}), ("", self.of(value.__self__))]
-        if isinstance(value, functools.partial):
-            read = {".func": value.func, ".args": value.args, ".keywords": value.keywords}
-            return b"partial", self._read_by_function(read)
-        inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
-        if isinstance(inner, FunctionType):
-            return _hash("wrapped", type(value).__qualname__), [("", self.of(inner))]
+        read = _read_by(value)
+        if read is not None:
+            name = getattr(value, "__qualname__", type(value).__qualname__)
+            is_own = isinstance(value, FunctionType) and not of_library(value.__code__.co_filename)
+            return _hash("function", name, _source(value.__code__) if is_own else ""), self._read_by_function(read)
         kind = self._read_by_function({f"class{_OF}": type(value)})
         if dataclasses.is_dataclass(value):
             fields = {f.name: getattr(value, f.name, None) for f in dataclasses.fields(value) if f.compare}
@@ -273,6 +265,20 @@ def _content_of(value: Any) -> bytes | None:
     if isinstance(value, BuiltinFunctionType | np.ufunc):
         return _hash("builtin", str(getattr(value, "__qualname__", value.__name__)))
     return None
+
+
+def _read_by(value: Any) -> dict[str, Any] | None:
+    """Return what a function or a class reads besides arguments, by labels; None for another object."""
+    if isinstance(value, type):
+        return _members(value)
+    if isinstance(value, FunctionType):
+        return _variables(value)
+    if isinstance(value, MethodType):
+        return {".function": value.__func__, ".self": value.__self__}
+    if isinstance(value, functools.partial):
+        return {".func": value.func, ".args": value.args, ".keywords": value.keywords}
+    inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
+    return {".wrapped": inner} if isinstance(inner, FunctionType) else None
 
 
 def _state(value: Any) -> dict[str, Any]:

@@ -130,7 +130,7 @@ def run_case(words, output):
             options[name] = word
     pd.run(
         case, output, options=options, parameters=parameters, restart=asked.restart,
-        restart_anyway=asked.restart_anyway, check=asked.check,
+        restart_anyway="--restart-anyway" in asked.flags, check="--check" in asked.flags,
     )  # fmt: skip
 
 

@@ -43,7 +43,7 @@ def test_words_go_where_they_belong():
     assert found.path == Path("a.py")
     assert found.parameters == {"n": "3", "x": "1", "s": "a=b"}
     assert found.petsc == ["-snes_monitor", "-ksp_rtol", "1e-8", "-pc_type", "gamg", "-snes_rtol", "-1"]
-    assert (found.output, found.restart, found.quiet) == (Path("out"), Path("c.h5"), True)
+    assert (found.output, found.restart, found.flags) == (Path("out"), Path("c.h5"), {"--quiet"})
 
 
 def test_values_take_the_type_of_their_default():

@@ -14,7 +14,7 @@ import pytest
 import pdpetsc as pd
 from pdpetsc.command_line.import_deck import import_deck, main
 from pdpetsc.control.base import Stiffness
-from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.expressions import parse, parse_peridigm
 from pdpetsc.decks.sections import read
 from pdpetsc.declare.region import View
 from pdpetsc.discrete.cloud import distribute
@@ -255,7 +255,7 @@ def test_expressions_have_their_value_before_and_after_translation(text, value):
 def test_a_sign_before_a_power_is_that_of_the_program_of_the_deck(text, peridigm, perilab):
     at = {"x": 1.5, "y": 2.0, "z": 3.0, "t": 0.5}
     for first, value in ((True, peridigm), (False, perilab)):
-        node = parse(text, "a value", set("xyzt"), negation_first=first)
+        node = (parse_peridigm if first else parse)(text, "a value", set("xyzt"))
         assert node.value(at) == pytest.approx(value, rel=1e-15)
         assert eval(node.python({name: name for name in at}), {"np": np, **at}) == pytest.approx(value, rel=1e-15)
 
@@ -271,7 +271,7 @@ def test_a_sign_before_a_power_is_that_of_the_program_of_the_deck(text, peridigm
     ],
 )
 def test_statements_of_peridigm_choose_a_value(text, value):
-    node = parse(text, "a value", set("xyzt"), negation_first=True)
+    node = parse_peridigm(text, "a value", set("xyzt"))
     names = {name: name for name in "xyzt"} | {"pi": "np.pi"}
     for t, expected in zip((0.1, 0.5), value, strict=True):
         at = {"x": 1.5, "y": 2.0, "z": 3.0, "t": t}
@@ -292,16 +292,16 @@ def test_statements_of_peridigm_choose_a_value(text, value):
 )
 def test_statements_that_choose_no_value_are_refused(text, why):
     with pytest.raises(pd.CaseError, match=why):
-        parse(text, "Pull/Value (line 3)", set("xyzt"), negation_first=True)
+        parse_peridigm(text, "Pull/Value (line 3)", set("xyzt"))
 
 
 @pytest.mark.parametrize("text", ["min(x, y)", "max(x, y)", "ifelse(t > 1, x, y)", "abs(x)", "x**2"])
 def test_functions_that_peridigm_does_not_have_are_refused_of_its_decks(text):
     parse(text, "a value", set("xyzt"))
     with pytest.raises(pd.CaseError, match="too deeply"):
-        parse("^".join("x" * 100), "a value", {"x"}, negation_first=True)
+        parse_peridigm("^".join("x" * 100), "a value", {"x"})
     with pytest.raises(pd.CaseError, match="cannot be translated") as error:
-        parse(text, "a value", set("xyzt"), negation_first=True)
+        parse_peridigm(text, "a value", set("xyzt"))
     assert "ifelse" not in str(error.value).partition("write it")[2]
 
 
@@ -829,7 +829,7 @@ def test_displacements_are_those_that_peridigm_adds_up(folder, text, first, refu
             import_deck(deck)
         return
     pull = case_of(import_deck(deck)[0]).conditions[3].x
-    value = parse(text, "a value", set("xyzt"), negation_first=True)
+    value = parse_peridigm(text, "a value", set("xyzt"))
     times = [first, 0.5 * (first + 5.0), 5.0]
     expected = of_peridigm(lambda t: value.value({"x": 3.5, "y": 0.5, "z": 0.5, "t": t}), times)
     found = [np.broadcast_to(pull(np.array([[3.5, 0.5, 0.5]]), step), 1)[0] for step in (0.0, 0.5, 1.0)]

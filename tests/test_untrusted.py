@@ -11,7 +11,7 @@ import pdpetsc as pd
 from pdpetsc.bounds import real_number, refuse_deep, text_in, whole_number
 from pdpetsc.command_line.import_deck import import_deck
 from pdpetsc.command_line.study import Asked, count
-from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.expressions import parse, parse_peridigm
 from pdpetsc.declare import abaqus
 from pdpetsc.material.energy import SYMBOLS
 from pdpetsc.material.energy_loops import _tidy as tidy
@@ -241,7 +241,7 @@ def test_damaged_texts_are_read_or_refused_in_a_sentence(folder, kind):
         "peridigm": (PERIDIGM, lambda text: import_deck(deck(folder, text), overwrite=True), 15),
         "perilab": (PERILAB, lambda text: import_deck(deck(folder, text), overwrite=True), 15),
         "expression": ("if(t <= 0.5){ value = 2*x^2; } else{ value = -sin(x*t)/7; }",
-                       lambda text: parse(text, "a value", set("xt"), negation_first=True), 300),
+                       lambda text: parse_peridigm(text, "a value", set("xt")), 300),
         "sets": (sets, lambda text: read_sets(deck(folder, text, "a.json")), 100),
         "energy": ("mu/2*(I1 - 3 - 2*log(J)) + exp(I1 - 3)**2", lambda text: pd.Hyperelastic(text, mu=1.0), 40),
         "cloud": (PLATE, lambda text: pd.TextFile(deck(folder, text, "x.txt")).chunk(0, 1), 60),

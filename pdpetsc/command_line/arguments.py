@@ -13,21 +13,19 @@ _ASSIGNMENT = re.compile(r"[A-Za-z_]\w*=")
 _OPTION = re.compile(r"-{1,2}[A-Za-z]")
 
 
+FLAGS = ("--restart-anyway", "--check", "--report", "--quiet", "--version", "--help", "-h")
+
+
 @dataclass
 class Arguments:
-    """The command line, split."""
+    """The command line, split; ``flags`` are the options of pdpetsc that take no value."""
 
     path: Path | None = None
     parameters: dict[str, str] = field(default_factory=dict)
     output: Path | None = None
     restart: Path | None = None
-    restart_anyway: bool = False
-    check: bool = False
-    report: bool = False
     solver: str | None = None
-    quiet: bool = False
-    version: bool = False
-    help: bool = False
+    flags: set[str] = field(default_factory=set)
     petsc: list[str] = field(default_factory=list)
 
 
@@ -54,10 +52,8 @@ def split(argv: Sequence[str]) -> Arguments:
             if not words:
                 raise CaseError("--solver needs a name after it.")
             found.solver = words.pop(0)
-        elif word in ("--quiet", "--version", "--restart-anyway", "--check", "--report"):
-            setattr(found, word[2:].replace("-", "_"), True)
-        elif word in ("-h", "--help"):
-            found.help = True
+        elif word in FLAGS:
+            found.flags.add("--help" if word == "-h" else word)
         elif word.startswith("--"):
             raise CaseError(
                 f"Unknown option {word}; pdpetsc has -o, --restart, --restart-anyway, --solver, --check, --report, "

@@ -180,16 +180,16 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
     from pdpetsc.running.runner import run
 
     comm = world()
-    if arguments.version or (arguments.help and arguments.path is None) or not argv:
+    if "--version" in arguments.flags or ("--help" in arguments.flags and arguments.path is None) or not argv:
         if is_root(comm):
-            print(f"pdpetsc {__version__}" if arguments.version else USAGE)
+            print(f"pdpetsc {__version__}" if "--version" in arguments.flags else USAGE)
         return 0 if argv else 2
     with agreed(comm):
         if arguments.path is None:
             raise CaseError("No case file is given; python -m pdpetsc -h shows the usage.")
         function = load_case(arguments.path)
-        parameters = arguments_of(function, {} if arguments.help else arguments.parameters)
-    if arguments.help:
+        parameters = arguments_of(function, {} if "--help" in arguments.flags else arguments.parameters)
+    if "--help" in arguments.flags:
         if is_root(comm):
             print(_described(arguments.path, function, parameters))
         return 0
@@ -205,22 +205,24 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
             output,
             restart=arguments.restart,
             parameters=parameters,
-            restart_anyway=arguments.restart_anyway,
-            report=lambda ranks: ConsoleReport(ranks, arguments.quiet),
-            check=arguments.check,
+            restart_anyway="--restart-anyway" in arguments.flags,
+            report=lambda ranks: ConsoleReport(ranks, "--quiet" in arguments.flags),
+            check="--check" in arguments.flags,
             asked=_asked(arguments.path, argv),
         )
     except BaseException as error:
         # What a run that failed has left is worth a page too, but not what another one left where nothing was run, and
         # not where other ranks may still be at work: they end with the error of this one.
-        if arguments.report and (comm.size == 1 or getattr(error, "agreed", 0) == comm.size):
+        if "--report" in arguments.flags and (comm.size == 1 or getattr(error, "agreed", 0) == comm.size):
             with agreed(comm):
-                _report_on(output, is_root(comm) and stamp_of(output / "summary.json") != before, arguments.quiet)
+                if is_root(comm) and stamp_of(output / "summary.json") != before:
+                    _report_on(output, arguments)
         raise
-    if arguments.report:
+    if "--report" in arguments.flags:
         # All wait for the page: the end of MPI takes no longer than the first rank that comes to it allows.
         with agreed(comm):
-            _report_on(output, is_root(comm), arguments.quiet)
+            if is_root(comm):
+                _report_on(output, arguments)
     return 0
 
 
@@ -232,13 +234,11 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
     return {"command": shlex.join(["python", "-m", "pdpetsc", *argv]), "case": {"file": path.name, "text": text}}
 
 
-def _report_on(folder: Path, here: bool, quiet: bool) -> None:
-    """Write the report of a run that has ended, on one rank; whatever fails here, results and exit status stand."""
-    if not here:
-        return
+def _report_on(folder: Path, arguments: Arguments) -> None:
+    """Write the report of a run that has ended (one rank only); results and exit status do not depend on it."""
     try:
         path = import_module(COMMANDS["report"]).write_report(folder)
-        if not quiet:
+        if "--quiet" not in arguments.flags:
             print(f"report in {path}", flush=True)
     except Exception as error:
         with contextlib.suppress(OSError):

@@ -102,10 +102,17 @@ class Lines(Progress):
         """Say why a run is run again."""
         self._console.print(f"{named(question.parameters)} is run again: {why}")
 
-    def ended(self, outcome: Outcome, before: bool) -> None:
+    def kept(self, outcome: Outcome) -> None:
+        """Say how a run of an earlier fit ended."""
+        self._say(outcome, ", from before")
+
+    def ended(self, outcome: Outcome) -> None:
         """Say how a run ended."""
+        self._say(outcome, "")
+
+    def _say(self, outcome: Outcome, when: str) -> None:
         how = "finished" if outcome.finished else f"FAILED, exit status {outcome.exit_status}: {outcome.said}"
-        self._console.print(f"{outcome.name}: {how}{', from before' if before else ''}")
+        self._console.print(f"{outcome.name}: {how}{when}")
 
 
 def _show(console: Console, done: Fit, folder: Path) -> None:

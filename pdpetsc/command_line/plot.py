@@ -123,12 +123,12 @@ def main(argv: Sequence[str]) -> int:
     """Run the command ``plot``; return its exit status."""
     animate = "--animate" in argv
     arguments = split([word for word in argv if word != "--animate"])
-    if arguments.help or not argv:
+    if "--help" in arguments.flags or not argv:
         print(USAGE)
         return 0 if argv else 2
     if arguments.path is None:
         raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
-    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check:
+    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or "--check" in arguments.flags:
         raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
     for path in plot(arguments.path, arguments.parameters, animate):
         print(path)

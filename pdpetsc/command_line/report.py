@@ -17,11 +17,13 @@ USAGE = f"{_FIRST}\n\nWrites DIR/report.html: what was asked, what came out, con
 def main(argv: Sequence[str]) -> int:
     """Run the command ``report``; return its exit status."""
     arguments = split(argv)
-    if arguments.help or not argv:
+    if "--help" in arguments.flags or not argv:
         print(USAGE)
         return 0 if argv else 2
     unknown = [name for name in arguments.parameters if name not in ("field", "component", "scale")]
-    others = arguments.petsc or arguments.output or arguments.restart or arguments.solver or arguments.check
+    others = (
+        arguments.petsc or arguments.output or arguments.restart or arguments.solver or "--check" in arguments.flags
+    )
     if arguments.path is None or unknown or others:
         raise CaseError(f"report takes a folder, field, component and scale; {_FIRST}.")
     given = arguments.parameters

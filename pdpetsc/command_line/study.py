@@ -185,12 +185,14 @@ class Shown(Progress):
             self._console.print(f"{self._kept} runs are there from before")
             self._kept = 0
 
-    def ended(self, outcome: Outcome, before: bool) -> None:
+    def kept(self, outcome: Outcome) -> None:
+        """Move the bar, and count the run."""
+        self._bar.advance(self._task)
+        self._kept += 1
+
+    def ended(self, outcome: Outcome) -> None:
         """Move the bar, and say how the run ended."""
         self._bar.advance(self._task)
-        if before:
-            self._kept += 1
-            return
         how = "finished" if outcome.finished else f"FAILED, exit status {outcome.exit_status}: {outcome.said}"
         self._console.print(f"{outcome.name}: {how}")
 
@@ -213,15 +215,15 @@ def case_of(arguments: Arguments, name: str, usage: str) -> Path | None:
     CaseError
         There is no case file, or an option is one of a single run.
     """
-    if arguments.help:
+    if "--help" in arguments.flags:
         print(usage)
         return None
     if arguments.path is None:
         raise CaseError(f"No case file is given; python -m pdpetsc {name} -h shows the usage.")
-    if arguments.restart is not None or arguments.restart_anyway:
+    if arguments.restart is not None or "--restart-anyway" in arguments.flags:
         raise CaseError(f"{name} takes no --restart; every run starts from the beginning.")
     for word in ("check", "quiet", "version"):
-        if getattr(arguments, word, False):
+        if f"--{word}" in arguments.flags:
             raise CaseError(f"{name} takes no --{word}; python -m pdpetsc {name} -h shows what it takes.")
     return arguments.path
 

@@ -25,9 +25,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -121,40 +121,43 @@ class Node:
             return float(operations[self.word](a, b))
 
 
-def parse(text: str, where: str, allowed: set[str], logical: bool = False, negation_first: bool = False) -> Node:
-    """Return a parsed expression.
+def parse(text: str, where: str, allowed: set[str]) -> Node:
+    """Parse a number of PeriLab.
 
     Parameters
     ----------
     text : str
-        The expression; ``value = ...`` and a semicolon at the end do not matter. In Peridigm it may be an ``if``.
+        The expression; ``value = ...`` and a semicolon at the end do not matter.
     where : str
         What it is of the deck, for messages.
     allowed : set of str
         Variables that it may have; ``pi`` is the number.
-    logical : bool
-        Whether it is to be true or false.
-    negation_first : bool
-        Whether a sign binds more tightly than a power, as in Peridigm, and functions are those of Peridigm.
 
     Raises
     ------
     CaseError
         It does not follow the grammar, has another variable or function, or is no number where one is needed.
     """
-    plain = re.sub(r"\\([{}])", r"\1", text).strip()
-    # Julia's operations on every member of a list are the same as those on one.
-    plain = re.sub(r"\.(?=[*/+^-])|(?<=[a-z])\.(?=\()", " ", re.sub(r"(\d)\.(?=[*/+^-])", r"\1.0", plain))
-    found = _Parser(plain, text, where, allowed, negation_first).whole()
-    if found.logical != logical:
-        raise CaseError(f"{where} of the deck, {text!r}, is {'a number' if logical else 'true or false'}.")
-    return found
+    return _Parser(text, where, allowed).number()
+
+
+def parse_condition(text: str, where: str, allowed: set[str]) -> Node:
+    """Parse an expression of PeriLab that is true or false; arguments and errors as of ``parse``."""
+    return _Parser(text, where, allowed).condition()
+
+
+def parse_peridigm(text: str, where: str, allowed: set[str]) -> Node:
+    """Parse a number of Peridigm, which may be an ``if``; arguments and errors as of ``parse``."""
+    return _PeridigmParser(text, where, allowed).number()
 
 
 class _Parser:
-    def __init__(self, plain: str, text: str, where: str, allowed: set[str], negation_first: bool) -> None:
-        self._negation_first = negation_first
-        self._functions = [name for name in FUNCTIONS if not (negation_first and name in _NOT_PERIDIGM)]
+    functions: ClassVar[Sequence[str]] = list(FUNCTIONS)
+
+    def __init__(self, text: str, where: str, allowed: set[str]) -> None:
+        plain = re.sub(r"\\([{}])", r"\1", text).strip()
+        # Julia's operations on every member of a list are the same as those on one.
+        plain = re.sub(r"\.(?=[*/+^-])|(?<=[a-z])\.(?=\()", " ", re.sub(r"(\d)\.(?=[*/+^-])", r"\1.0", plain))
         self._shown, self._where, self._allowed, self._depth = text, where, allowed | {"pi"}, 0
         self._tokens: list[tuple[str, str]] = []
         at = 0
@@ -174,7 +177,7 @@ class _Parser:
     def _wrong(self, why: str) -> CaseError:
         return CaseError(
             f"{self._where} of the deck is {shown(self._shown)}, an expression that cannot be translated: {why}; write "
-            f"it with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(self._functions)}."
+            f"it with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(self.functions)}."
         )
 
     def _next(self) -> str:
@@ -187,7 +190,21 @@ class _Parser:
             return word
         return ""
 
-    def whole(self) -> Node:
+    def number(self) -> Node:
+        """Parse all of the text; raises CaseError unless it is a number."""
+        found = self._whole()
+        if found.logical:
+            raise CaseError(f"{self._where} of the deck, {self._shown!r}, is true or false.")
+        return found
+
+    def condition(self) -> Node:
+        """Parse all of the text; raises CaseError unless it is true or false."""
+        found = self._whole()
+        if not found.logical:
+            raise CaseError(f"{self._where} of the deck, {self._shown!r}, is a number.")
+        return found
+
+    def _whole(self) -> Node:
         found = self._statement()
         if self._at < len(self._tokens):
             raise self._wrong(f"{self._next()!r} stands where nothing can")
@@ -195,30 +212,12 @@ class _Parser:
 
     def _statement(self) -> Node:
         self._enter()
-        if self._negation_first and self._take("if"):
-            self._need("(")
-            condition = self._either()
-            self._need(")")
-            if not condition.logical:
-                raise self._wrong("what follows an if must be a comparison")
-            value = self._block()
-            if not self._take("else"):
-                raise self._wrong("an if needs an else")
-            other = self._statement() if self._next() == "if" else self._block()
-            found = Node("call", "ifelse", (condition, value, other))
-        else:
-            if self._next() == "value":
-                self._at += 1
-                self._need("=")
-            found = self._either()
-            self._take(";")
+        if self._next() == "value":
+            self._at += 1
+            self._need("=")
+        found = self._either()
+        self._take(";")
         self._depth -= 1
-        return found
-
-    def _block(self) -> Node:
-        self._need("{")
-        found = self._number(self._statement())
-        self._need("}")
         return found
 
     def _need(self, word: str) -> None:
@@ -266,27 +265,32 @@ class _Parser:
         return found
 
     def _product(self) -> Node:
-        factor = self._power if self._negation_first else self._signed
-        found = factor()
+        found = self._factor()
         while word := self._take("*", "/"):
-            found = self._finite(Node("operation", word, (self._number(found), self._number(factor()))))
+            found = self._finite(Node("operation", word, (self._number(found), self._number(self._factor()))))
         return found
+
+    def _factor(self) -> Node:
+        return self._signed()
 
     def _signed(self) -> Node:
         self._enter()
         word = self._take("+", "-")
-        inner = self._atom if self._negation_first else self._power
-        found = self._signed() if word else inner()
+        found = self._signed() if word else self._unsigned()
         self._depth -= 1
         return Node("sign", "-", (self._number(found),)) if word == "-" else found
 
+    def _unsigned(self) -> Node:
+        return self._power()
+
     def _power(self) -> Node:
+        return self._raised(self._atom, self._signed, "^", "**")
+
+    def _raised(self, base: Callable[[], Node], exponent: Callable[[], Node], *words: str) -> Node:
         self._enter()
-        first = self._negation_first
-        found = self._signed() if first else self._atom()
-        if self._take("^") if first else self._take("^", "**"):
-            exponent = self._power() if first else self._signed()
-            found = self._finite(Node("operation", "**", (self._number(found), self._number(exponent))))
+        found = base()
+        if self._take(*words):
+            found = self._finite(Node("operation", "**", (self._number(found), self._number(exponent()))))
         self._depth -= 1
         return found
 
@@ -322,7 +326,7 @@ class _Parser:
         raise self._wrong(f"{word!r} stands where a number must")
 
     def _call(self, word: str) -> Node:
-        if word not in self._functions:
+        if word not in self.functions:
             raise self._wrong(f"{word}() is not known")
         self._at += 1
         parts = [self._either()]
@@ -334,3 +338,40 @@ class _Parser:
         if any(part.logical != (word == "ifelse" and place == 0) for place, part in enumerate(parts)):
             raise self._wrong(f"{word}() has a comparison where a number must stand, or the other way round")
         return self._finite(Node("call", word, tuple(parts)))
+
+
+class _PeridigmParser(_Parser):
+    """A sign binds more tightly than a power, and an expression may be an ``if``."""
+
+    functions: ClassVar[Sequence[str]] = [name for name in FUNCTIONS if name not in _NOT_PERIDIGM]
+
+    def _statement(self) -> Node:
+        if not self._take("if"):
+            return super()._statement()
+        self._enter()
+        self._need("(")
+        condition = self._either()
+        self._need(")")
+        if not condition.logical:
+            raise self._wrong("what follows an if must be a comparison")
+        value = self._block()
+        if not self._take("else"):
+            raise self._wrong("an if needs an else")
+        other = self._statement() if self._next() == "if" else self._block()
+        self._depth -= 1
+        return Node("call", "ifelse", (condition, value, other))
+
+    def _block(self) -> Node:
+        self._need("{")
+        found = self._number(self._statement())
+        self._need("}")
+        return found
+
+    def _factor(self) -> Node:
+        return self._power()
+
+    def _unsigned(self) -> Node:
+        return self._atom()
+
+    def _power(self) -> Node:
+        return self._raised(self._signed, self._power, "^")

@@ -410,7 +410,7 @@ def _history(script: Script, one: Section, force: str, displacement: str) -> Non
     label = "".join(c if c.isalnum() or c == "_" else "_" for c in one.peek("Output Label") or one.name)
     axes = "xyz"[: script.body.dim]
     if kind == "Block_Data" and variable == force and one.peek("Calculation Type") == "Sum":
-        where = script.body.named(one.text("Block"), one.place)
+        where = script.body.block(one.text("Block"), one.place)
         for axis in axes:
             # Support forces, the opposite of the internal forces that the deck sums up.
             script.history[f"{label}_{axis}"] = f'pd.Reaction("{axis}", {where.code})'

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pdpetsc.bounds import MOST_STEPS, real_number, whole_number
-from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.expressions import parse_peridigm
 from pdpetsc.decks.free_motions import hold_free_motions
 from pdpetsc.decks.parts import (
     Law,
@@ -149,7 +149,7 @@ def _blocks(script: Script, root: Section) -> None:
             blocks = [name for name in script.body.sets if _is_block(name) and (script.body.sets[name] & left).any()]
             parts = [Where(f"pd.region.Named({quoted(name)})", np.asarray(script.body.sets[name])) for name in blocks]
         else:
-            parts = [script.body.named(name, group.place) for name in names]
+            parts = [script.body.block(name, group.place) for name in names]
         if not parts:
             group.text("Material")
             group.text("Horizon")
@@ -213,7 +213,7 @@ def _influence(script: Script, root: Section, horizons: Sequence[float]) -> None
     else:
         place = section.entries["Influence Function"].place
         horizon = single_horizon(set(horizons), place)
-        node = parse(text, place, {"zeta", "horizon"}, negation_first=True)
+        node = parse_peridigm(text, place, {"zeta", "horizon"})
         body = node.python({"zeta": "zeta", "horizon": repr(horizon), "pi": "np.pi"})
         own_influence(script, body, "zeta", script.horizon[0][1])
 
@@ -348,8 +348,8 @@ def _conditions(script: Script, section: Section, deck: Deck) -> None:
         if not axis and "Coordinate" in one.entries:
             one.text("Coordinate")
         set_name, text = one.text("Node Set"), one.text("Value")
-        value = parse(text, one.entries["Value"].place, {"x", "y", "z", "t"}, negation_first=True)
-        where = script.body.named(set_name, one.place, nodes=True)
+        value = parse_peridigm(text, one.entries["Value"].place, {"x", "y", "z", "t"})
+        where = script.body.node_set(set_name, one.place)
         # Displacements are counted from the beginning, changes of temperature from time 0.
         since = {"Prescribed Displacement": script.times.first, "Prescribed Temperature": 0.0}.get(kind)
         given = Given(known[kind], axis, where, value, one.place, since)

@@ -16,7 +16,7 @@ import numpy as np
 
 from pdpetsc.arrays import Mask
 from pdpetsc.bounds import MOST_STEPS, whole_number
-from pdpetsc.decks.expressions import parse
+from pdpetsc.decks.expressions import parse, parse_condition
 from pdpetsc.decks.free_motions import hold_free_motions
 from pdpetsc.decks.parts import (
     Law,
@@ -138,7 +138,7 @@ def _body(section: Section, deck: Deck) -> Body:
         elif text == "All":
             regions[name], chosen[name] = "pd.region.All()", np.ones(len(places), dtype=bool)
         else:
-            node = parse(text, given.entries[name].place, set("xyz"[:dim]), logical=True)
+            node = parse_condition(text, given.entries[name].place, set("xyz"[:dim]))
             code = node.python({axis: f"x[:, {k}]" for k, axis in enumerate("xyz")} | {"pi": "np.pi"})
             regions[name] = f"pd.region.Where(lambda x: {code})"
             chosen[name] = np.array(
@@ -189,7 +189,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
             # A block without particles, which other meshes of the same deck have.
             script.notes.leave_out_all(block)
             continue
-        where = script.body.named(f"block_{number}", block.place)
+        where = script.body.block(f"block_{number}", block.place)
         left &= ~where.mask
         script.horizon.append((where, horizon_of(block)))
         script.notes.leave_out(block, "Density", "Specific Heat Capacity")
@@ -398,7 +398,7 @@ def _where(body: Body, name: str, place: str) -> Where:
     if own in body.regions:
         assert own is not None
         return Where(body.regions[own], np.asarray(body.sets[own]))
-    return body.named(name, place, nodes=True)
+    return body.node_set(name, place)
 
 
 # --- time

@@ -115,11 +115,16 @@ class Body:
         """Return the number of coordinates."""
         return int(self.x.shape[1])
 
-    def named(self, name: str, place: str, nodes: bool = False) -> Where:
-        """Return the particles of a block of the deck, or of a node set; raises CaseError where there is none."""
-        own = self.called.get(tidy(name))
-        if nodes:
-            own = self.of_nodes.get(tidy(name), own)
+    def block(self, name: str, place: str) -> Where:
+        """Return the particles of a block of the deck; raises CaseError if there is none."""
+        return self._named(self.called, name, place)
+
+    def node_set(self, name: str, place: str) -> Where:
+        """Return the particles of a node set of the deck; raises CaseError if there is none."""
+        return self._named({**self.called, **self.of_nodes}, name, place)
+
+    def _named(self, called: Mapping[str, str], name: str, place: str) -> Where:
+        own = called.get(tidy(name))
         if own is None or own not in self.sets:
             have = ", ".join(sorted(self.called)) or "none"
             raise CaseError(f"{place} of the deck names the set {name!r}; mesh and deck have {have}.")
@@ -419,7 +424,7 @@ class Script:
             )
         if len(codes) == 1:
             return codes.pop()
-        return _listed([f"({where.code}, {code})," for where, code in self.material], marks=False)
+        return _listed([f"({where.code}, {code})," for where, code in self.material])
 
 
 def _values(given: Given, body: Body, t: float) -> list[float]:
@@ -467,9 +472,9 @@ def _refuse_rests(given: Given, values: Float, times: Times) -> None:
             )
 
 
-def _listed(items: Iterable[str], marks: bool = True) -> str:
-    """Return a list, one item a line where it has several; ``marks`` adds commas where they are missing."""
-    lines = [item if item.startswith("#") or item.endswith(",") or not marks else f"{item}," for item in items]
+def _listed(items: Iterable[str]) -> str:
+    """Return a list, one item per line if it has several."""
+    lines = [item if item.startswith("#") or item.endswith(",") else f"{item}," for item in items]
     if not lines:
         return "[]"
     if len(lines) <= 3 and not any(line.startswith("#") for line in lines):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -79,7 +80,7 @@ def read(path: Path) -> MeshData:
         elif keyword in ("NSET", "ELSET") and not own:
             sets = deck.node_sets if keyword == "NSET" else deck.element_sets
             name = _option(options, keyword, keyword)
-            sets.setdefault(name, []).extend(_members(sets, data, "GENERATE" in options))
+            sets.setdefault(name, []).extend(_generated(data) if "GENERATE" in options else _members(sets, data))
         elif keyword == "SURFACE":
             _surface(deck, options, data)
     if max(deck.parts, deck.instances) > 1:
@@ -275,19 +276,24 @@ def _elements(deck: _Deck, options: dict[str, str], data: list[list[str]]) -> No
         deck.element_sets.setdefault(options["ELSET"].strip('"'), []).extend(members)
 
 
-def _members(sets: dict[str, list[int]], data: list[list[str]], generate: bool) -> list[int]:
-    """Return the members of a set: numbers, ranges, or those of sets before it."""
+def _generated(data: list[list[str]]) -> list[int]:
+    """Return the members of a set that ranges generate."""
     members: list[int] = []
     for words in data:
-        given = [word for word in words if word]
-        if generate:
-            first, last, step = ([_whole(word, "a range") for word in given] + [1])[:3] if len(given) > 1 else (1, 0, 1)
-            if step < 1 or last < first or last - first > 10**7:
-                raise CaseError(f"a set generates from {first} to {last} by {step}")
-            members += range(first, last + 1, step)
-            _refuse_many(members)
-            continue
-        for word in given:
+        given = [_whole(word, "a range") for word in words if word]
+        first, last, step = ([*given, 1])[:3] if len(given) > 1 else (1, 0, 1)
+        if step < 1 or last < first or last - first > 10**7:
+            raise CaseError(f"a set generates from {first} to {last} by {step}")
+        members += range(first, last + 1, step)
+        _refuse_many(members)
+    return members
+
+
+def _members(sets: dict[str, list[int]], data: list[list[str]]) -> list[int]:
+    """Return the members of a set: numbers, or the members of sets before it."""
+    members: list[int] = []
+    for word in itertools.chain.from_iterable(data):
+        if word:
             members += _named(sets, word) if not _is_whole(word) else [_whole(word, "a member")]
             # Sets of sets may double with every line.
             _refuse_many(members)

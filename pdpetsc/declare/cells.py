@@ -138,7 +138,7 @@ def volumes_and_moments(points: Float, block: Block) -> tuple[Float, Float]:
     if inner is not None:
         low = points[block.nodes[:, 0]]
         for corners, middle in zip(FACETS[block.kind], inner, strict=True):
-            x, area = curved.quadrature(points, block.nodes[:, list(corners)], middle, fine=True)
+            x, area = curved.quadrature(points, block.nodes[:, list(corners)], middle, degree=2)
             x = x - low[:, None]
             volume += np.einsum("nqa,nqa->n", x, area) / dim
             moment += 0.5 * (x**2 * area).sum(axis=1)
@@ -283,7 +283,7 @@ def flat_parts(
     for m in (2, 3, 4):
         rows = np.flatnonzero(round_ & (count == m))
         if len(rows):
-            at, of = curved.quadrature(points, corners[rows, :m], middle[rows], fine=False)
+            at, of = curved.quadrature(points, corners[rows, :m], middle[rows], degree=1)
             sign = np.where((of.sum(axis=1) * area[rows]).sum(axis=1) < 0.0, -1.0, 1.0)
             places.append(at.reshape(-1, x.shape[1]))
             areas.append((sign[:, None, None] * of).reshape(-1, x.shape[1]))

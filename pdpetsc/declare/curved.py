@@ -139,7 +139,7 @@ def bent(points: Float, corners: GlobalIndex, middle: GlobalIndex) -> Mask:
     return found
 
 
-def quadrature(points: Float, corners: GlobalIndex, middle: GlobalIndex, fine: bool) -> tuple[Float, Float]:
+def quadrature(points: Float, corners: GlobalIndex, middle: GlobalIndex, degree: int) -> tuple[Float, Float]:
     """Return places (n, q, dim) and vector areas (n, q, dim) of curved facets of one number of corners.
 
     Parameters
@@ -148,16 +148,16 @@ def quadrature(points: Float, corners: GlobalIndex, middle: GlobalIndex, fine: b
         Nodes in turn.
     middle : (n, ``MIDDLES``) int64
         Nodes within.
-    fine : bool
-        Whether ``sum x^2 a`` is exact, beyond ``sum x (x) a``.
+    degree : {1, 2}
+        Powers of the places whose sums with the areas are exact: ``sum x (x) a``, or ``sum x^2 a`` too.
     """
     m = corners.shape[1]
     x = points[np.concatenate([corners, middle[:, : 1 if m == 2 else m]], axis=1)]
     if m == 2:
-        return _on_lines(x, 3 if fine else 2)
+        return _on_lines(x, degree + 1)
     if m == 3:
-        return _summed(x, *_triangle(5 if fine else 3))
-    ring, full = _square(4 if fine else 3)
+        return _summed(x, *_triangle(2 * degree + 1))
+    ring, full = _square(degree + 2)
     places, areas = _summed(x, *ring)
     within = np.flatnonzero(middle[:, 4] >= 0)
     if len(within):

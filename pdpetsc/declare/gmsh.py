@@ -7,6 +7,7 @@ of the unnamed groups of an entity.
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -28,46 +29,61 @@ _TYPES = {
 _NAME = re.compile(rb'^\s*(\d+)\s+(-?\d+)\s+"(.*)"\s*$')
 
 
-class _Numbers:
+class _Numbers(ABC):
     """The numbers of a section, one kind after another."""
 
-    def __init__(self, file: BinaryIO, binary: bool, end: bytes) -> None:
-        self._file, self._words = file, list[bytes]()
-        self._at, self._binary = 0, binary
-        if not binary:
-            for line in file:
-                if line.strip() == end:
-                    break
-                self._words += line.split()
-            else:
-                raise CaseError(f"its section before {end.decode()} does not end")
+    @abstractmethod
+    def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
+        """Return the next numbers, of a kind in binary files and of a type in files of text."""
 
-    def _take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
-        if count < 0:
-            raise CaseError(f"it has a count of {count}")
-        if self._binary:
-            kind = np.dtype(binary)
-            raw = self._file.read(count * kind.itemsize)
-            if len(raw) < count * kind.itemsize:
-                raise CaseError("it ends too early")
-            return np.frombuffer(raw, kind)
+    def ints(self, count: int) -> GlobalIndex:
+        """Return whole numbers of 4 bytes."""
+        return self.take(count, "<i4", int).astype(np.int64)
+
+    def sizes(self, count: int) -> GlobalIndex:
+        """Return counts and tags of 8 bytes."""
+        return self.take(count, "<u8", int).astype(np.int64)
+
+    def reals(self, count: int) -> Float:
+        """Return numbers."""
+        return self.take(count, "<f8", float).astype(np.float64)
+
+
+class _Binary(_Numbers):
+    def __init__(self, file: BinaryIO, end: bytes) -> None:
+        self._file = file
+
+    def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
+        _refuse_negative(count)
+        kind = np.dtype(binary)
+        raw = self._file.read(count * kind.itemsize)
+        if len(raw) < count * kind.itemsize:
+            raise CaseError("it ends too early")
+        return np.frombuffer(raw, kind)
+
+
+class _Text(_Numbers):
+    def __init__(self, file: BinaryIO, end: bytes) -> None:
+        self._words, self._at = list[bytes](), 0
+        for line in file:
+            if line.strip() == end:
+                break
+            self._words += line.split()
+        else:
+            raise CaseError(f"its section before {end.decode()} does not end")
+
+    def take(self, count: int, binary: str, text: type) -> NDArray[np.generic]:
+        _refuse_negative(count)
         words = self._words[self._at : self._at + count]
         if len(words) < count:
             raise CaseError("a section ends too early")
         self._at += count
         return np.array(words).astype(text) if count else np.zeros(0, text)
 
-    def ints(self, count: int) -> GlobalIndex:
-        """Return whole numbers of 4 bytes."""
-        return self._take(count, "<i4", int).astype(np.int64)
 
-    def sizes(self, count: int) -> GlobalIndex:
-        """Return counts and tags of 8 bytes."""
-        return self._take(count, "<u8", int).astype(np.int64)
-
-    def reals(self, count: int) -> Float:
-        """Return numbers."""
-        return self._take(count, "<f8", float).astype(np.float64)
+def _refuse_negative(count: int) -> None:
+    if count < 0:
+        raise CaseError(f"it has a count of {count}")
 
 
 def is_read(path: Path) -> bool:
@@ -89,7 +105,7 @@ def read(path: Path) -> MeshData:
     groups: dict[tuple[int, int], GlobalIndex] = {}
     points, tags = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     elements: list[tuple[int, int, Block]] = []
-    binary = False
+    kind: type[_Binary | _Text] = _Text
     with path.open("rb") as file:
         for line in file:
             section = line.strip()
@@ -98,10 +114,10 @@ def read(path: Path) -> MeshData:
             end = b"$End" + section[1:]
 
             def numbers(end: bytes = end) -> _Numbers:
-                return _Numbers(file, binary, end)
+                return kind(file, end)
 
             if section == b"$MeshFormat":
-                binary = _format(file)
+                kind = _format(file)
             elif section == b"$PhysicalNames":
                 names = _names(file, end)
             elif section == b"$Entities":
@@ -119,17 +135,16 @@ def read(path: Path) -> MeshData:
     return _mesh(points, tags, elements, groups, names)
 
 
-def _format(file: BinaryIO) -> bool:
-    """Return whether the file is binary."""
+def _format(file: BinaryIO) -> type[_Binary | _Text]:
     words = file.readline().split()
     if len(words) < 3 or words[2] != b"8":
         raise CaseError("its numbers have not 8 bytes")
     if words[1] == b"0":
-        return False
+        return _Text
     one = file.read(4)
     if one != b"\x01\x00\x00\x00":
         raise CaseError("it was written on a machine with another order of bytes; save it as text")
-    return True
+    return _Binary
 
 
 def _skip(file: BinaryIO, end: bytes) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, Mask
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.files import write_whole
 from pdpetsc.output.reading import read_history
@@ -207,18 +207,25 @@ class _Search:
             return np.full(len(self.curve.x), np.nan)
         return np.asarray((values - self.curve.y) / self.curve.scale)
 
-    def least(self, x: Float, central: bool = False) -> Float:
-        """Return where least squares ends from some shares; raises SolveError where the first search does not."""
-        from scipy.optimize import least_squares
-
-        ftol, xtol, gtol = (1e-12, 1e-7, 1e-12) if central else (1e-9, 1e-5, 1e-9)
-        found = least_squares(
-            self.residual, x, jac=lambda x: self.jacobian(x, central), bounds=(0.0, 1.0), method="trf",
-            ftol=ftol, xtol=xtol, gtol=gtol, max_nfev=AGAIN if central else max(self._most, 1),
-        )  # fmt: skip
-        if found.status <= 0 and not central:
+    def least(self, x: Float) -> Float:
+        """Return the shares where least squares ends; raises SolveError if it does not converge."""
+        found = self._minimise(x, self.jacobian, (1e-9, 1e-5, 1e-9), max(self._most, 1))
+        if found.status <= 0:
             raise SolveError(f"The fit has not converged: {str(found.message).strip('`').rstrip('.')}.")
         return np.asarray(found.x)
+
+    def refined(self, x: Float) -> Float:
+        """Return the shares where least squares with central differences ends after a few runs."""
+        return np.asarray(self._minimise(x, self.central_jacobian, (1e-12, 1e-7, 1e-12), AGAIN).x)
+
+    def _minimise(self, x: Float, jacobian: Callable[[Float], Float], tolerances: tuple[float, ...], most: int) -> Any:
+        from scipy.optimize import least_squares
+
+        ftol, xtol, gtol = tolerances
+        return least_squares(
+            self.residual, x, jac=jacobian, bounds=(0.0, 1.0), method="trf", ftol=ftol, xtol=xtol, gtol=gtol,
+            max_nfev=most,
+        )  # fmt: skip
 
     def lower(self, x: Float, step: Float) -> Float | None:
         """Return shares along a step where the sum of squares is less, None where it is not.
@@ -252,8 +259,15 @@ class _Search:
         names = list(self.ranges)
         return list(dict.fromkeys(names[j] for (j, _), one in zip(inside, found, strict=True) if one[1] is None))
 
-    def jacobian(self, x: Float, central: bool = False) -> Float:
-        """Return the derivatives of the residuals by the shares (m, n)."""
+    def jacobian(self, x: Float) -> Float:
+        """Return the derivatives of the residuals by the shares (m, n), by differences to one side."""
+        return self._derivatives(x, np.zeros(len(x), dtype=bool))
+
+    def central_jacobian(self, x: Float) -> Float:
+        """Return the derivatives of the residuals by the shares (m, n), by central differences within the ranges."""
+        return self._derivatives(x, (x >= STEP) & (x + STEP <= 1.0))
+
+    def _derivatives(self, x: Float, central: Mask) -> Float:
         here = self.at([x])[0][1]
         assert here is not None
         n = len(x)
@@ -261,7 +275,7 @@ class _Search:
         moved = [self._moved(x, j, steps[j]) for j in range(n)]
         back = [self._moved(x, j, -steps[j]) for j in range(n)]
         ahead = self.at(moved)
-        wanted = [j for j in range(n) if ahead[j][1] is None or (central and 0.0 <= x[j] - steps[j] <= 1.0)]
+        wanted = [j for j in range(n) if ahead[j][1] is None or central[j]]
         behind = dict(zip(wanted, self.at([back[j] for j in wanted]), strict=True))
         J = np.empty((len(self.curve.x), n))
         for j, name in enumerate(self.ranges):
@@ -335,7 +349,7 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     rounds = 0
     while (step := _left(search, x, J)) is not None:
         # Differences to one side shift the least square, and a short step is none where the residuals are small.
-        further = search.least(x, central=True) if rounds == 0 else search.lower(x, step)
+        further = search.refined(x) if rounds == 0 else search.lower(x, step)
         if further is None:
             break
         if (rounds := rounds + 1) > ROUNDS:
@@ -377,7 +391,7 @@ def _identified(search: _Search, x: Float) -> Float:
     SolveError
         Parameters cannot be told apart by the curve, or one has ended at an end of its range.
     """
-    J, curve, ranges = search.jacobian(x, central=True), search.curve, search.ranges
+    J, curve, ranges = search.central_jacobian(x), search.curve, search.ranges
     _refuse_unidentified(J * (curve.scale / np.abs(curve.y).max())[:, None], list(ranges))
     at_end = [name for (name, one), share in zip(ranges.items(), x, strict=True) if min(share, 1 - share) < AT_END]
     if at_end:

@@ -77,8 +77,11 @@ class Progress:
     def started(self, question: Question) -> None:
         """Take that a run has been started."""
 
-    def ended(self, outcome: Outcome, before: bool) -> None:
-        """Take how one ended, in an earlier study or in this one."""
+    def kept(self, outcome: Outcome) -> None:
+        """Take how a run ended in an earlier study."""
+
+    def ended(self, outcome: Outcome) -> None:
+        """Take how a run ended in this study."""
 
 
 class Runs:
@@ -152,12 +155,12 @@ class Runs:
                 tell.again(question, why)
             waiting.append(number)
         for number, outcome in found.items():
-            tell.ended(outcome, not questions[number].refused)
+            (tell.ended if questions[number].refused else tell.kept)(outcome)
         running: dict[int, Job] = {}
         try:
             for number, outcome in self._ended(questions, waiting, running, tell):
                 found[number] = outcome
-                tell.ended(outcome, False)
+                tell.ended(outcome)
         except BaseException:
             end_all(list(running.values()))
             raise
@@ -494,11 +497,14 @@ class _Writing(Progress):
     def started(self, question: Question) -> None:
         self._to.started(question)
 
-    def ended(self, outcome: Outcome, before: bool) -> None:
+    def kept(self, outcome: Outcome) -> None:
         self._known[named(outcome.parameters)] = outcome
-        if not before:
-            table.write(self._folder, self._name, [self._known[one] for one in self._order if one in self._known], [])
-        self._to.ended(outcome, before)
+        self._to.kept(outcome)
+
+    def ended(self, outcome: Outcome) -> None:
+        self._known[named(outcome.parameters)] = outcome
+        table.write(self._folder, self._name, [self._known[one] for one in self._order if one in self._known], [])
+        self._to.ended(outcome)
 
 
 def refuse_failed(done: Study, name: str = "study") -> None:

@@ -161,12 +161,12 @@ class PointProduct(Product):
         Moduli of the points.
     h : (n_entries, dim) float64, optional
         Weights with which points put forces on particles [1 / length]; those of the gradient if absent.
-    share : (n_owned,) float64, optional
-        What is left of the stiffness of each own particle with such weights [-].
+    share : callable, optional
+        Returns what is left of the stiffness of each own particle with such weights (n_owned,) [-].
     """
 
     def __init__(
-        self, operator: GradientOperator, A: Moduli, h: Float | None = None, share: Float | None = None
+        self, operator: GradientOperator, A: Moduli, h: Float | None = None, share: Callable[[], Float] | None = None
     ) -> None:
         self._operator, self._A, self._h, self._share = operator, A, h, share
         self._loop = operator.loop(A, h)
@@ -202,14 +202,14 @@ class PointProduct(Product):
         else:  # points of one particle have the moduli of its material
             W = operator.sum_over_points(operator.volume)
             D = W[:, None, None, None, None] * A.values[A.of[operator.points_of[:-1]]]
-        return np.asarray(D if self._share is None else D * self._share[:, None, None, None, None])
+        return np.asarray(D if self._share is None else D * self._share()[:, None, None, None, None])
 
     def strength(self) -> Float:
         """Return the trace of ``stiffness`` without forming it."""
         operator, A = self._operator, self._A
         trace = np.einsum("pikik->p", A.values)
         sums = operator.sum_over_points(operator.volume * (trace if A.of is None else trace[A.of]))
-        return sums if self._share is None else sums * self._share
+        return sums if self._share is None else np.asarray(sums * self._share())
 
 
 class RankOneProduct(Product):

@@ -196,7 +196,7 @@ class DamagedPoints(MaterialPoints):
         T = self.damage.phi(state)
         A, h = Moduli(self.moduli(self.deformation(state))), self.scaled_weights(T)
         softening = self._softening(state) if self.damage.bonds.softens else []
-        return [PointProduct(self.operator, A, h, self._share(T)), *softening]
+        return [PointProduct(self.operator, A, h, lambda: self._share(T)), *softening]
 
     def _share(self, T: Float) -> Float:
         """Return the mean integrity of the bonds that are left to each own particle (n_owned,) [-]."""

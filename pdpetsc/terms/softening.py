@@ -34,8 +34,9 @@ def softening_products(state: State, gradient: Gradient, v: Float, opposite: Cal
     """
     body, bonds, u_local = state.body, gradient.bonds, state.u_local
     centres, neighbours = body.families.centres[bonds], body.families.neighbours[bonds]
-    y = body.cloud.x[neighbours] + u_local[neighbours] - body.cloud.x[centres] - u_local[centres]
-    m = np.asarray(gradient.along[:, None] * y / np.linalg.norm(y, axis=1)[:, None])
+    y = body.cloud.x + u_local
+    m = y[neighbours] - y[centres]
+    m *= (gradient.along / np.linalg.norm(m, axis=1))[:, None]
     ends = StencilMembers(centres, 2 * np.arange(len(bonds) + 1), np.stack([centres, neighbours], axis=1).ravel())
     along = SofteningProduct(ends, body.cloud.n_owned, _of_ends(v[bonds]), _of_ends(m), np.ones(len(bonds)))
     return [along, *softening_nonlocal(body, gradient, v, opposite)]
@@ -96,7 +97,10 @@ def softening_dilatation(body: Body, gradient: Gradient, q: Float, n: Float, s: 
 
 def _of_ends(v: Float) -> Float:
     """Return vectors of the second ends of bonds (n, dim) with their opposites on the first ends (2 n, dim)."""
-    return np.asarray(np.stack([-v, v], axis=1).reshape(-1, v.shape[1]))
+    both = np.empty((len(v), 2, v.shape[1]))
+    np.negative(v, out=both[:, 0])
+    both[:, 1] = v
+    return both.reshape(-1, v.shape[1])
 
 
 def _of_particles(body: Body, bonds: GlobalIndex, v: Float, part: NonlocalPart) -> Product:

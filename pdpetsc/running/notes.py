@@ -49,8 +49,7 @@ def notes(case: Case, problem: Problem) -> list[str]:
 
 def _reads_stress(case: Case) -> bool:
     """Return True if the fields, the picture or the history of a case have a stress (not collective)."""
-    fields = [*case.written, *([] if case.picture is None else [case.picture.field])]
-    return "stress" in {*map(dimension_of, fields), *(quantity.dimension for quantity in case.history.values())}
+    return "stress" in {*map(dimension_of, case.recorded), *(quantity.dimension for quantity in case.history.values())}
 
 
 def staircase_note(case: Case, problem: Problem) -> str:

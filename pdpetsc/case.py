@@ -215,6 +215,15 @@ class Case(Declared):
             return [_named(name, function) for name, function in self.fields.items()]
         return list(self.fields)
 
+    @property
+    def recorded(self) -> list[Field]:
+        """Return the fields that a run writes: the declared ones, and what the picture shows."""
+        fields = self.written
+        for shown_too in [] if self.picture is None else [displacement, self.picture.field]:
+            if shown_too not in fields:
+                fields.append(shown_too)
+        return fields
+
     def __post_init__(self) -> None:
         super().__post_init__()
         check_horizon(self.horizon, getattr(self.particles, "spacing", 0.0))
@@ -293,10 +302,8 @@ class Case(Declared):
                 raise CaseError(f"An option of PETSc is one word without dash in front, not {name!r}.")
             if not (value is None or isinstance(value, str | numbers.Real)):
                 raise CaseError(f"The option {name} takes a string, a number or None, not {shown(value)}.")
-        shown_too = [] if self.picture is None else [displacement, self.picture.field]
-        written = self.written
         named: dict[str, Field] = {}
-        for function in [*written, *(f for f in shown_too if f not in written)]:
+        for function in self.recorded:
             name = name_of(function) if hasattr(function, "__name__") else ""
             if not (name.isidentifier() and name.isascii()):
                 raise CaseError(
@@ -340,7 +347,7 @@ def check_declared(case: Case, dim: int) -> None:
     Not collective: call it on every rank, before anything is written.
     """
     if case.picture is not None:
-        refuse_component("A Picture", case.picture.field, case.picture.component, dim)
+        refuse_component(case.picture, case.picture.field, case.picture.component, dim)
     for name, quantity in case.history.items():
         _in(f"Quantity {name!r} of the history", quantity.check, dim)
     for number, (region, _) in enumerate(case.materials, 1):

@@ -384,3 +384,10 @@ def test_a_crack_among_coarse_particles_of_a_graded_cloud_is_drawn():
     found = faces_between(x, np.zeros_like(x), np.empty((0, 2), dtype=np.int64), line)
     length = np.linalg.norm(found[:, 1] - found[:, 0], axis=1).sum() / 2.0
     assert length == pytest.approx(4.0, rel=0.3)
+
+
+def test_a_picture_of_the_displacement_needs_no_declared_field(tmp_path):
+    particles = pd.Lattice((0.0, 0.0), (6.0, 3.0), 0.5)
+    case = moved(particles, GRADIENT, steps=pd.Steps(1), fields=[], picture=pd.Picture(pd.displacement, "x"))
+    assert pd.run(case, tmp_path).fields.names() == ["displacement"]
+    assert (tmp_path / "picture.png").exists()

@@ -308,6 +308,19 @@ def test_a_term_whose_forces_or_arrays_would_be_lost_is_refused(of, words, tmp_p
         pd.run(strip_on(of, "newton"), tmp_path / "out")
 
 
+def test_arrays_of_terms_have_the_name_of_their_term():
+    """Whatever other terms there are: a number tells terms of one class apart."""
+    case = strip_on("nan", "newton")
+    for terms, names in (
+        ([], []),
+        ([OddBed("nan")], ["Odd.values"]),
+        (2 * [OddBed("nan")], ["Odd.values", "Odd#2.values"]),
+    ):
+        for more in ([], [OddBed()]):
+            problem = pd.prepare(dataclasses.replace(case, terms=[*terms, *more])).problem
+            assert list(problem.arrays()) == names
+
+
 def test_an_array_that_is_no_number_never_replaces_a_checkpoint(tmp_path):
     with pytest.raises(pd.OutputError, match="is not a number"):
         pd.run(strip_on("nan", "newton"), tmp_path / "out")

@@ -40,6 +40,6 @@ class Picture(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        refuse_component("A Picture", self.field, self.component)
+        refuse_component(self, self.field, self.component)
         if not math.isfinite(self.scale):
             raise CaseError(f"A Picture needs a finite scale, not {self.scale}.")

@@ -92,7 +92,30 @@ class Quantity(Declared, ABC):
 
 
 @dataclass(frozen=True)
-class Mean(Quantity):
+class _OfField(Quantity):
+    """A quantity of a field component over a region."""
+
+    field: Field
+    component: str = ""
+    region: Region = EVERYWHERE
+
+    @property
+    def dimension(self) -> str:
+        """Return what kind of number it is."""
+        return dimension_of(self.field)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component(self, self.field, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
+        refuse_component(self, self.field, self.component, dim)
+        self.region.check(dim)
+
+
+@dataclass(frozen=True)
+class Mean(_OfField):
     """Volume-weighted mean of a field component over a region.
 
     Parameters
@@ -109,24 +132,6 @@ class Mean(Quantity):
     >>> import pdpetsc as pd
     >>> right = pd.Mean(pd.displacement, "x", pd.region.Slab("x", low=9.0))
     """
-
-    field: Field
-    component: str = ""
-    region: Region = EVERYWHERE
-
-    @property
-    def dimension(self) -> str:
-        """Return what kind of number it is."""
-        return dimension_of(self.field)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_component("A Mean", self.field, self.component)
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
-        refuse_component("A Mean", self.field, self.component, dim)
-        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the mean."""
@@ -172,11 +177,11 @@ class Reaction(Quantity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        refuse_component("A Reaction", reaction, self.component)
+        refuse_component(self, reaction, self.component)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
-        refuse_component("A Reaction", reaction, self.component, dim)
+        refuse_component(self, reaction, self.component, dim)
         self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
@@ -194,7 +199,22 @@ class Reaction(Quantity):
 
 
 @dataclass(frozen=True)
-class CellStrain(Quantity):
+class _OfCell(Quantity):
+    """A component of a symmetric tensor of the periodic cell."""
+
+    component: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_component(self, stress, self.component)
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where a cell of ``dim`` dimensions has no such component."""
+        refuse_component(self, stress, self.component, dim)
+
+
+@dataclass(frozen=True)
+class CellStrain(_OfCell):
     """Component of the mean strain of a periodic cell [-].
 
     Examples
@@ -203,16 +223,6 @@ class CellStrain(Quantity):
     >>> strain = pd.CellStrain("xy")
     """
 
-    component: str
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_component("A CellStrain", stress, self.component)
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
-        refuse_component("A CellStrain", stress, self.component, dim)
-
     def evaluate(self, solution: Solution) -> float:
         """Return the component."""
         a, b = _axes(solution, self.component)
@@ -220,7 +230,7 @@ class CellStrain(Quantity):
 
 
 @dataclass(frozen=True)
-class CellStress(Quantity):
+class CellStress(_OfCell):
     """Component of the mean first Piola-Kirchhoff stress of a periodic cell, its symmetric part [stress].
 
     Examples
@@ -230,16 +240,6 @@ class CellStress(Quantity):
     """
 
     dimension = "stress"
-
-    component: str
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_component("A CellStress", stress, self.component)
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
-        refuse_component("A CellStress", stress, self.component, dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the component."""
@@ -408,7 +408,7 @@ class BrokenBonds(Quantity):
 
 
 @dataclass(frozen=True)
-class Largest(Quantity):
+class Largest(_OfField):
     """Largest value of a field component over a region.
 
     Parameters
@@ -422,24 +422,6 @@ class Largest(Quantity):
     >>> peak = pd.Largest(pd.stress, "yy", pd.region.Sphere((5.0, 2.0), radius=1.5))
     """
 
-    field: Field
-    component: str = ""
-    region: Region = EVERYWHERE
-
-    @property
-    def dimension(self) -> str:
-        """Return what kind of number it is."""
-        return dimension_of(self.field)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        refuse_component("A Largest", self.field, self.component)
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
-        refuse_component("A Largest", self.field, self.component, dim)
-        self.region.check(dim)
-
     def evaluate(self, solution: Solution) -> float:
         """Return the maximum."""
         values = _component_of(solution, self.field, self.component)[solution.select(self.region)]
@@ -447,7 +429,7 @@ class Largest(Quantity):
 
 
 @dataclass(frozen=True)
-class OnSurface(Quantity):
+class OnSurface(_OfField):
     """A field component on facets of the surface: their mean by area, or the largest value.
 
     Particles sit half a cell inside the body, and their gradients next to the surface have an error of a share of a
@@ -473,28 +455,14 @@ class OnSurface(Quantity):
     >>> at_the_hole = pd.OnSurface(pd.stress, "yy", pd.region.Sphere((0.0, 0.0), radius=1.01), take="largest")
     """
 
-    field: Field
-    component: str = ""
-    region: Region = EVERYWHERE
     take: Literal["mean", "largest"] = "mean"
 
     on_surface: ClassVar[bool] = True
 
-    @property
-    def dimension(self) -> str:
-        """Return what kind of number it is."""
-        return dimension_of(self.field)
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        refuse_component("An OnSurface", self.field, self.component)
         if self.take not in ("mean", "largest"):
             raise CaseError(f'An OnSurface takes take="mean" or "largest", not {self.take!r}.')
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where the field of a body of ``dim`` dimensions has no such component."""
-        refuse_component("An OnSurface", self.field, self.component, dim)
-        self.region.check(dim)
 
     def on_facets(self, solution: Solution) -> tuple[Float, Float, Float]:
         """Return the centroids (n, dim) [length] and vector areas (n, dim) of this rank's facets, and the field there.
@@ -537,7 +505,20 @@ def _interpolated(cloud: Cloud, surface: Surface, values: Float, sign: Float | N
 
 
 @dataclass(frozen=True)
-class RelativeError(Quantity):
+class _Against(Quantity):
+    """A quantity of the difference of a field from a reference function of position over a region."""
+
+    field: Field
+    reference: Callable[[Float, float], Float]
+    region: Region = EVERYWHERE
+
+    def check(self, dim: int) -> None:
+        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
+        self.region.check(dim)
+
+
+@dataclass(frozen=True)
+class RelativeError(_Against):
     """Volume-weighted mean of ``|a - b| / |b|`` between a field and a reference function of position.
 
     Parameters
@@ -559,14 +540,6 @@ class RelativeError(Quantity):
     >>> error = pd.RelativeError(pd.displacement, lambda x, t: 0.01 * t * x)
     """
 
-    field: Field
-    reference: Callable[[Float, float], Float]
-    region: Region = EVERYWHERE
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
-        self.region.check(dim)
-
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
         mask = solution.select(self.region)
@@ -583,7 +556,7 @@ class RelativeError(Quantity):
 
 
 @dataclass(frozen=True)
-class LargestError(Quantity):
+class LargestError(_Against):
     """Largest entry of ``|a - b|`` between a field and a reference function of position, over a region.
 
     Parameters
@@ -597,18 +570,10 @@ class LargestError(Quantity):
     >>> error = pd.LargestError(pd.displacement, lambda x, t: 0.01 * t * x)
     """
 
-    field: Field
-    reference: Callable[[Float, float], Float]
-    region: Region = EVERYWHERE
-
     @property
     def dimension(self) -> str:
         """Return what kind of number it is."""
         return dimension_of(self.field)
-
-    def check(self, dim: int) -> None:
-        """Raise CaseError where a body of ``dim`` dimensions cannot have the region."""
-        self.region.check(dim)
 
     def evaluate(self, solution: Solution) -> float:
         """Return the error."""
@@ -661,8 +626,8 @@ def dimension_of(field: Field) -> str:
     return next((found for known, found in _DIMENSIONS.items() if known is wanted), "")
 
 
-def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> None:
-    """Raise CaseError where a field of a body of ``dim`` dimensions has no such component."""
+def refuse_component(declared: object, field: Field, component: str, dim: int = 3) -> None:
+    """Raise CaseError if the field of a declared object has no such component in ``dim`` dimensions."""
     letters = "xyz" if any(field is known for known in _PRINCIPAL) else "xyz"[:dim]
     # A field may be an object that cannot be looked up by its hash.
     ours = [number for known, number in _LETTERS.items() if known is field]
@@ -672,6 +637,8 @@ def refuse_component(who: str, field: Field, component: str, dim: int = 3) -> No
     known = f"{wanted} of {', '.join(letters)}" if wanted else "none"
     if not ours:
         known = f"none, one or two of {', '.join(letters)}"
+    kind = type(declared).__name__
+    who = f"{'An' if kind[0] in 'AEIOU' else 'A'} {kind}"
     raise CaseError(f"{who} of {name_of(field)} in {dim}D takes {known} as component, not {component!r}.")
 
 

@@ -244,7 +244,7 @@ class Problem:
         for term in self.terms:
             name = type(term).__name__
             count[name] += 1
-            unique = name if count[name] == 1 else f"{name}_{count[name]}"
+            unique = name if count[name] == 1 else f"{name}#{count[name]}"
             found |= {f"{unique}.{of}": array for of, array in term.arrays().items()}
         return found if self.last_step is None else {**found, **self.last_step.arrays()}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 from pdpetsc.case import Case
@@ -13,7 +12,6 @@ from pdpetsc.machine import OF_NUMBERS, versions
 from pdpetsc.output.progress import Report
 from pdpetsc.petsc.library import petsc_version
 from pdpetsc.post.quantities import dimension_of
-from pdpetsc.post.solution import Field
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.crack_energy import missed_fracture_energy
 from pdpetsc.running.notes import notes
@@ -30,7 +28,7 @@ def versions_in_use() -> dict[str, str]:
     return found | versions(packages)
 
 
-def describe(case: Case, problem: Problem, fields: Sequence[Field], chosen: bool, report: Report) -> dict[str, Any]:
+def describe(case: Case, problem: Problem, chosen: bool, report: Report) -> dict[str, Any]:
     """Print what a built problem is, and return its entries of the summary.
 
     Parameters
@@ -39,8 +37,6 @@ def describe(case: Case, problem: Problem, fields: Sequence[Field], chosen: bool
         What is solved.
     problem : Problem
         The problem of that case.
-    fields : sequence of Field
-        What is written.
     chosen : bool
         The scheme is not the declared one.
     report : Report
@@ -52,7 +48,7 @@ def describe(case: Case, problem: Problem, fields: Sequence[Field], chosen: bool
     """
     return {
         **_model(case, problem, report),
-        **_labels(case, fields),
+        **_labels(case),
         **_scheme(case, problem, chosen, report),
         **_notes(case, problem, report),
         **_loads(problem, report),
@@ -83,13 +79,13 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
     return entries
 
 
-def _labels(case: Case, fields: Sequence[Field]) -> dict[str, Any]:
+def _labels(case: Case) -> dict[str, Any]:
     """Return what pictures and tables need of numbers: units, kinds of number, cracks of a plane body."""
     return {
         "units": {} if case.units is None else dataclasses.asdict(case.units),
         "dimensions": {
             "history": {name: quantity.dimension for name, quantity in case.history.items()},
-            "fields": {field.__name__: dimension_of(field) for field in fields},
+            "fields": {field.__name__: dimension_of(field) for field in case.recorded},
         },
         "cracks": [[[float(x) for x in point] for point in crack.line] for crack in case.cracks if len(crack.line)],
         "cuts": [recorded_crack(crack) for crack in case.cracks],

@@ -10,7 +10,6 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.case import Case, ungraded
 from pdpetsc.control.by_shear import twice_shear
-from pdpetsc.declare.steps import Steps
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import SolveError
 from pdpetsc.material import Material
@@ -49,8 +48,7 @@ def notes(case: Case, problem: Problem) -> list[str]:
 
 def _reads_stress(case: Case) -> bool:
     """Return True if the fields, the picture or the history of a case have a stress (not collective)."""
-    fields = [*case.written, *([] if case.picture is None else [case.picture.field])]
-    return "stress" in {*map(dimension_of, fields), *(quantity.dimension for quantity in case.history.values())}
+    return "stress" in {*map(dimension_of, case.recorded), *(quantity.dimension for quantity in case.history.values())}
 
 
 def staircase_note(case: Case, problem: Problem) -> str:
@@ -104,7 +102,7 @@ def jump_note(case: Case, problem: Problem) -> str:
     """
     comm = problem.body.cloud.comm
     steps = case.steps
-    first = steps.stops()[0] if isinstance(steps, Steps) else min(steps.first, steps.stops()[0])
+    first = min(steps.first, steps.stops()[0])
     with agreed(comm):
         laws = [ungraded(material) for _, material in case.materials]
         lost = max(law.spread(first) for law in laws if isinstance(law, Material)) if not case.of_bonds else 0.0

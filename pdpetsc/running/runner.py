@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +14,23 @@ from pdpetsc.discrete.failure import messages_apart
 from pdpetsc.errors import CaseError, OutputError, of_petsc
 from pdpetsc.gradient.weights import NEED_NOT_CONVERGE
 from pdpetsc.kernels.compile import cache_trouble
-from pdpetsc.output.broken import BrokenBonds
-from pdpetsc.output.checkpoint import Checkpoints, read_checkpoint
-from pdpetsc.output.crack import CrackLines
-from pdpetsc.output.fields import Fields
+from pdpetsc.output.checkpoint import read_checkpoint
 from pdpetsc.output.files import InCreationOrder
-from pdpetsc.output.final_picture import FinalPicture
 from pdpetsc.output.fingerprint import declared_parts, refuse_differing
 from pdpetsc.output.folder import holding, set_aside
 from pdpetsc.output.history import History
-from pdpetsc.output.observer import Observed, Observer, Origin, StepLines
+from pdpetsc.output.observer import Observed, Origin
 from pdpetsc.output.progress import LogReport, Report
 from pdpetsc.petsc.jacobian import matrices, words
 from pdpetsc.petsc.options import refuse_files
-from pdpetsc.post.of_terms import fields_of_terms, numbers_of_terms
-from pdpetsc.post.solution import Field, displacement
-from pdpetsc.problem.problem import Problem
 from pdpetsc.running.checks import Check, compared, failure, lines, recorded, refuse_unchecked
 from pdpetsc.running.description import describe, versions_in_use
-from pdpetsc.running.doubts import Doubts
 from pdpetsc.running.ending import ended_by, leave_if_stuck
-from pdpetsc.running.fragments import DetachedParticles, Fragments
+from pdpetsc.running.observers import observers_of
 from pdpetsc.running.prepare import Prepared, prepare
 from pdpetsc.running.record import RunRecord
 from pdpetsc.running.result import Result, named_numbers
 from pdpetsc.running.signals import Signals, watched
-from pdpetsc.running.stabilisation_energy import StabilisationEnergy
-from pdpetsc.running.stability import Stability
-from pdpetsc.running.unbalanced_surface import UnbalancedForces
 from pdpetsc.solvers.protocol import Solver, Start, StepResult
 
 
@@ -190,7 +179,7 @@ class _Run:
         if cache_trouble():
             report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
         chosen = case.scheme is not declared.scheme
-        record.summary |= describe(case, prepared.problem, written_fields(case, prepared.problem), chosen, report)
+        record.summary |= describe(case, prepared.problem, chosen, report)
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
         of_environment = [name for name, option in in_force.items() if option["from"] == "environment"]
@@ -224,7 +213,7 @@ class _Run:
         if restart is not None:
             origin = self._origin(prepared, solver, order, restart, declared, anyway)
             start = origin.start
-        history, record.observers = observers(self.case, prepared, declared)
+        history, record.observers = observers_of(self.case, prepared.problem, declared)
         phases.now = "output"
         for observer in record.observers:
             observer.rehearse(start, report)
@@ -316,31 +305,3 @@ class _Run:
         observed = record.observed
         assert observed is not None
         return Result(record.folder, results, history.columns, summary, observed.last, observed.run, case.expect)
-
-
-def written_fields(case: Case, problem: Problem) -> list[Field]:
-    """Return the fields to write: the declared ones, those of terms, and what the picture shows."""
-    of_picture = [] if case.picture is None else [displacement, case.picture.field]
-    return [*case.written, *fields_of_terms(problem), *(field for field in of_picture if field not in case.written)]
-
-
-def observers(case: Case, prepared: Prepared, declared: Mapping[str, str]) -> tuple[History, Sequence[Observer]]:
-    """Return the history, and all observers of a run in the order in which they record a step."""
-    damage, fields = prepared.problem.damage, written_fields(case, prepared.problem)
-    history = History({**numbers_of_terms(prepared.problem), **case.history})
-    broken = [] if damage is None else [BrokenBonds(damage.bonds)]
-    return history, [
-        StepLines(),
-        DetachedParticles(),
-        *broken,
-        *([Fields(fields, case.particles)] if fields else []),
-        history,
-        Doubts(case.history),
-        *([] if case.control is None else [StabilisationEnergy()]),
-        Checkpoints(case.checkpoints if case.solver.restarts else 0, declared, [history, *broken]),
-        CrackLines(case.history.values()),
-        Fragments(),
-        UnbalancedForces(case),
-        Stability(case.solver.finds_load),
-        FinalPicture(case.picture),
-    ]

@@ -1,0 +1,43 @@
+"""The observers of a run, in the order in which they record a step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pdpetsc.case import Case
+from pdpetsc.output.broken import BrokenBonds
+from pdpetsc.output.checkpoint import Checkpoints
+from pdpetsc.output.crack import CrackLines
+from pdpetsc.output.fields import Fields
+from pdpetsc.output.final_picture import FinalPicture
+from pdpetsc.output.history import History
+from pdpetsc.output.observer import Observer, StepLines
+from pdpetsc.post.of_terms import fields_of_terms, numbers_of_terms
+from pdpetsc.problem.problem import Problem
+from pdpetsc.running.doubts import Doubts
+from pdpetsc.running.fragments import DetachedParticles, Fragments
+from pdpetsc.running.stabilisation_energy import StabilisationEnergy
+from pdpetsc.running.stability import Stability
+from pdpetsc.running.unbalanced_surface import UnbalancedForces
+
+
+def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> tuple[History, list[Observer]]:
+    """Return the history, and all observers of a run in the order in which they record a step."""
+    damage, fields = problem.damage, [*case.recorded, *fields_of_terms(problem)]
+    history = History({**numbers_of_terms(problem), **case.history})
+    broken = [] if damage is None else [BrokenBonds(damage.bonds)]
+    return history, [
+        StepLines(),
+        DetachedParticles(),
+        *broken,
+        *([Fields(fields, case.particles)] if fields else []),
+        history,
+        Doubts(case.history),
+        *([] if case.control is None else [StabilisationEnergy()]),
+        Checkpoints(case.checkpoints if case.solver.restarts else 0, declared, [history, *broken]),
+        CrackLines(case.history.values()),
+        Fragments(),
+        UnbalancedForces(case),
+        Stability(case.solver.finds_load),
+        FinalPicture(case.picture),
+    ]

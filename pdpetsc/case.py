@@ -24,7 +24,7 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.symmetry import Symmetry
 from pdpetsc.declare.thermal import HeatConduction, ThermalCondition
 from pdpetsc.declare.units import Units
-from pdpetsc.declared import Declared, name_of, refuse_signature, shown
+from pdpetsc.declared import Declared, Natural, name_of, refuse_signature, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
@@ -149,7 +149,7 @@ class Case(Declared):
     history: Mapping[str, Quantity] = field(default_factory=dict)
     results: Results | None = None
     fields: Sequence[Field] | Mapping[str, Field] = (displacement, stress, von_mises)
-    checkpoints: int = 1
+    checkpoints: Natural = 1
     picture: Picture | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     terms: Sequence[ExtraTerm] = ()
@@ -227,8 +227,6 @@ class Case(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_horizon(self.horizon, getattr(self.particles, "spacing", 0.0))
-        if self.checkpoints < 0:
-            raise CaseError(f"Case takes checkpoints >= 0, not {self.checkpoints}.")
         if not self.materials:
             raise CaseError("Case takes at least one material.")
         self._check_symmetry()

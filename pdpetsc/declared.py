@@ -11,7 +11,7 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -22,6 +22,30 @@ from pdpetsc.errors import CaseError, PdpetscError
 SHOWN = 60
 
 T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """What a number must be beside its type: in words, of one and of several, and as a test."""
+
+    words: tuple[str, str]
+    holds: Callable[[float], bool]
+
+
+# Numbers that a field may be annotated with.
+Finite: TypeAlias = Annotated[float, Bound(("a finite number", "finite numbers"), math.isfinite)]
+Positive: TypeAlias = Annotated[
+    float, Bound(("a positive number", "positive numbers"), lambda x: math.isfinite(x) and x > 0.0)
+]
+NonNegative: TypeAlias = Annotated[
+    float, Bound(("a finite number >= 0", "finite numbers >= 0"), lambda x: math.isfinite(x) and x >= 0.0)
+]
+Fraction: TypeAlias = Annotated[
+    float, Bound(("a number between 0 and 1", "numbers between 0 and 1"), lambda x: 0.0 < x < 1.0)
+]
+Count: TypeAlias = Annotated[int, Bound(("a positive whole number", "positive whole numbers"), lambda n: n >= 1)]
+
+Natural: TypeAlias = Annotated[int, Bound(("a whole number >= 0", "whole numbers >= 0"), lambda n: n >= 0)]
 
 
 class Declared:
@@ -151,7 +175,7 @@ def name_of(function: object) -> str:
 def _hints(kind: Any) -> dict[str, Any]:
     """Return the type of each field; none where their module does not know one."""
     try:
-        hints = get_type_hints(kind)
+        hints = get_type_hints(kind, include_extras=True)
     except (NameError, AttributeError, TypeError, SyntaxError):
         return {}
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
@@ -162,6 +186,8 @@ def fits(value: object, hint: Any) -> bool:
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return True
+    if origin is Annotated:
+        return fits(value, arguments[0]) and all(bound.holds(value) for bound in arguments[1:])
     if hint is None or hint is type(None):
         return value is None
     if hint is float:
@@ -229,6 +255,8 @@ def words_of(hint: Any, several: bool = False) -> str:
     origin, arguments = get_origin(hint), get_args(hint)
     if hint in _WORDS:
         return _WORDS[hint][several]
+    if origin is Annotated:
+        return str(arguments[1].words[several])
     if origin is Literal:
         return " or ".join(repr(argument) for argument in arguments)
     if origin in (Union, types.UnionType):

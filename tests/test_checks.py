@@ -126,13 +126,13 @@ def test_a_run_goes_on_whatever_its_case_expects_by_now(made, tmp_path):
         ({"relative": 1.0}, "between 0 and 1"),
         ({"relative": 0.0}, "between 0 and 1"),
         ({"relative": math.nan}, "a number"),
-        ({"absolute": math.inf}, ">= 0, not inf"),
+        ({"absolute": math.inf}, ">= 0 or None as absolute, not inf"),
         ({"absolute": -1.0}, ">= 0"),
         ({"relative": 0.1, "source": " "}, "source"),
         ({"relative": 0.1, "source": "two\nlines"}, "source"),
         ({"value": 0.0, "relative": 0.1}, "Nothing is relative"),
         ({"value": math.inf, "relative": 0.1}, "finite"),
-        ({"value": math.nan, "relative": 0.1}, "a number"),
+        ({"value": math.nan, "relative": 0.1}, "a finite number"),
     ],
 )
 def test_an_expectation_that_cannot_hold_or_cannot_fail_is_refused(words, message):

@@ -54,7 +54,7 @@ def test_a_case_declares_its_tolerance_and_its_end(tmp_path):
 
 @pytest.mark.parametrize("wrong", [{"tolerance": 0.0}, {"tolerance": 2.0}, {"most": 0}])
 def test_wrong_options_are_refused(wrong):
-    with pytest.raises(pd.CaseError, match="relaxation"):
+    with pytest.raises(pd.CaseError, match="DynamicRelaxation takes"):
         pd.DynamicRelaxation(**wrong)
 
 

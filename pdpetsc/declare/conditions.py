@@ -13,7 +13,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
-from pdpetsc.declared import Declared, name_of, numbers_from
+from pdpetsc.declared import Declared, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 
 # A number, which is multiplied by the schedule, or a function of positions (n, dim) and step time that returns (n,)
@@ -219,7 +219,7 @@ class Traction(_Vector):
 
     normal: Sequence[float] = ()
     distribution: Literal["surface", "layer", "consistent"] | None = None
-    area: float | None = field(default=None, kw_only=True)
+    area: Positive | None = field(default=None, kw_only=True)
 
     def put(self, onto: Any, name: str) -> None:
         """Add the traction."""
@@ -227,12 +227,6 @@ class Traction(_Vector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.distribution not in ("surface", "layer", "consistent", None):
-            raise CaseError(
-                f'A Traction takes distribution="surface", "layer" or "consistent", not {self.distribution!r}.'
-            )
-        if self.area is not None and not (math.isfinite(self.area) and self.area > 0.0):
-            raise CaseError(f"The area of the face of a Traction is positive, not {self.area}.")
         if self.area is not None and self.on_surface:
             raise CaseError(
                 "A Traction on the surface takes no area: it is that of its facets; give a normal for a layer."

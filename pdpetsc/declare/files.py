@@ -34,7 +34,8 @@ from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.formats import FORMATS, files_of, read_mesh
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
-from pdpetsc.declare.text_file import refuse_thickness, without_constant
+from pdpetsc.declare.text_file import without_constant
+from pdpetsc.declared import Positive
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import stamp_of
 
@@ -78,12 +79,11 @@ class Mesh(Particles):
     """
 
     path: str | Path
-    thickness: float = 1.0
+    thickness: Positive = 1.0
     format: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        refuse_thickness("Mesh", self.thickness)
         if self.format is not None:
             choose("The format of a Mesh", self.format, FORMATS)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.particles import Chunk
-from pdpetsc.declared import Declared, called, real_numbers, shown
+from pdpetsc.declared import Declared, Positive, called, real_numbers, shown
 from pdpetsc.errors import CaseError
 
 
@@ -45,12 +45,7 @@ class Horizon(Declared):
     Horizon(ratio=3.015)
     """
 
-    ratio: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.ratio) and self.ratio > 0.0):
-            raise CaseError(f"A Horizon takes a positive number of spacings, not {self.ratio}.")
+    ratio: Positive
 
 
 # One length for all particles, spacings, a function of positions (n, dim) that gives lengths (n,), or one length each.

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared, numbers_from
+from pdpetsc.declared import Declared, Positive, numbers_from
 from pdpetsc.errors import CaseError
 
 
@@ -87,12 +86,7 @@ class Gaussian(Influence):
     >>> narrow = pd.influence.Gaussian(width=0.3)
     """
 
-    width: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.width) and self.width > 0.0):
-            raise CaseError(f"Gaussian influence needs a positive width, not {self.width}.")
+    width: Positive = 0.5
 
     def __call__(self, s: Float) -> Float:
         """Return the Gaussian."""

@@ -15,7 +15,7 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import Region, View
 from pdpetsc.declare.surface import Facets
-from pdpetsc.declared import Declared, real_numbers, shown
+from pdpetsc.declared import Declared, Positive, real_numbers, shown
 from pdpetsc.errors import CaseError
 
 # A side may differ from a whole number of cells by this share of it.
@@ -170,8 +170,8 @@ class Lattice(Particles):
 
     low: float | Sequence[float]
     high: float | Sequence[float]
-    spacing: float
-    thickness: float = 1.0
+    spacing: Positive
+    thickness: Positive = 1.0
     cut: Region | None = None
     keep: Region | None = None
     fictitious: Mapping[str, float] = field(default_factory=dict)
@@ -181,10 +181,6 @@ class Lattice(Particles):
         low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
         if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
             raise CaseError("The corners low and high of a Lattice need the same 1, 2 or 3 coordinates.")
-        if not (math.isfinite(self.spacing) and self.spacing > 0.0):
-            raise CaseError(f"A Lattice needs a positive spacing, not {self.spacing}.")
-        if not (math.isfinite(self.thickness) and self.thickness > 0.0):
-            raise CaseError(f"A Lattice needs a positive thickness, not {self.thickness}.")
         for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
             if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
                 raise CaseError(
@@ -315,8 +311,8 @@ class LatticeNodes(Particles):
 
     low: float | Sequence[float]
     high: float | Sequence[float]
-    spacing: float
-    thickness: float = 1.0
+    spacing: Positive
+    thickness: Positive = 1.0
     cut: Region | None = None
     keep: Region | None = None
 
@@ -443,7 +439,7 @@ class Arrays(Particles):
     x: ArrayLike
     volume: ArrayLike
     sets: Mapping[str, ArrayLike] = field(default_factory=dict)
-    thickness: float = 1.0
+    thickness: Positive = 1.0
     facets: Facets | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -453,8 +449,6 @@ class Arrays(Particles):
             raise CaseError(f"Particle positions must be (n, 1), (n, 2) or (n, 3), not {x.shape}.")
         if volume.shape not in ((), (len(x),)):
             raise CaseError(f"Particle volumes must be one number or ({len(x)},), not {np.shape(self.volume)}.")
-        if not (math.isfinite(self.thickness) and self.thickness > 0.0):
-            raise CaseError(f"Arrays need a positive thickness, not {self.thickness}.")
         for name, members in self.sets.items():
             _refuse_members(name, members, len(x))
         if self.facets is not None:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
 from pdpetsc.declare.region import Region
-from pdpetsc.declare.steps import refuse_bonds_at_once
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Count, Declared, Fraction, Natural, Positive
 from pdpetsc.errors import CaseError
 
 
@@ -94,18 +93,11 @@ class DynamicRelaxation(DeclaredSolver):
     >>> solver = pd.DynamicRelaxation(tolerance=1e-5)
     """
 
-    tolerance: float = 1e-6
-    most: int = 1_000_000
+    tolerance: Fraction = 1e-6
+    most: Count = 1_000_000
 
     title = "Dynamic relaxation"
     needs = Needs(tangent="none")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.tolerance) and 0.0 < self.tolerance < 1.0):
-            raise CaseError(f"The tolerance of dynamic relaxation lies between 0 and 1, not {self.tolerance}.")
-        if self.most < 1:
-            raise CaseError(f"Dynamic relaxation needs at least one time step, not {self.most}.")
 
 
 @dataclass(frozen=True)
@@ -132,21 +124,14 @@ class EventDriven(DeclaredSolver):
     >>> solver = pd.EventDriven(fields_every=100)
     """
 
-    updates: int | None = None
-    most: int = 1_000_000
-    fields_every: int = 0
+    updates: Count | None = None
+    most: Count = 1_000_000
+    fields_every: Natural = 0
 
     title = "The event-driven solver"
     needs = Needs(tangent="assembled", proportional="up to the whole load", piecewise_linear=True, symmetric=True)
     finds_load = True
     restarts = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.updates is not None and self.updates < 1:
-            raise CaseError(f"The event-driven solver needs updates >= 1, not {self.updates}.")
-        if self.most < 1 or self.fields_every < 0:
-            raise CaseError("The event-driven solver needs most >= 1 and fields_every >= 0.")
 
 
 @dataclass(frozen=True)
@@ -166,11 +151,7 @@ class BondStretch(Declared):
     >>> solver = pd.PathFollowing(measure=pd.BondStretch(step=0.05))
     """
 
-    step: float = 0.1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_step(self.step)
+    step: Positive = 0.1
 
     def check(self, dim: int) -> None:
         """Accept every dimension."""
@@ -200,17 +181,14 @@ class Opening(Declared):
     >>> mouth = pd.Opening("x", right, against=left, step=0.01, end=0.5)
     """
 
-    component: str
+    component: Literal["x", "y", "z"]
     region: Region
     against: Region | None = field(default=None, kw_only=True)
-    step: float = field(kw_only=True)
+    step: Positive = field(kw_only=True)
     end: float = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _refuse_step(self.step)
-        if self.component not in ("x", "y", "z"):
-            raise CaseError(f'An Opening has the component "x", "y" or "z", not {self.component!r}.')
         if not (math.isfinite(self.end) and self.end > 0.0):
             raise CaseError(f"An Opening ends at a positive value, not {self.end}; exchange the two regions.")
 
@@ -258,8 +236,8 @@ class PathFollowing(DeclaredSolver):
     first: float = 1e-3
     smallest: float = 1e-4
     until: float = 0.01
-    most: int = 10_000
-    bonds_at_once: int | None = None
+    most: Count = 10_000
+    bonds_at_once: Count | None = None
 
     title = "Path following"
     needs = Needs(proportional="at any load")
@@ -269,21 +247,15 @@ class PathFollowing(DeclaredSolver):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (0.0 < self.first <= 1.0 and 0.0 < self.smallest <= 1.0 and 0.0 <= self.until < 1.0 and self.most >= 1):
+        if not (0.0 < self.first <= 1.0 and 0.0 < self.smallest <= 1.0 and 0.0 <= self.until < 1.0):
             raise CaseError(
-                f"PathFollowing needs first and smallest in (0, 1], until in [0, 1) and most >= 1, not {self.first}, "
-                f"{self.smallest}, {self.until} and {self.most}."
+                f"PathFollowing needs first and smallest in (0, 1], until in [0, 1), not {self.first}, "
+                f"{self.smallest} and {self.until}."
             )
-        refuse_bonds_at_once(self.bonds_at_once)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where the measure names what a body of ``dim`` dimensions lacks."""
         self.measure.check(dim)
-
-
-def _refuse_step(step: float) -> None:
-    if not (math.isfinite(step) and step > 0.0):
-        raise CaseError(f"The measure of a path needs a positive step, not {step}.")
 
 
 # What a case takes as its solver; messages name the classes of this module.

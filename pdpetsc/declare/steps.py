@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from pdpetsc.declared import Declared, shown
+from pdpetsc.declared import Count, Declared, shown
 from pdpetsc.errors import CaseError
 
 Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
@@ -14,12 +14,6 @@ Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
 MOST_STEPS = 99_999
 # A shorter step is lost in the rounding of the step time.
 LEAST_STEP = 1e-8
-
-
-def refuse_bonds_at_once(bonds_at_once: int | None) -> None:
-    """Raise CaseError unless at least one bond may break at once."""
-    if bonds_at_once is not None and bonds_at_once < 1:
-        raise CaseError(f"bonds_at_once is a number of bonds from 1 on, not {bonds_at_once}.")
 
 
 def refuse_growth(plastic_growth: float | None) -> None:
@@ -81,7 +75,7 @@ class Steps(Declared):
 
     count: int = 1
     smallest: float | None = None
-    bonds_at_once: int | None = None
+    bonds_at_once: Count | None = None
     unstable: Unstable = "warn"
     plastic_growth: float | None = None
     times: Sequence[float] = field(default=(), kw_only=True)
@@ -98,7 +92,6 @@ class Steps(Declared):
                 f"The smallest of {len(self.stops())} steps must lie between {LEAST_STEP:g} and the shortest of them, "
                 f"{self._shortest:.6g}, not {self.smallest}."
             )
-        refuse_bonds_at_once(self.bonds_at_once)
         refuse_growth(self.plastic_growth)
 
     @property
@@ -148,7 +141,7 @@ class AdaptiveSteps(Declared):
     first: float = 0.1
     smallest: float = 1e-4
     largest: float = 0.25
-    bonds_at_once: int | None = None
+    bonds_at_once: Count | None = None
     unstable: Unstable = "warn"
     plastic_growth: float | None = None
     times: Sequence[float] = field(default=(), kw_only=True)
@@ -163,7 +156,6 @@ class AdaptiveSteps(Declared):
             )
         if self.largest < 1.0 / MOST_STEPS:
             raise CaseError(f"AdaptiveSteps needs a largest step of at least 1/{MOST_STEPS}, not {self.largest}.")
-        refuse_bonds_at_once(self.bonds_at_once)
         refuse_growth(self.plastic_growth)
 
     @property

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
-from pdpetsc.declared import Declared
-from pdpetsc.errors import CaseError
+from pdpetsc.declared import Declared, Finite
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,7 @@ class Symmetry(Declared):
     """
 
     axis: Literal["x", "y", "z"]
-    at: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not math.isfinite(self.at):
-            raise CaseError(f"A Symmetry across {self.axis} is at a place, not at {self.at}.")
+    at: Finite = 0.0
 
     @property
     def number(self) -> int:

@@ -5,7 +5,6 @@ Every rank reads the whole file and keeps its own part of the particles.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from pdpetsc.bounds import MOST_BLOCKS
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.particles import Arrays, Chunk, Particles
 from pdpetsc.declare.surface import Facets
-from pdpetsc.declared import shown
+from pdpetsc.declared import Positive, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.machine import stamp_of
 
@@ -59,12 +58,11 @@ class TextFile(Particles):
 
     path: str | Path
     node_sets: Mapping[str, str | Path | Sequence[int]] = field(default_factory=dict)
-    thickness: float = 1.0
+    thickness: Positive = 1.0
     dim: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        refuse_thickness("TextFile", self.thickness)
         if self.dim is not None and self.dim not in (1, 2, 3):
             raise CaseError(f"A TextFile has dim 1, 2 or 3, not {self.dim}.")
 
@@ -229,12 +227,6 @@ def _placed(column: Column, version: tuple[int, ...] | None) -> tuple[Any, Float
     """Return a search tree of the particles, a column and the extent of the cloud, as long as the file is the same."""
     x = np.asarray(column._cloud._arrays().x, dtype=float)
     return cKDTree(x), column._cloud.column(column.name), max(float(np.ptp(x, axis=0).max()), 1e-300)
-
-
-def refuse_thickness(what: str, thickness: float) -> None:
-    """Raise CaseError unless a thickness is positive."""
-    if not (math.isfinite(thickness) and thickness > 0.0):
-        raise CaseError(f"A {what} needs a positive thickness, not {thickness}.")
 
 
 def without_constant(x: Float, at_least: int = 1) -> Float:

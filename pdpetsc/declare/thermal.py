@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeAlias
@@ -11,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declare.conditions import Value, evaluated, values_of
+from pdpetsc.declare.conditions import evaluated, values_of
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
-from pdpetsc.declared import Declared, numbers_from, real_numbers, shown
+from pdpetsc.declared import Declared, Finite, NonNegative, Positive, numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 
 # A number, a function of positions (n, dim) and step time that returns (n,) values, or one number per particle of the
@@ -172,13 +171,8 @@ class _Heat(Declared):
     """Heat that enters through or in a region."""
 
     region: Region
-    value: Value
+    value: Finite | Callable[[Float, float], Float]
     schedule: Schedule | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not callable(self.value) and not math.isfinite(self.value):
-            raise CaseError(f"A {type(self).__name__} takes a finite number or a function, not {self.value}.")
 
     @property
     def timed(self) -> bool:
@@ -262,17 +256,10 @@ class Convection(Declared):
     """
 
     region: Region
-    coefficient: float
-    surroundings: float | Callable[[Float, float], Float]
+    coefficient: Positive
+    surroundings: Finite | Callable[[Float, float], Float]
 
     on_surface: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.coefficient) and self.coefficient > 0.0):
-            raise CaseError(f"A Convection takes a positive coefficient, not {self.coefficient}.")
-        if not callable(self.surroundings) and not math.isfinite(self.surroundings):
-            raise CaseError(f"A Convection takes finite surroundings or a function, not {self.surroundings}.")
 
     def put(self, onto: Any, name: str) -> None:
         """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
@@ -320,20 +307,11 @@ class HeatConduction(Declared):
     >>> quenching = pd.HeatConduction(duration=2.0, start=300.0)  # with Steps(100) in steps of 0.02 s
     """
 
-    duration: float | None = None
+    duration: Positive | None = None
     rule: Literal["backward_euler", "crank_nicolson"] = "backward_euler"
-    start: float | Callable[[Float], Float] | None = None
-    control: float | None = None
+    start: Finite | Callable[[Float], Float] | None = None
+    control: NonNegative | None = None
     coupling: Literal["staggered", "monolithic"] = "staggered"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
-            raise CaseError(f"HeatConduction takes a positive duration, not {self.duration}.")
-        if self.control is not None and not (math.isfinite(self.control) and self.control >= 0.0):
-            raise CaseError(f"HeatConduction needs control >= 0, not {self.control}.")
-        if self.start is not None and not callable(self.start) and not math.isfinite(self.start):
-            raise CaseError(f"HeatConduction takes a finite start or a function, not {self.start}.")
 
     @property
     def theta(self) -> float:

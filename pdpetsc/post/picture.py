@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from pdpetsc.declared import Declared
-from pdpetsc.errors import CaseError
+from pdpetsc.declared import Declared, Finite
 from pdpetsc.post.quantities import refuse_component
 from pdpetsc.post.solution import Field, stress
 
@@ -36,10 +34,8 @@ class Picture(Declared):
 
     field: Field = stress
     component: str = "xx"
-    scale: float = 1.0
+    scale: Finite = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         refuse_component(self, self.field, self.component)
-        if not math.isfinite(self.scale):
-            raise CaseError(f"A Picture needs a finite scale, not {self.scale}.")

@@ -8,7 +8,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "pdpetsc"
 # From bottom to top; a module may import from its own layer and from lower ones.
 LAYERS = [
-    {"errors", "arrays", "bounds", "declared", "loading", "machine"},
+    {"errors", "arrays", "bounds", "declared", "loading", "machine", "clock", "renamed"},
     {"kernels"},
     {"declare"},
     {"decks"},

@@ -247,13 +247,23 @@ class Case(Declared):
                 f"The Cell is periodic in {both[0]} and the case has a Symmetry across it; take one of both."
             )
 
-    def _check_durations(self) -> None:
-        """Raise CaseError where the load takes another time for one part of the case than for another."""
+    @property
+    def duration(self) -> float:
+        """Return the physical time from load parameter 0 to 1 [time], 1 if no part of the case declares one."""
+        return next((duration for _, duration in self._durations), 1.0)
+
+    @property
+    def _durations(self) -> list[tuple[str, float]]:
+        """Return the durations that parts of the case declare, with the names of the parts."""
         laws = [(f"material {number}", ungraded(one)) for number, (_, one) in enumerate(self.materials, 1)]
         named = [(f"{type(law).__name__} of {name}", law.duration) for name, law in laws]
         named.append(("HeatConduction", None if self.heat is None else self.heat.duration))
         named += [("the criterion of damage", time) for time in ([] if self.damage is None else self.damage.times)]
-        given = [(name, duration) for name, duration in named if duration is not None]
+        return [(name, duration) for name, duration in named if duration is not None]
+
+    def _check_durations(self) -> None:
+        """Raise CaseError where the load takes another time for one part of the case than for another."""
+        given = self._durations
         for name, duration in given[1:]:
             if duration != given[0][1]:
                 raise CaseError(

@@ -180,9 +180,9 @@ def dense_tangent(small, u, assembler=None):
     return study.dense_tangent(small.problem, u, assembler)
 
 
-def small_points(cloud, families, omega, scheme, materials, material_of, control, law=None):
+def small_points(cloud, families, omega, scheme, materials, material_of, control, law=None, expands=False):
     """Return a small problem of deformation gradients, whose bonds fail where there is a law."""
-    whole = Body(cloud, families)
+    whole = Body(cloud, families, thermals=[None] * len(materials) if expands else None)
     damage = None
     if law is not None:
         alike = pd.BondBased(materials[0].E, calibration="lattice")
@@ -202,7 +202,10 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     return Small(Problem(whole, material_term, terms, Supports(whole), damage))
 
 
-def body(dim, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], horizon=2.015, rng=None):
+def body(
+    dim, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], horizon=2.015, rng=None,
+    expands=False,
+):  # fmt: skip
     """Return the model of a small body on this process, with a volume per particle that varies where shaken."""
     x = lattice(dim, rng)
     volume = np.ones(len(x)) if rng is None else rng.uniform(0.8, 1.2, len(x))
@@ -210,7 +213,7 @@ def body(dim, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS
     families = find_families(cloud)
     omega = np.ones(len(families.neighbours))
     material_of = np.zeros(cloud.n_owned, dtype=np.int32)
-    return small_points(cloud, families, omega, scheme, [material], material_of, control)
+    return small_points(cloud, families, omega, scheme, [material], material_of, control, expands=expands)
 
 
 LAWS = {
@@ -223,14 +226,15 @@ LAWS = {
 
 
 def damaged_body(
-    dim, law, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], rng=None, horizon=2.015
-):
+    dim, law, scheme=SCHEMES["correspondence"], control=None, material=MATERIALS["hencky"], rng=None, horizon=2.015,
+    expands=False,
+):  # fmt: skip
     """Return a small body of deformation gradients whose bonds fail by a law, on this process."""
     x = lattice(dim, rng)
     cloud = distribute(world(), x, np.ones(len(x)), {}, horizon)
     families = find_families(cloud)
     omega, material_of = np.ones(len(families.neighbours)), np.zeros(cloud.n_owned, dtype=np.int32)
-    return small_points(cloud, families, omega, scheme, [material], material_of, control, law)
+    return small_points(cloud, families, omega, scheme, [material], material_of, control, law, expands)
 
 
 def bond_body(dim, material, horizon=2.015, rng=None, cell=False, damage=None):

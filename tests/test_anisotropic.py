@@ -119,8 +119,8 @@ def test_orientation_may_follow_a_function_of_place(tmp_path):
 def test_one_tangent_serves_all_points_only_where_their_axes_agree(rng):
     F, x = strained(2, rng), rng.random((6, 2))
     places, turned = np.arange(6), dataclasses.replace(PLY, orientation=lambda x: 0.2 * x[:, 0])
-    assert MaterialAtPoints(turned, places, 2, None, x).same_tangent(F) is None
-    same = MaterialAtPoints(PLY, places, 2, None, x)
+    assert MaterialAtPoints(turned, places, 2, None, x).at().same_tangent(F) is None
+    same = MaterialAtPoints(PLY, places, 2, None, x).at()
     A = np.empty((6, 2, 2, 2, 2))
     same.tangent(F, A)
     assert np.allclose(same.same_tangent(F), A, rtol=1e-14)

@@ -511,7 +511,7 @@ def test_what_fast_and_hot_flow_uses_up_follows_the_failure_strain_of_each_step(
     solution = pd.run(pulled_bar(criterion), tmp_path / "whole").solution
     kept = solution.problem.damage.driving_variable.arrays()
     assert np.allclose(kept["grown"], exact, rtol=1e-9)
-    assert np.all(kept["since"] == 1.0)
+    assert solution.state.clock == (1.0, criterion.duration, 0.0)
     hours = pd.JohnsonCookFailure(**(FAST | {"rate_0": 7.2, "duration": 2.0 / 3600.0}))
     solution = pd.run(pulled_bar(hours), tmp_path / "hours").solution
     assert np.allclose(solution.problem.damage.driving_variable.arrays()["grown"], exact, rtol=1e-9)
@@ -558,7 +558,8 @@ def test_the_tangent_knows_that_faster_flow_fails_later(rng):
     flowing = pd.J2(E=100.0, nu=0.3, yield_stress=0.5, hardening=5.0)
     model = damaged_body(2, pd.LinearSoftening(fast, 3.0), material=flowing, rng=rng)
     slow = model.driving_values(u := uneven(model, rng))
-    model.problem.damage.driving_variable.arrays()["since"][:] = -0.5
+    model.problem.duration = FAST["duration"]
+    model.problem.restored(-0.5)
     fast = model.driving_values(u * (1.0 + 1e-12))
     assert np.all(fast <= slow)
     assert np.median(fast) < 0.97 * np.median(slow)

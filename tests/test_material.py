@@ -31,6 +31,7 @@ class Law:
     def __init__(self, material, dim, n=N + 3):
         self.material, self.dim = material, dim
         self._points = MaterialAtPoints(material, np.arange(n), dim, None)
+        self._law = self._points.at()
 
     def _of(self, method, F, shape):
         out = np.empty((len(F), *shape))
@@ -38,26 +39,26 @@ class Law:
         return out
 
     def stress(self, F):
-        return self._of(self._points.stress, F, (self.dim, self.dim))
+        return self._of(self._law.stress, F, (self.dim, self.dim))
 
     def tangent(self, F):
-        return self._of(self._points.tangent, F, (self.dim,) * 4)
+        return self._of(self._law.tangent, F, (self.dim,) * 4)
 
     def energy(self, F):
-        return self._of(self._points.energy, F, ())
+        return self._of(self._law.energy, F, ())
 
     def commit(self, F):
-        self._points.commit(np.ascontiguousarray(F))
+        self._law.commit(np.ascontiguousarray(F))
 
     @property
     def history(self):
         return self._points.history.copy()
 
     def out_of_plane_stress(self, F):
-        return self._points.out_of_plane_stress(F)
+        return self._law.out_of_plane_stress(F)
 
     def hidden_stretch(self, F):
-        return self._points.hidden_stretch(F)
+        return self._law.hidden_stretch(F)
 
     def plastic_strain(self):
         return self._points.plastic_strain()

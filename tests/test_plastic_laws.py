@@ -23,15 +23,18 @@ everywhere = pytest.mark.parametrize(("name", "kind"), [(name, kind) for name in
 
 
 class Points:
-    """A law at some points, with the step time."""
+    """A law at some points, with the load parameter of now and of the last converged step."""
 
     def __init__(self, material, dim, n=N):
         self.material, self.dim = material, dim
-        self.at = MaterialAtPoints(material, np.arange(n), dim, None)
-        self.t = 0.0
+        self.of = MaterialAtPoints(material, np.arange(n), dim, None)
+        self.t = self.converged = 0.0
+
+    @property
+    def at(self):
+        return self.of.at((self.material.duration or 0.0) * (self.t - self.converged))
 
     def _of(self, method, F, *shape):
-        self.at.at_time(self.t)
         out = np.empty((len(F), *shape))
         method(np.ascontiguousarray(F), out)
         return out
@@ -46,8 +49,8 @@ class Points:
         return self._of(self.at.energy, F)
 
     def commit(self, F):
-        self.at.at_time(self.t)
         self.at.commit(np.ascontiguousarray(F))
+        self.converged = self.t
 
     @property
     def alpha(self):

@@ -7,7 +7,7 @@ import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
-from pdpetsc.problem.expansion import StressFree
+from pdpetsc.problem.expansion import FreeDeformation, StressFree
 from tests import scenes
 from tests.commands import ROOT, results
 from tests.test_durable import Stop
@@ -40,13 +40,10 @@ class Given(StressFree):
 
     @property
     def softens(self):
-        return self.given[1] is not None
+        return self.given.factor is not None
 
-    def strain(self, t):
-        return self.given[0]
-
-    def factor(self, t):
-        return self.given[1]
+    def at(self, t):
+        return self.given
 
 
 def expanded(model, strain, factor=None, across=0.0):
@@ -56,9 +53,9 @@ def expanded(model, strain, factor=None, across=0.0):
 
     of = np.zeros(n, dtype=int)
     given = Given(model.cloud, model.families, [], of, None, [], np.full(n, across))
-    given.given = strain, factor
+    given.given = FreeDeformation(given, 0.0, None)
+    given.given.strain, given.given.factor = strain, factor
     model.problem.body.expansion = given
-    model.material_term.expand()
     return model
 
 
@@ -83,7 +80,7 @@ def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
         if dim == 2 and material.plane == "strain":
             continue
         strain = tensor(rng, dim)
-        model = expanded(scenes.body(dim, scenes.SCHEMES[scheme], control, material, rng=rng), strain)
+        model = expanded(scenes.body(dim, scenes.SCHEMES[scheme], control, material, rng=rng, expands=True), strain)
         G = np.eye(dim) + strain[:dim, :dim]
         if not material.linear:
             G = scenes.rotation(dim, rng) @ G
@@ -98,10 +95,12 @@ def test_free_expansion_has_no_stress_on_any_cloud(dim, scheme, rng):
 def test_free_expansion_of_a_smoothed_displacement_and_beside_every_control(rng):
     for dim in DIMS:
         strain = tensor(rng, dim)
-        models = [scenes.body(dim, pd.SmoothedDisplacement(), horizon=3.3, rng=rng)]
+        models = [scenes.body(dim, pd.SmoothedDisplacement(), horizon=3.3, rng=rng, expands=True)]
         for name, control in (scenes.ALL_CONTROLS | (scenes.PLANE if dim > 1 else {})).items():
             if name not in scenes.NOT_AFFINE:
-                models.append(scenes.body(dim, pd.Correspondence(), control, pd.LinearElastic(10.0, 0.3), rng=rng))
+                models.append(
+                    scenes.body(dim, pd.Correspondence(), control, pd.LinearElastic(10.0, 0.3), rng=rng, expands=True)
+                )
         for model in models:
             if dim == 2:  # plane strain
                 strain[2, 2] = 0.0
@@ -150,7 +149,7 @@ def test_tangent_against_differences_and_force_against_energy(dim, rng):
         strain = np.array([tensor(rng, dim, 0.1) for _ in range(n)])
         factor = rng.uniform(0.5, 1.5, n)
         scheme = pd.SubHorizons() if dim < 3 else pd.Correspondence()
-        model = expanded(scenes.body(dim, scheme, None, material, rng=rng), strain, factor)
+        model = expanded(scenes.body(dim, scheme, None, material, rng=rng, expands=True), strain, factor)
         u = scenes.displacement(model, rng)
         if material.has_history:
             model.commit(u)
@@ -165,12 +164,75 @@ def test_tangent_against_differences_and_force_against_energy(dim, rng):
         assert abs((model.internal_force(u) * du).sum() - slope) < 1e-6 * max(abs(slope), 1.0), name
 
 
+def patched(dim, material, rng, scheme="sub_horizons"):
+    """Return a small body that shares the dilatation of its elastic part in patches."""
+    return scenes.body(dim, pd.MeanDilatation(scenes.SCHEMES[scheme], 2.0), None, material, rng=rng, expands=True)
+
+
+PATCHED = {
+    "linear": pd.LinearElastic(E=10.0, nu=0.49),
+    "neo_hookean": pd.NeoHookean(E=10.0, nu=0.49),
+    "j2": pd.J2(E=10.0, nu=0.4, yield_stress=0.3, hardening=1.0),
+}
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", PATCHED)
+def test_patches_expand_freely_and_their_tangent_is_exact(dim, name, rng):
+    """Free expansion, turned, has no stress and no energy; forces, tangent and energy belong together elsewhere."""
+    material = PATCHED[name]
+    strain = tensor(rng, dim)
+    strain[2, 2] = strain[2, 2] if dim == 3 else 0.0
+    model = expanded(patched(dim, material, rng), strain)
+    G = np.eye(dim) + strain[:dim, :dim]
+    if not material.linear:
+        G = scenes.rotation(dim, rng) @ G
+    u = model.cloud.x[: model.cloud.n_owned] @ (G - np.eye(dim)).T
+    assert np.abs(model.internal_force(u)).max() < 1e-11
+    assert abs(sum(model.energy(u))) < 1e-12
+
+    n = model.cloud.n_owned
+    factor = rng.uniform(0.8, 1.2, n)
+    uneven = np.array([tensor(rng, dim, 0.1) for _ in range(n)])
+    uneven[:, 2, 2] = 0.05 * rng.uniform(-1.0, 1.0, n)
+    model = expanded(patched(dim, material, rng), uneven, factor)
+    u = scenes.displacement(model, rng)
+    if material.has_history:
+        model.commit(u)
+        u = scenes.displacement(model, rng)
+    K, f = scenes.dense_tangent(model, u), model.internal_force(u)
+    columns = rng.choice(u.size, size=5, replace=False)
+    assert np.abs(K[:, columns] - scenes.differences(model, u, columns)).max() < 1e-7 * np.abs(K).max()
+    step = 1e-6 * rng.standard_normal(u.shape)
+    work = (sum(model.energy(u + step)) - sum(model.energy(u - step))) / 2.0
+    assert work == pytest.approx(np.vdot(f, step), rel=1e-4)
+
+
+def test_energy_of_patches_by_the_strain_without_stress(rng):
+    for material in (PATCHED["linear"], PATCHED["neo_hookean"]):
+        model = patched(2, material, rng)
+        n = model.cloud.n_owned
+        strain = np.array([tensor(rng, 2, 0.05) for _ in range(n)])
+        strain[:, 2, 2] = 0.05 * rng.uniform(-1.0, 1.0, n)
+        change = np.array([tensor(rng, 2) for _ in range(n)])
+        change[:, 2, 2] = rng.uniform(-1.0, 1.0, n)
+        u = scenes.displacement(model, rng)
+        expanded(model, strain)
+        S, operator = model.material_term.energy_by_strain(model.at(u)), model.operator
+        slope = operator.volume @ np.einsum("pij,pij->p", S, change[operator.owner])
+        # Another body each: a state keeps what it was asked at its temperature.
+        ends = []
+        for by in (1e-6, -1e-6):
+            ends.append(sum(expanded(model, strain + by * change).energy(u)))
+        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(slope, rel=1e-6)
+
+
 def test_plane_strain_is_a_solid_held_across(rng):
     # One law in the plane and as a solid with the same in-plane deformation and F_zz = 1: the same stress.
     strain = tensor(rng, 2)
     for material in scenes.MATERIALS.values():
-        plane = expanded(scenes.body(2, pd.Correspondence(), None, material), strain)
-        solid = expanded(scenes.body(3, pd.Correspondence(), None, material), strain)
+        plane = expanded(scenes.body(2, pd.Correspondence(), None, material, expands=True), strain)
+        solid = expanded(scenes.body(3, pd.Correspondence(), None, material, expands=True), strain)
         H = 0.1 * rng.uniform(-1.0, 1.0, (2, 2))
         u = plane.cloud.x[: plane.cloud.n_owned] @ H.T
         whole = np.pad(H, ((0, 1), (0, 1)))
@@ -189,7 +251,7 @@ def test_without_strain_nothing_changes(rng):
         for name, material in laws(dim):
             seed = int(rng.integers(2**31))
             bare = scenes.body(dim, pd.SubHorizons(), None, material, rng=np.random.default_rng(seed))
-            same = scenes.body(dim, pd.SubHorizons(), None, material, rng=np.random.default_rng(seed))
+            same = scenes.body(dim, pd.SubHorizons(), None, material, rng=np.random.default_rng(seed), expands=True)
             expanded(same, np.zeros((3, 3)))
             u = scenes.displacement(bare, rng)
             f = bare.internal_force(u)
@@ -333,7 +395,7 @@ def test_tangent_of_bonds_and_of_damage_beyond_what_they_expand(rng):
         for model in (
             scenes.bond_body(dim, pd.BondBased(10.0, kinematics="finite"), rng=rng),
             scenes.bond_body(dim, pd.BondBased(10.0, kinematics="finite"), rng=rng, damage=law),
-            scenes.damaged_body(dim, law, material=pd.Hencky(10.0, 0.3), rng=rng),
+            scenes.damaged_body(dim, law, material=pd.Hencky(10.0, 0.3), rng=rng, expands=True),
         ):
             expanded(model, strain)
             u = scenes.displacement(model, rng, 0.02)
@@ -383,10 +445,10 @@ def test_a_law_may_depend_on_temperature(tmp_path):
 
 def test_heat_alone_breaks_no_bond_and_cold_that_is_held_does(rng):
     law = pd.Brittle(pd.ConstantCritical(0.05))
-    hot = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), 0.2 * np.eye(3))
+    hot = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3), expands=True), 0.2 * np.eye(3))
     u = 0.2 * hot.cloud.x[: hot.cloud.n_owned]
     assert np.abs(hot.driving_values(u)).max() < 1e-12
-    cold = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3)), -0.06 * np.eye(3))
+    cold = expanded(scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3), expands=True), -0.06 * np.eye(3))
     assert np.abs(cold.driving_values(np.zeros_like(u)) - 0.06 / 0.05).max() < 1e-12
 
 
@@ -451,7 +513,7 @@ def test_a_hot_plate_in_other_units_and_after_a_restart(tmp_path):
 
 def test_heat_alone_tears_no_bond_beside_a_broken_one():
     law = pd.Brittle(pd.ConstantCritical(0.05))
-    model = scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3))
+    model = scenes.damaged_body(2, law, material=pd.Hencky(10.0, 0.3), expands=True)
     first = np.flatnonzero(model.cloud.x[:, 0] < 0.5)
     u = np.zeros((model.cloud.n_owned, 2))
     u[first, 0] = -0.3
@@ -474,14 +536,12 @@ def test_relaxation_finds_the_same_as_newton(tmp_path):
 
 
 def test_strain_that_a_body_has_without_stress_drives_no_damage():
-    """Criteria of the whole strain are refused, and so are patches that share the whole dilatation."""
+    """Criteria of the whole strain are refused."""
     heated = pd.Temperature(pd.region.All(), 20.0)
     material = pd.Thermal(pd.LinearElastic(10.0), 1e-3)
     strain = pd.LinearSoftening(pd.MazarsStrain(1e-3), ratio=5.0)
     with pytest.raises(pd.CaseError, match="drives damage is the whole strain"):
         pd.prepare(block(material, heated, damage=strain))
-    with pytest.raises(pd.CaseError, match="shares the whole dilatation"):
-        pd.prepare(block(material, heated, scheme=pd.MeanDilatation(pd.SubHorizons(), patch=2.0), control=None))
 
 
 VOCE = pd.hardening.Voce(0.3, 20.0)
@@ -588,7 +648,7 @@ def test_stress_at_points_breaks_bonds_that_are_held_against_cold(kinematics, tm
 @pytest.mark.parametrize("material", [pd.LinearElastic(10.0, 0.3, "stress"), pd.Hencky(10.0, 0.3, "stress")])
 def test_a_gradient_tears_bonds_by_the_elongation_that_drives_them(material):
     """Beside a broken bond, in a uniform state: the stretch of a bond along the pull beyond that without force."""
-    model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.05)), material=material)
+    model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.05)), material=material, expands=True)
     first = np.flatnonzero(model.cloud.x[:, 0] < 0.5)
     u = np.zeros((model.cloud.n_owned, 2))
     u[first, 0] = -0.3
@@ -606,7 +666,7 @@ def test_a_gradient_tears_bonds_by_the_elongation_that_drives_them(material):
 def test_a_particle_without_a_gradient_is_asked_for_no_stress():
     """A soil that cannot be pulled has none at F = I once it is cold; it is not asked for it where it is lost."""
     soil = pd.DruckerPrager(E=100.0, nu=0.3, cohesion=0.01, friction=0.4, dilatancy=0.0)
-    model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.5)), material=soil)
+    model = scenes.damaged_body(2, pd.Brittle(pd.ConstantCritical(0.5)), material=soil, expands=True)
     n = model.cloud.n_owned
     corner, ends = int(np.argmin(model.cloud.x[:n].sum(axis=1))), model.families
     model.problem.damage.bonds.phi[(ends.centres == corner) | (ends.neighbours == corner)] = 0.0
@@ -618,7 +678,7 @@ def test_a_particle_without_a_gradient_is_asked_for_no_stress():
     strain[lost] = -0.05 * np.eye(3)
     cold = expanded(model, strain)
     still = cold.at(np.zeros((n, 2)))
-    assert not all(one.defined(cold.material_term.deformation(still)) for one in cold.material_term.materials)
+    assert not cold.material_term.laws(still).defined(cold.material_term.deformation(still))
     assert cold.material_term.admissible(still)
 
 

@@ -22,7 +22,8 @@ from pdpetsc.damage.criterion import (
 )
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator
-from pdpetsc.material.at_points import MaterialAtPoints
+from pdpetsc.material.at_points import MaterialLaw
+from pdpetsc.material.point_laws import PointLaws
 
 # Step of central differences by a deformation gradient [-], where there is no derivative to be had.
 STEP = 1e-6
@@ -32,21 +33,15 @@ class Measure(ABC):
     """A number of every gradient point that is 1 where its bonds fail, and its derivative."""
 
     @abstractmethod
-    def at(self, solid: Solid, F: Float) -> Float:
+    def at(self, laws: PointLaws, F: Float) -> Float:
         """Return the number (n_points,) [-] at ``F`` (n_points, dim, dim)."""
 
     @abstractmethod
-    def by(self, solid: Solid, F: Float) -> Float:
+    def by(self, laws: PointLaws, F: Float) -> Float:
         """Return its derivative by F (n_points, dim, dim) [-]."""
 
-    def at_moment(self, solid: Solid, state: Displaced, since: Float) -> None:  # noqa: B027
-        """Take what else it reads of a state, before it is evaluated there (collective).
-
-        Parameters
-        ----------
-        since : (n_owned,) float64
-            Step time of the last converged state, the same for all.
-        """
+    def at_moment(self, solid: Solid, state: Displaced) -> None:  # noqa: B027
+        """Take what else it reads of a state, before it is evaluated there (collective)."""
 
 
 class PointDrivingVariable(DrivingVariable):
@@ -63,7 +58,7 @@ class PointDrivingVariable(DrivingVariable):
     adds_up : bool
         Whether what the measure gives is the growth since the last converged state, which is kept.
     timed : bool
-        Whether the measure reads how long ago that state was, whose step time is kept too.
+        Whether the measure reads the time of the step.
     """
 
     def __init__(
@@ -78,7 +73,6 @@ class PointDrivingVariable(DrivingVariable):
         self._timed = timed
         self._solid: Solid | None = None
         self._grown = np.zeros(bonds.cloud.n_owned)
-        self._since = np.zeros(bonds.cloud.n_owned)
 
     @property
     def is_nonlocal(self) -> bool:
@@ -122,9 +116,9 @@ class PointDrivingVariable(DrivingVariable):
         """Return the derivative over the families of the ends (collective)."""
         solid, families, n = self.solid, self._bonds.families, self._bonds.cloud.n_owned
         operator, F = solid.gradients, solid.deformation(state)
-        self._measure.at_moment(solid, state, self._since)
+        self._measure.at_moment(solid, state)
         # Points of particles whose bonds do not change need no derivative.
-        D = np.where(solid.lost[:, None, None], 0.0, self._measure.by(solid, F))
+        D = np.where(solid.lost[:, None, None], 0.0, self._measure.by(solid.laws(state), F))
         point_of = np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))
         count = np.bincount(operator.owner, minlength=n)
         each = np.einsum("emn,en->em", D[point_of], operator.g) / count[operator.owner[point_of]][:, None]
@@ -135,17 +129,16 @@ class PointDrivingVariable(DrivingVariable):
         """Remember how far the measure has grown (collective)."""
         if self._adds_up:
             self._grown[:] = self._of_particles(state)
-        self._since[:] = state.t
 
     def arrays(self) -> Mapping[str, Float]:
-        """Return how far the measure has grown, where it adds up, and when that was, where it counts."""
-        return ({"grown": self._grown} if self._adds_up else {}) | ({"since": self._since} if self._timed else {})
+        """Return the growth of the measure, if it adds up."""
+        return {"grown": self._grown} if self._adds_up else {}
 
     def _of_particles(self, state: Displaced) -> Float:
         solid, n = self.solid, self._bonds.cloud.n_owned
         F = solid.deformation(state)
-        self._measure.at_moment(solid, state, self._since)
-        x = np.where(solid.lost, 0.0, self._measure.at(solid, F))
+        self._measure.at_moment(solid, state)
+        x = np.where(solid.lost, 0.0, self._measure.at(solid.laws(state), F))
         return self._grown + solid.gradients.mean_over_points(x, n)
 
 
@@ -168,7 +161,7 @@ def _by_member(
     return np.stack(columns, axis=1)
 
 
-def _strains(solid: Solid, F: Float) -> tuple[Float, Float]:
+def _strains(laws: PointLaws, F: Float) -> tuple[Float, Float]:
     """Return principal strains (n_points, 3) and their derivatives by F (n_points, 3, dim, dim).
 
     Of ``U - I``, or of the symmetric part of ``F - I`` where the material is linear; directions that F does not show
@@ -176,7 +169,7 @@ def _strains(solid: Solid, F: Float) -> tuple[Float, Float]:
     """
     n, dim = len(F), F.shape[-1]
     strain, by = np.zeros((n, 3)), np.zeros((n, 3, dim, dim))
-    for one in solid.materials:
+    for one in laws.materials:
         part = F[one.points]
         if one.material.linear:
             values, axes = np.linalg.eigh(0.5 * (part + part.transpose(0, 2, 1)))
@@ -194,11 +187,11 @@ def _strains(solid: Solid, F: Float) -> tuple[Float, Float]:
     return strain, by
 
 
-def _thins(one: MaterialAtPoints) -> bool:
+def _thins(one: MaterialLaw) -> bool:
     return one.dim == 1 or one.material.plane == "stress"
 
 
-def _across(one: MaterialAtPoints, F: Float) -> tuple[Float, Float]:
+def _across(one: MaterialLaw, F: Float) -> tuple[Float, Float]:
     """Return the stretch in each direction that F does not show (n,), and its derivative (n, dim, dim)."""
 
     def stretch(G: Float) -> Float:
@@ -225,11 +218,11 @@ class _Strain(Measure):
     def __init__(self, declared: StrainCriterion) -> None:
         self._declared = declared
 
-    def at(self, solid: Solid, F: Float) -> Float:
-        return np.asarray(self._declared.equivalent(_strains(solid, F)[0])[0] / self._declared.critical)
+    def at(self, laws: PointLaws, F: Float) -> Float:
+        return np.asarray(self._declared.equivalent(_strains(laws, F)[0])[0] / self._declared.critical)
 
-    def by(self, solid: Solid, F: Float) -> Float:
-        strain, by = _strains(solid, F)
+    def by(self, laws: PointLaws, F: Float) -> Float:
+        strain, by = _strains(laws, F)
         slope = self._declared.equivalent(strain)[1] / self._declared.critical
         return np.asarray(np.einsum("pa,paij->pij", slope, by))
 
@@ -349,17 +342,17 @@ class _Principal(Measure):
     def __init__(self, strength: float) -> None:
         self._strength = strength
 
-    def at(self, solid: Solid, F: Float) -> Float:
-        sigma = solid.cauchy(F)
+    def at(self, laws: PointLaws, F: Float) -> Float:
+        sigma = laws.cauchy(F)
         return np.asarray(np.linalg.eigvalsh(0.5 * (sigma + sigma.transpose(0, 2, 1)))[:, -1] / self._strength)
 
-    def by(self, solid: Solid, F: Float) -> Float:
-        sigma = solid.cauchy(F)
+    def by(self, laws: PointLaws, F: Float) -> Float:
+        sigma = laws.cauchy(F)
         values, axes = np.linalg.eigh(0.5 * (sigma + sigma.transpose(0, 2, 1)))
         n, largest = axes[:, :, -1], values[:, -1]
-        A = solid.moduli(F)
+        A = laws.moduli(F)
         D = np.empty_like(F)
-        for one in solid.materials:
+        for one in laws.materials:
             at = one.points
             if one.material.linear:
                 D[at] = np.einsum("pi,pm,pimkn->pkn", n[at], n[at], A[at])
@@ -410,30 +403,21 @@ class PrincipalStress(Criterion):
         return PointDrivingVariable(bonds, _Principal(self.strength))
 
 
-def _flow(one: MaterialAtPoints, F: Float) -> Float:
-    """Return the accumulated plastic strain that a material would have at its points with F of all points (n,)."""
-    before = one.history.copy()
-    one.commit(F)
-    alpha = np.array(one.plastic_strain())
-    one.history[...] = before
-    return alpha
-
-
 class _Flow(Measure):
     """The accumulated plastic strain over a critical one."""
 
     def __init__(self, critical: float) -> None:
         self._critical = critical
 
-    def at(self, solid: Solid, F: Float) -> Float:
+    def at(self, laws: PointLaws, F: Float) -> Float:
         x = np.zeros(len(F))
-        for one in solid.materials:
+        for one in laws.materials:
             if one.has_history:
-                x[one.points] = _flow(one, F) / self._critical
+                x[one.points] = one.plastic_strain_after(F) / self._critical
         return x
 
-    def by(self, solid: Solid, F: Float) -> Float:
-        return differences(lambda G: self.at(solid, G), F)
+    def by(self, laws: PointLaws, F: Float) -> Float:
+        return differences(lambda G: self.at(laws, G), F)
 
 
 @dataclass(frozen=True)
@@ -473,12 +457,12 @@ class _JohnsonCook(Measure):
     def __init__(self, declared: JohnsonCookFailure) -> None:
         self._declared = declared
         self._factor = np.ones(0)
-        self._time = np.zeros(0)
+        self._time = 0.0
 
-    def at_moment(self, solid: Solid, state: Displaced, since: Float) -> None:
+    def at_moment(self, solid: Solid, state: Displaced) -> None:
         """Take the time since the last converged state, and the temperature."""
         declared, owner = self._declared, solid.gradients.owner
-        self._time = declared.time * (state.t - since)[owner]
+        self._time = 0.0 if declared.duration is None else state.clock.dt
         self._factor = np.ones(len(owner))
         if declared.D5:
             temperature = solid.temperature(state)
@@ -486,22 +470,21 @@ class _JohnsonCook(Measure):
                 raise CaseError(NO_TEMPERATURE)
             self._factor = declared.of_temperature(temperature)
 
-    def at(self, solid: Solid, F: Float) -> Float:
-        x, sigma = np.zeros(len(F)), solid.cauchy(F)
-        for one in solid.materials:
+    def at(self, laws: PointLaws, F: Float) -> Float:
+        x, sigma = np.zeros(len(F)), laws.cauchy(F)
+        for one in laws.materials:
             if one.has_history and len(one.points):
-                grown = _flow(one, F) - one.plastic_strain()
+                grown = one.plastic_strain_after(F) - one.plastic_strain()
                 failure = self._declared.failure_strain(_triaxiality(one, F, sigma)) * self._factor[one.points]
-                time = self._time[one.points]
-                rate = np.divide(grown, time, out=np.zeros_like(grown), where=time > 0.0)
+                rate = grown / self._time if self._time > 0.0 else np.zeros_like(grown)
                 x[one.points] = grown / (failure * self._declared.of_rate(rate))
         return x
 
-    def by(self, solid: Solid, F: Float) -> Float:
-        return differences(lambda G: self.at(solid, G), F)
+    def by(self, laws: PointLaws, F: Float) -> Float:
+        return differences(lambda G: self.at(laws, G), F)
 
 
-def _triaxiality(one: MaterialAtPoints, F: Float, sigma: Float) -> Float:
+def _triaxiality(one: MaterialLaw, F: Float, sigma: Float) -> Float:
     """Return mean stress over von Mises stress at the points of a material (n,) [-], 0 without stress."""
     dim, part = F.shape[-1], F[one.points]
     full = np.zeros((len(part), 3, 3))
@@ -608,11 +591,6 @@ class JohnsonCookFailure(Criterion):
     def reads_temperature(self) -> bool:
         """Return whether it has a D5."""
         return self.D5 != 0.0
-
-    @property
-    def time(self) -> float:
-        """Return the time from step time 0 to 1, 0 where it does not count."""
-        return 0.0 if self.duration is None else self.duration
 
     def failure_strain(self, triaxiality: Float) -> Float:
         """Return ``D1 + D2 exp(D3 s)`` (n,) [-], with an exponent between -50 and 50."""

@@ -15,12 +15,13 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.clock import Clock
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.opposite import OppositeBonds
 from pdpetsc.gradient.base import GradientOperator
-from pdpetsc.material.at_points import MaterialAtPoints
+from pdpetsc.material.point_laws import PointLaws
 from pdpetsc.renamed import accept_old_methods
 
 T = TypeVar("T")
@@ -100,15 +101,11 @@ class DamageableBonds:
 
 
 class Displaced(Protocol):
-    """A displaced body as a drive reads it; a ``State`` is one.
+    """A displaced body as a driving variable reads it; a ``State`` is one."""
 
-    Attributes
-    ----------
-    t : float
-        Step time [-].
-    """
-
-    t: float
+    @property
+    def clock(self) -> Clock:
+        """Return load parameter and physical time."""
 
     @property
     def u_local(self) -> Float:
@@ -186,8 +183,6 @@ class Solid(Protocol):
     Stresses are those without damage. The points change when bonds break, which they do at equilibrium only.
     """
 
-    materials: list[MaterialAtPoints]
-
     @property
     def gradients(self) -> GradientOperator:
         """Return the gradients of the bonds that are left."""
@@ -199,11 +194,8 @@ class Solid(Protocol):
     def deformation(self, state: Any) -> Float:
         """Return the deformation gradients (n_points, dim, dim) [-] (collective)."""
 
-    def cauchy(self, F: Float) -> Float:
-        """Return the Cauchy stress (n_points, dim, dim) [stress]; P where the material is linear."""
-
-    def moduli(self, F: Float) -> Float:
-        """Return ``dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
+    def laws(self, state: Any) -> PointLaws:
+        """Return the laws of the points at a state (collective)."""
 
     def temperature(self, state: Any) -> Float | None:
         """Return the temperature of the points (n_points,), None where the body has none (collective)."""

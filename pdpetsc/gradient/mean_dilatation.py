@@ -57,8 +57,8 @@ class MeanDilatation(Scheme):
     Raises
     ------
     CaseError
-        A number is out of range, or ``scheme`` has patches already; when built, of a bar, of a body in plane stress,
-        of one that expands or of one whose bonds fail.
+        A number is out of range, or ``scheme`` has patches already; when built, of a bar, of a body in plane stress
+        or of one whose bonds fail.
 
     References
     ----------

@@ -11,18 +11,25 @@ from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.material.base import LARGEST_MODULUS, LEAST_MODULUS, HistoryKernels, Material, isotropic_moduli
+from pdpetsc.material.base import (
+    LARGEST_MODULUS,
+    LEAST_MODULUS,
+    HistoryKernels,
+    Material,
+    isotropic_moduli,
+    remember_nothing,
+)
 from pdpetsc.material.hyperelastic import isotropic_mean
+from pdpetsc.material.symmetric import PLACE, matrix, stiffness
 
 # An angle about the third axis [rad], a matrix whose columns are the axes of the material, or a function of positions
 # (n, dim) that gives n of either.
 Orientation: TypeAlias = float | Sequence[Sequence[float]] | Callable[[Float], Float]
-# Places of a symmetric tensor in a vector, and the strains that bodies of each dimension show.
-PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+# The strains that bodies of each dimension show.
 SHOWN = {1: [0], 2: [0, 1, 5], 3: [0, 1, 2, 3, 4, 5]}
 # How far axes may be from orthogonal unit vectors, and a stiffness from symmetric or semidefinite over its size.
 NEARLY = 1e-6
@@ -87,9 +94,14 @@ class AnisotropicLinear(Material):
             raise CaseError(f"The orientation of {name} must have orthogonal unit vectors as columns, or be an angle.")
         return R
 
+    def _solid(self) -> Float:
+        """Return the stiffness of the solid in the axes of the material (3, 3, 3, 3)."""
+        C = self.in_own_axes()
+        return stiffness(0.5 * (C + C.T))
+
     def _solids(self, dim: int, x: Float) -> Float:
         """Return the stiffness of the solid at positions (n, dim), in the axes of the body (n, 3, 3, 3, 3)."""
-        C, n = _tensor(self.in_own_axes()), len(x)
+        C, n = self._solid(), len(x)
         if self.orientation is None or n == 0:
             return np.broadcast_to(C, (n, 3, 3, 3, 3))
         if callable(self.orientation):
@@ -136,13 +148,13 @@ class AnisotropicLinear(Material):
         rows = history if history.shape[1] else self.constants(dim)[None]
         return np.asarray(np.einsum("pij,pij->p", rows[:, dim**4 :].reshape(-1, dim, dim) + 0.0 * F, F - np.eye(dim)))
 
-    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return one plus the strains that the body does not show, to first order (n,) [-]."""
         if F.shape[-1] == 3 or (F.shape[-1] == 2 and self.plane == "strain"):
             return np.ones(len(F))
         return 1.0 + self._across(F, history)
 
-    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``P_zz = C_zzij eps_ij`` (n,) [stress] in plane strain."""
         return self._across(F, history)
 
@@ -161,7 +173,7 @@ class AnisotropicLinear(Material):
         return _of_body(self._solids(dim, np.zeros((1, dim))), dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
 
     def _mean(self, dim: int) -> Float:
-        mean = isotropic_moduli(*isotropic_mean(_tensor(self.in_own_axes())), 3)
+        mean = isotropic_moduli(*isotropic_mean(self._solid()), 3)
         return _of_body(mean[None], dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
 
     def bulk_like_modulus(self, dim: int) -> float:
@@ -180,23 +192,13 @@ def _not_turned(x: Float) -> Float:
     return np.zeros(len(x))
 
 
-def _tensor(C: Float) -> Float:
-    """Return a stiffness (6, 6) as (3, 3, 3, 3)."""
-    found = np.empty((3, 3, 3, 3))
-    for a, (i, j) in enumerate(PAIRS):
-        for b, (k, l) in enumerate(PAIRS):
-            found[i, j, k, l] = found[j, i, k, l] = found[i, j, l, k] = found[j, i, l, k] = 0.5 * (C[a, b] + C[b, a])
-    return found
-
-
 def _of_body(solids: Float, dim: int, plane: str) -> Float:
     """Return the stiffness of a body of ``dim`` dimensions, then what gives the answer across it (n, dim^4 + dim^2).
 
     That is the stress across the plane in plane strain, the strain there in plane stress, and the sum of both lateral
     strains of a bar. No other strains are free than those that make all hidden stresses vanish.
     """
-    first, second = np.array(PAIRS).T
-    C = solids[:, first[:, None], second[:, None], first, second]
+    C = matrix(solids)
     here = SHOWN[dim]
     across = np.zeros((len(C), len(here)))
     reduced = C[:, here][:, :, here]
@@ -208,10 +210,7 @@ def _of_body(solids: Float, dim: int, plane: str) -> Float:
         lateral = S[:, 2, here] if dim == 2 else S[:, 1, here] + S[:, 2, here]
         across = np.einsum("pa,pab->pb", lateral, reduced)
     # The place in the vector of each entry of a symmetric tensor of the body.
-    place = np.empty((dim, dim), dtype=int)
-    for a, (i, j) in enumerate(PAIRS[one] for one in here):
-        place[i, j] = place[j, i] = a
-    flat = place.ravel()
+    flat = np.searchsorted(here, PLACE[:dim, :dim]).ravel()
     moduli = reduced[:, flat][:, :, flat].reshape(len(C), dim**4)
     return np.concatenate([moduli, across[:, flat]], axis=1)
 
@@ -258,11 +257,7 @@ def _kernels(dim: int) -> HistoryKernels:
                             value += 0.5 * C[((i * dim + m) * dim + k) * dim + n] * left * right
             psi[p] = value
 
-    return HistoryKernels(stress, tangent, energy, _nothing)
-
-
-def _nothing(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
-    """Remember nothing."""
+    return HistoryKernels(stress, tangent, energy, remember_nothing)
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
-from pdpetsc.material.base import Material
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import HistoryKernels, Material
+from pdpetsc.material.stress_free import StressFreeStrain, StressFreeStretch, Unexpanded
+from pdpetsc.material.thermal import Thermal
 
 # Points that are compared first, most of the time to find a difference.
 SOME = 100
 
 
+@dataclass(frozen=True, eq=False)
+class Law:
+    """The law of points of one temperature.
+
+    Attributes
+    ----------
+    rows : slice or (n,) int64
+        The points among those of the material.
+    material : Material
+        The law.
+    kernels : HistoryKernels
+        Its loops.
+    constants : float64
+        The constants that they read.
+    """
+
+    rows: slice | GlobalIndex
+    material: Material
+    kernels: HistoryKernels
+    constants: Float
+
+    @staticmethod
+    def of(material: Material, dim: int, rows: slice | GlobalIndex = slice(None)) -> Law:
+        """Return the law of a body of a dimension at some points."""
+        return Law(rows, material, material.history_kernels(dim), material.constants(dim))
+
+    def of_step(self, dt: float) -> Law:
+        """Return the law for a step of the time ``dt`` [time], itself if it does not depend on time."""
+        if not self.material.timed:
+            return self
+        return replace(self, constants=np.append(self.constants[:-1], dt))
+
+    @property
+    def time(self) -> tuple[float, ...]:
+        """Return the time of the step for a law that depends on it, nothing for others."""
+        return (float(self.constants[-1]),) if self.material.timed else ()
+
+
 class MaterialAtPoints:
-    """A material and the gradient points that obey it, with what it remembers of converged steps there.
+    """A material, the gradient points that obey it, and its history there.
 
     Parameters
     ----------
@@ -23,24 +68,30 @@ class MaterialAtPoints:
     dim : int
         Dimension of the body.
     factor : (n_points,) float64 or None
-        What multiplies its moduli at each of these points [-], where it is graded.
+        Factor of the moduli of a graded material at each of these points [-].
     x : (n_points, dim) float64, optional
-        Positions of the particles whose points they are [length], for what depends on place; the origin by default.
+        Positions of the particles of these points [length], the origin by default.
+    expands : bool
+        Whether the body has a stress-free deformation. In plane strain the law is then that of a solid.
+    thermal : Thermal, optional
+        The dependence of the law on temperature.
 
     Attributes
     ----------
     history : (n_points, n_history) float64
-        What it remembers, to be overwritten in place, or what it reads of the place; no columns where its stress
-        depends on F alone.
+        History variables, overwritten in place, or numbers of the place that the law reads; no columns for a law of F
+        alone.
     """
 
     def __init__(
-        self, material: Material, points: GlobalIndex, dim: int, factor: Float | None, x: Float | None = None
-    ) -> None:
-        self.material = material
-        self.dim = dim
-        self._kernels = material.history_kernels(dim)
-        self._constants = material.constants(dim)
+        self, material: Material, points: GlobalIndex, dim: int, factor: Float | None, x: Float | None = None,
+        expands: bool = False, thermal: Thermal | None = None,
+    ) -> None:  # fmt: skip
+        self.material, self.dim = material, dim
+        self._expands = expands
+        self.inside = 3 if expands and dim == 2 and material.plane == "strain" else dim
+        self._by_temperature = None if thermal is None or thermal.law is None else thermal
+        self.law = Law.of(material, self.inside)
         self.put_at(points, factor, x)
 
     def put_at(self, points: GlobalIndex, factor: Float | None, x: Float | None = None) -> None:
@@ -50,90 +101,76 @@ class MaterialAtPoints:
         self.history = self.undeformed(np.zeros((len(points), self.dim)) if x is None else x)
 
     def undeformed(self, x: Float) -> Float:
-        """Return the history of undeformed points of particles at ``x`` (n, dim), as wide as that of its points."""
-        return self.material.history_at(self.dim, x)
+        """Return the history of undeformed points of particles at ``x`` (n, dim)."""
+        in_space = self.inside > self.dim
+        return self.material.history_in_space(x) if in_space else self.material.history_at(self.dim, x)
 
-    def at_time(self, t: float) -> None:
-        """Let it be step time ``t`` from now on."""
-        if self.material.timed:
-            self._constants[-1] = t
-
-    def stress(self, F: Float, P: Float) -> None:
-        """Write P (all points, dim, dim) at its points."""
-        self._kernels.stress(F, self.points, self._constants, self.history, P)
-        self._scale(P)
-
-    def tangent(self, F: Float, A: Float) -> None:
-        """Write A (all points, dim, dim, dim, dim) at its points."""
-        self._kernels.tangent(F, self.points, self._constants, self.history, A)
-        self._scale(A)
-
-    def elastic_response(self, F: Float, P: Float, A: Float) -> tuple[Float, Float, Float, Float]:
-        """Return F, P, A at its points (n, ...) and A at F = I (n or 1, ...), without what multiplies its moduli.
+    def at(self, dt: float = 0.0, conditions: Conditions | None = None) -> MaterialLaw:
+        """Return stress, tangent and energy as functions of F.
 
         Parameters
         ----------
-        F, P, A
-            Of all points.
+        dt : float
+            Physical time since the last converged step [time].
+        conditions : Conditions, optional
+            Those of the points; no strain without stress by default.
         """
-        by = 1.0 if self.factor is None else self.factor.reshape(-1, 1, 1)
-        at, rest = self.points, self.material.moduli(self.dim)[None]
-        return F[at], P[at] / by, A[at] / np.reshape(by, (-1, 1, 1, 1, 1)), rest
+        return MaterialLaw(self, dt, self.conditions() if conditions is None else conditions)
 
-    def same_tangent(self, F: Float) -> Float | None:
-        """Return A (dim, dim, dim, dim) where it is the same at all its points for F (all points, dim, dim), else None.
+    def conditions(
+        self, strain: Float | None = None, factor: Float | None = None, temperature: Float | None = None
+    ) -> Conditions:
+        """Return the stress-free deformation and the laws of the points.
 
-        It is where F is, or does not count, and neither history nor a factor differs from point to point.
+        Parameters
+        ----------
+        strain : (n, 3, 3) float64, optional
+            Strains without stress [-].
+        factor : (n,) float64, optional
+            Factor of the moduli at the temperature of the points [-].
+        temperature : (n,) float64, optional
+            Temperature of the points, for a law that depends on it.
         """
-        if self.has_history or self.factor is not None or not len(self.points):
-            return None
-        one = F[self.points[:1]]
-        if not self.material.linear and not (np.all(F[self.points[:SOME]] == one) and np.all(F[self.points] == one)):
-            return None
-        if not np.all(self.history == self.history[:1]):  # numbers of the place, as the direction of fibres
-            return None
-        A = np.empty((1, *one.shape[1:], *one.shape[1:]))
-        self._kernels.tangent(one, np.zeros(1, dtype=np.int64), self._constants, self.history[:1], A)
-        return np.asarray(A[0])
+        factors = [by for by in (self.factor, factor) if by is not None]
+        multiplier = np.asarray(np.prod(factors, axis=0)) if factors else None
+        if not self._expands:
+            return Conditions(Unexpanded(self.points, self.dim, multiplier), (self.law,))
+        strain = np.zeros((len(self.points), 3, 3)) if strain is None else strain
+        kind = StressFreeStrain if self.material.linear else StressFreeStretch
+        free = kind(self.points, self.dim, multiplier, self.inside, strain)
+        return Conditions(free, self.laws_at(temperature))
 
-    def energy(self, F: Float, psi: Float) -> None:
-        """Write the energy density (all points,) at its points."""
-        self._kernels.energy(F, self.points, self._constants, self.history, psi)
-        self._scale(psi)
+    def laws_at(self, temperature: Float | None) -> tuple[Law, ...]:
+        """Return the law of each temperature of the points (n,).
 
-    def commit(self, F: Float) -> None:
-        """Make the state at F (all points, dim, dim) the one that the next step starts from."""
-        self._kernels.commit(F, self.points, self._constants, self.history)
+        Raises
+        ------
+        CaseError
+            A law keeps another history than the others, or has a tangent of another symmetry.
+        """
+        if temperature is None or self._by_temperature is None or not len(temperature):
+            return (self.law,)
+        levels, of = np.unique(temperature, return_inverse=True)
+        order = np.argsort(of, kind="stable")
+        parts = np.split(order, np.cumsum(np.bincount(of, minlength=len(levels)))[:-1])
+        laws = [self._by_temperature.material_at(float(level), self.material) for level in levels]
+        for level, law in zip(levels, laws, strict=True):
+            kept = law.history_at(self.inside, np.zeros((1, self.inside))).shape[1]
+            alike = law.symmetric == self.material.symmetric and law.timed == self.material.timed
+            if kept != self.history.shape[1] or not alike or law.may_fail != self.material.may_fail:
+                raise CaseError(
+                    f"The law of a Thermal material is of another kind at temperature {level:g} than its material: "
+                    f"what it remembers, its symmetry and whether it depends on time must be the same everywhere."
+                )
+        return tuple(
+            Law.of(law, self.inside, rows if len(laws) > 1 else slice(None))
+            for rows, law in zip(parts, laws, strict=True)
+        )
 
-    def out_of_plane_stress(self, F: Float) -> Float:
-        """Return ``P_zz`` at its points (n,) [stress] where F (n, dim, dim) are theirs; 0 except in plane strain."""
-        if self.dim != 2 or self.material.plane == "stress":
-            return np.zeros(len(F))
-        P = self.material.out_of_plane_stress(F, self.history, *self._time(self.material, self._constants))
-        return P * (1.0 if self.factor is None else self.factor)
-
-    def hidden_stretch(self, F: Float) -> Float:
-        """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
-        return self.material.hidden_stretch(F, self.history, *self._time(self.material, self._constants))
-
-    def defined(self, F: Float, lost: Mask | None = None) -> bool:
-        """Return whether it has a stress at F (all points, dim, dim), but for points that are lost (all points,)."""
-        rows = np.arange(len(self.points)) if lost is None else np.flatnonzero(~lost[self.points])
-        if not self.material.defined(F, self.points[rows], self.history[rows]):
-            return False
-        if not self.material.may_fail:
-            return True
-        P = np.empty_like(F)
-        self.stress(F, P)
-        return bool(np.isfinite(P[self.points[rows]]).all())
-
-    def plastic_growth(self, F: Float) -> Float:
-        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
-        if not self.has_history or not len(self.points):
-            return np.zeros(len(self.points))
-        after = self.history.copy()
-        self._kernels.commit(F, self.points, self._constants, after)
-        return np.asarray(self.material.plastic_strain(after) - self.plastic_strain())
+    @property
+    def varies(self) -> bool:
+        """Return whether its law depends on temperature otherwise than by a factor of the moduli."""
+        return self._by_temperature is not None
 
     def plastic_strain(self) -> Float:
         """Return the accumulated plastic strain at its points (n,) [-]."""
@@ -144,17 +181,241 @@ class MaterialAtPoints:
         """Return whether its stress depends on converged steps."""
         return self.material.has_history
 
-    def largest_modulus(self) -> float:
-        """Return the largest entry of its small-strain stiffness [stress], 0 where it has no points here."""
+    def largest_modulus(self, factor: Float | None = None) -> float:
+        """Return the largest entry of its small-strain stiffness [stress], 0 if it has no points here.
+
+        ``factor`` (n,) multiplies its moduli besides [-].
+        """
         if len(self.points) == 0:
             return 0.0
-        return self.material.largest_modulus(self.dim) * (1.0 if self.factor is None else float(self.factor.max()))
+        multiplier = self.conditions(factor=factor).free.multiplier
+        return self.material.largest_modulus(self.dim) * (1.0 if multiplier is None else float(multiplier.max()))
 
-    @staticmethod
-    def _time(material: Material, constants: Float) -> tuple[float, ...]:
-        """Return the step time that the constants of a law hold; nothing where it does not depend on it."""
-        return (float(constants[-1]),) if material.timed else ()
 
-    def _scale(self, values: Float) -> None:
-        if self.factor is not None:
-            values[self.points] *= self.factor.reshape(-1, *(1,) * (values.ndim - 1))
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Stress-free deformation and laws of the points of a material.
+
+    Attributes
+    ----------
+    free : Unexpanded
+        Map of the stress-free deformation.
+    laws : tuple of Law
+        One for each temperature at which the law differs.
+    """
+
+    free: Unexpanded
+    laws: tuple[Law, ...]
+
+
+class MaterialLaw:
+    """Stress, tangent and energy at the points of a material: functions of F and of the history, without side effects.
+
+    ``commit`` alone changes something, the history of the material.
+
+    Parameters
+    ----------
+    of : MaterialAtPoints
+        Material, points and history.
+    dt : float
+        Physical time since the last converged step [time].
+    conditions : Conditions
+        Stress-free deformation and laws of the points.
+    """
+
+    def __init__(self, of: MaterialAtPoints, dt: float, conditions: Conditions) -> None:
+        self.of = of
+        self.material, self.points, self.dim, self.has_history = of.material, of.points, of.dim, of.has_history
+        self.free = conditions.free
+        self._dt = dt
+        self._laws = [law.of_step(dt) for law in conditions.laws]
+
+    @cached_property
+    def _expansion(self) -> StressFreeStrain:
+        assert isinstance(self.free, StressFreeStrain)
+        return self.free
+
+    def stress(self, F: Float, P: Float) -> None:
+        """Write P (all points, dim, dim) at its points for F (all points, dim, dim)."""
+        self.free.stress(self._evaluate("stress", *self.free.elastic(F), self.free.room(P)), P)
+
+    def tangent(self, F: Float, A: Float) -> None:
+        """Write A (all points, dim, dim, dim, dim) at its points."""
+        self.free.tangent(self._evaluate("tangent", *self.free.elastic(F), self.free.room(A)), A)
+
+    def energy(self, F: Float, psi: Float) -> None:
+        """Write the energy density (all points,) at its points."""
+        self.free.energy(self._evaluate("energy", *self.free.elastic(F), self.free.room(psi)), psi)
+
+    def commit(self, F: Float) -> None:
+        """Make the state at F (all points, dim, dim) the one that the next step starts from."""
+        self._advance(F, self.of.history)
+
+    def plastic_strain(self) -> Float:
+        """Return the accumulated plastic strain of the last converged state at its points (n,) [-]."""
+        return self.of.plastic_strain()
+
+    def plastic_strain_after(self, F: Float) -> Float:
+        """Return the accumulated plastic strain at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
+        after = self.of.history.copy()
+        self._advance(F, after)
+        return self.material.plastic_strain(after)
+
+    def plastic_growth(self, F: Float) -> Float:
+        """Return how much plastic strain grows at its points (n,) [-] if the step ends at F (all points, dim, dim)."""
+        if not self.has_history or not len(self.points):
+            return np.zeros(len(self.points))
+        return np.asarray(self.plastic_strain_after(F) - self.plastic_strain())
+
+    def elastic_response(self, F: Float) -> tuple[Float, Float, Float, Float]:
+        """Return F_e, P_e, A_e (n, ...) of the law at its points and A at F = I (n or 1, ...), without factors.
+
+        ``F`` is that of all points.
+        """
+        d, part = self.dim, self.free.elastic_part(F[self.points])
+        P, A = np.empty_like(part), np.empty((len(part), *(part.shape[-1],) * 4))
+        self._evaluate("stress", part, self._rows, P)
+        self._evaluate("tangent", part, self._rows, A)
+        rest = np.empty((len(part) if len(self._laws) > 1 else 1, *(d,) * 4))
+        for law in self._laws:
+            rest[law.rows] = law.material.moduli(d)
+        return part[:, :d, :d], P[:, :d, :d], A[:, :d, :d, :d, :d], rest
+
+    def same_tangent(self, F: Float) -> Float | None:
+        """Return A (dim, dim, dim, dim) if it is the same at all its points for F (all points, dim, dim), else None."""
+        of, linear = self.of, self.material.linear
+        if self.has_history or self.free.multiplier is not None or len(self._laws) > 1 or not len(self.points):
+            return None
+        one = np.eye(of.inside)[None] if linear else F[self.points[:1]]
+        if not linear and (
+            self.free.expands or not np.all(F[self.points[:SOME]] == one) or not np.all(F[self.points] == one)
+        ):
+            return None
+        if not np.all(of.history == of.history[:1]):  # numbers of the place, as the direction of fibres
+            return None
+        A, law = np.empty((1, *(of.inside,) * 4)), self._laws[0]
+        law.kernels.tangent(one, np.zeros(1, dtype=np.int64), law.constants, of.history[:1], A)
+        return np.asarray(A[0, : self.dim, : self.dim, : self.dim, : self.dim])
+
+    def out_of_plane_stress(self, F: Float) -> Float:
+        """Return ``P_zz`` at its points (n,) [stress] for their F (n, dim, dim); 0 except in plane strain."""
+        if self.dim != 2 or self.material.plane == "stress":
+            return np.zeros(len(F))
+        if self.free.expands:
+            return self._first_piola(self.free.elastic_part(F))[:, 2, 2]
+        law = self._laws[0]
+        P = law.material.out_of_plane_stress(F, self.of.history, *law.time)
+        return P if self.free.multiplier is None else P * self.free.multiplier
+
+    def hidden_stretch(self, F: Float) -> Float:
+        """Return the product of the stretches that F (n, dim, dim) at its points does not show (n,) [-]."""
+        if self.free.expands and (self.dim == 3 or self.of.inside == 3):
+            return np.ones(len(F))
+        part, across = self.free.elastic_part(F), np.empty(len(F))
+        for law in self._laws:
+            across[law.rows] = law.material.hidden_stretch(part[law.rows], self.of.history[law.rows], *law.time)
+        return self.free.hidden(across)
+
+    def strained(self, F: Float) -> tuple[Float, Float]:
+        """Return the elastic part of F (n, dim, dim) at its points of a body that expands, and the part without stress.
+
+        The latter, (n or 1, dim, dim), is 1 for linear laws.
+        """
+        return self.free.elastic_part(F)[:, : self.dim, : self.dim], self._expansion.stretch
+
+    def defined(self, F: Float, lost: Mask | None = None) -> bool:
+        """Return whether it has a stress at F (all points, dim, dim), but for points that are lost (all points,)."""
+        part, select = self.free.elastic(F)
+        kept = np.ones(len(self.points), dtype=bool) if lost is None else ~lost[self.points]
+        for law in self._laws:
+            here = kept[law.rows]
+            if not law.material.defined(part, select[law.rows][here], self.of.history[law.rows][here]):
+                return False
+        if not self.material.may_fail:
+            return True
+        P = np.empty_like(F)
+        self.stress(F, P)
+        return bool(np.isfinite(P[self.points[kept]]).all())
+
+    def energy_by_strain(self, F: Float) -> Float:
+        """Return the derivative of the energy density by the strain without stress at constant F (n, 3, 3) [stress].
+
+        ``F`` (n, dim, dim) is that of its points.
+        """
+        part = self.free.elastic_part(F)
+        return self._expansion.energy_by_strain(part, self._first_piola(part), self._energy_density(part, self._laws))
+
+    def stress_along(self, F: Float, strain: Float, factor: Float, temperature: Float | None, step: float) -> Float:
+        """Return the change of P (n, dim, dim) [stress] at its points with temperature, at constant F.
+
+        Parameters
+        ----------
+        F : (n, dim, dim) float64
+            At its points [-].
+        strain : (n, 3, 3) float64
+            Change of the strain without stress.
+        factor : (n,) float64
+            Change of the logarithm of the factor of the moduli.
+        temperature : (n,) float64 or None
+            For a law that depends on it, whose change is a central difference.
+        step : float
+            Step of that difference [temperature].
+        """
+        d, part = self.dim, self.free.elastic_part(F)
+        P, A = self._first_piola(part), np.empty((len(part), *(part.shape[-1],) * 4))
+        self._evaluate("tangent", part, self._rows, A)
+        change = self._expansion.stress_by_strain(part, P, A, strain) + factor[:, None, None] * P
+        if self._varies(F, temperature):
+            up, down = (self._first_piola(part, laws) for laws in self._laws_around(temperature, step))
+            change += (up - down) / (2.0 * step)
+        return np.asarray(change[:, :d, :d])
+
+    def energy_by_temperature(self, F: Float, temperature: Float, step: float) -> Float:
+        """Return the derivative of the energy density of its law by temperature (n,) at constant F and strain.
+
+        By central differences with a step [temperature] at temperatures (n,), for F (n, dim, dim) of its points; zeros
+        for a law that does not depend on temperature.
+        """
+        if not self._varies(F, temperature):
+            return np.zeros(len(F))
+        part = self.free.elastic_part(F)
+        up, down = (self._energy_density(part, laws) for laws in self._laws_around(temperature, step))
+        return np.asarray((up - down) / (2.0 * step))
+
+    @property
+    def _rows(self) -> GlobalIndex:
+        return np.arange(len(self.points))
+
+    def _varies(self, F: Float, temperature: Float | None) -> bool:
+        """Return whether its law depends on temperature otherwise than by a factor, at any points."""
+        return self.of.varies and temperature is not None and len(F) > 0
+
+    def _laws_around(self, temperature: Float | None, step: float) -> list[list[Law]]:
+        """Return the laws at temperatures (n,) that are a step higher and lower."""
+        assert temperature is not None
+        return [[law.of_step(self._dt) for law in self.of.laws_at(temperature + by)] for by in (step, -step)]
+
+    def _evaluate(
+        self, quantity: str, F: Float, select: GlobalIndex, result: Float, laws: Iterable[Law] | None = None
+    ) -> Float:
+        """Write stress, tangent or energy of laws at the rows ``select`` of F and return the result."""
+        for law in self._laws if laws is None else laws:
+            loop = getattr(law.kernels, quantity)
+            loop(F, select[law.rows], law.constants, self.of.history[law.rows], result)
+        return result
+
+    def _first_piola(self, elastic: Float, laws: Iterable[Law] | None = None) -> Float:
+        P = self._evaluate("stress", elastic, self._rows, np.empty_like(elastic), laws)
+        return self._expansion.first_piola(P)
+
+    def _energy_density(self, elastic: Float, laws: Iterable[Law]) -> Float:
+        psi = self._evaluate("energy", elastic, self._rows, np.empty(len(elastic)), laws)
+        return self._expansion.energy_density(psi)
+
+    def _advance(self, F: Float, history: Float) -> None:
+        """Overwrite a history of the last converged step with that of a step that ends at F (all points, dim, dim)."""
+        part, select = self.free.elastic(F)
+        for law in self._laws:
+            rows = history[law.rows]
+            law.kernels.commit(part, select[law.rows], law.constants, rows)
+            history[law.rows] = rows

@@ -77,7 +77,7 @@ class Material(Declared, ABC):
 
     @property
     def timed(self) -> bool:
-        """Return whether it depends on time: the last of its constants is then the step time, which is put there."""
+        """Return whether it depends on time: the last of its constants is then the time of the step, which is set."""
         return False
 
     @property
@@ -120,17 +120,17 @@ class Material(Declared, ABC):
         """
 
     @abstractmethod
-    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-].
 
-        ``t`` is the step time of F for a law that is ``timed``; that of the last converged step where absent.
+        ``dt`` is the time since the last converged step [time], given to laws that are ``timed``.
         """
 
     @abstractmethod
-    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``P_zz`` (n,) [stress] in plane strain, for ``F`` (n, 2, 2) and ``history`` (n, n_history).
 
-        ``t`` is as for ``hidden_stretch``.
+        ``dt`` is as for ``hidden_stretch``.
         """
 
     def history_at(self, dim: int, x: Float) -> Float:
@@ -238,7 +238,7 @@ class IsotropicMaterial(Material):
     def thickness_stretch(self, F: Float) -> Float:
         """Return the product of the stretches that F does not show: out of plane, or lateral of a bar (n,) [-]."""
 
-    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``thickness_stretch``."""
         return self.thickness_stretch(F)
 
@@ -262,7 +262,7 @@ def isotropic_moduli(lam: float, mu: float, dim: int) -> Float:
 class ElasticMaterial(IsotropicMaterial):
     """An isotropic material whose stress depends on F alone."""
 
-    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``P_zz`` (n,) [stress] of a body in plane strain with ``F`` (n, 2, 2)."""
         return self.lame(2)[0] * self.volumetric_strain(F)
 
@@ -280,7 +280,7 @@ class ElasticMaterial(IsotropicMaterial):
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the loops of ``kernels`` with a history that they do not read."""
         stress, tangent, energy = (_without_history(loop) for loop in self.kernels(dim))
-        return HistoryKernels(stress, tangent, energy, _nothing)
+        return HistoryKernels(stress, tangent, energy, remember_nothing)
 
 
 def _without_history(loop: Callable[..., None]) -> Callable[..., None]:
@@ -290,8 +290,8 @@ def _without_history(loop: Callable[..., None]) -> Callable[..., None]:
     return with_history
 
 
-def _nothing(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
-    """Remember nothing."""
+def remember_nothing(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
+    """Commit nothing: the loop of a law without history."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import sympy
 from sympy.printing.numpy import NumPyPrinter
 
 from pdpetsc.kernels.compile import note
-from pdpetsc.material.base import HistoryKernels, Kind
+from pdpetsc.material.base import HistoryKernels, Kind, remember_nothing
 from pdpetsc.material.energy import INVARIANTS, OF_FIBRES, STRETCHES, SYMBOLS, UNDEFORMED, Energy, derivative
 
 # A solid; a plane body without strain or without stress across it; a bar with free sides.
@@ -31,6 +31,8 @@ DIM: dict[Kind, int] = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}
 HIDDEN: dict[Kind, int] = {"solid": 0, "strain": 1, "stress": 1, "bar": 2}
 # Newton's method for a hidden stretch: largest number of steps, longest step and last one in its logarithm.
 STEPS, LONGEST, LAST = 100, 0.4, 1e-9
+# Ends a block among lines of a text.
+BACK = "<"
 # Most terms that products are multiplied out to.
 MOST_TERMS = 500
 
@@ -67,12 +69,8 @@ def loops_of(energy: Energy, kind: Kind) -> Loops:
     """
     text = (_stretch_text if energy.of_stretches else _invariant_text)(energy, kind)
     module = _module(text)
-    kernels = HistoryKernels(module.stress, module.tangent, module.energy, _nothing)
+    kernels = HistoryKernels(module.stress, module.tangent, module.energy, remember_nothing)
     return Loops(kernels, module.across, module.inside if energy.bounds else None)
-
-
-def _nothing(F: Any, select: Any, constants: Any, history: Any) -> None:
-    """Remember nothing."""
 
 
 class Scalars(NamedTuple):
@@ -194,19 +192,27 @@ class _Text:
         self.depth = 0
 
     def add(self, *lines: str) -> None:
-        """Add lines at the present depth; one that ends with a colon indents the next ones."""
+        """Add lines at the present depth; one that ends with a colon indents the next ones until ``BACK``."""
         for line in lines:
+            if line == BACK:
+                self.depth -= 1
+                continue
             self.lines.append("    " * self.depth + line)
-            if line.endswith(":"):
-                self.depth += 1
+            self.depth += line.endswith(":")
 
-    def back(self, levels: int = 1) -> None:
-        """End blocks."""
-        self.depth -= levels
+    def block(self, *lines: str) -> None:
+        """Add lines, and end the blocks that they open."""
+        depth = self.depth
+        self.add(*lines)
+        self.depth = depth
 
-    def over(self, *indices: str) -> None:
-        """Open loops over the dimension."""
-        self.add(*(f"for {index} in range({self.dim}):" for index in indices))
+    def each(self, indices: str, *lines: str) -> None:
+        """Add lines in loops of indices over the dimension."""
+        self.block(*(f"for {index} in range({self.dim}):" for index in indices), *lines)
+
+    def sum(self, term: str, index: str = "k", start: str = "0.0", sign: str = "+") -> tuple[str, ...]:
+        """Return lines that sum a term over an index to ``value``."""
+        return f"value = {start}", f"for {index} in range({self.dim}):", f"value {sign}= {term}", BACK
 
     def values(self, named: dict[str, Any]) -> None:
         """Add lines that compute expressions, what they share once."""
@@ -241,7 +247,7 @@ class _Text:
 
     def end(self) -> None:
         """Close the loop over points."""
-        self.back(2)
+        self.depth -= 2
 
     def whole(self) -> str:
         """Return the text."""
@@ -277,6 +283,7 @@ def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any
     minimum nearby, and a step goes down the energy. The start is that of the linear law, whose ratio of the logarithms
     of b and of the determinant of the shown part of F is the last constant.
     """
+    depth = text.depth
     text.add("", "", "@compiled", f"def lateral({', '.join(arguments)}, logarithm, constants):")
     text.constants()
     text.add(
@@ -286,15 +293,12 @@ def _lateral(text: _Text, arguments: Sequence[str], known: Sequence[str], r: Any
     text.add(f"log_J = logarithm + {text.hidden + 0.0} * s")
     log_J = {sympy.log(SYMBOLS["J"]): sympy.Symbol("log_J", real=True)}
     text.values({"residual": (_b * r).subs(log_J), "bend": (_b**2 * slope).subs(log_J)})
-    text.add("rise = residual + bend", "change = residual / rise")
-    text.add(f"if not (rise > 0.0 and abs(change) < {LONGEST}):")
-    text.add(f"change = {LONGEST} if residual > 0.0 else -{LONGEST}")
-    text.back()
-    text.add("s -= change", f"if abs(change) < {LAST}:")
-    text.add("return b * (1.0 - change)")
-    text.back(2)
-    text.add("return numpy.nan")
-    text.back()
+    text.add(
+        "rise = residual + bend", "change = residual / rise", f"if not (rise > 0.0 and abs(change) < {LONGEST}):",
+        f"change = {LONGEST} if residual > 0.0 else -{LONGEST}", BACK, "s -= change", f"if abs(change) < {LAST}:",
+        "return b * (1.0 - change)", BACK, BACK, "return numpy.nan",
+    )  # fmt: skip
+    text.depth = depth
 
 
 def _invariant_text(energy: Energy, kind: Kind) -> str:
@@ -324,46 +328,19 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             text.add({1: "j = F[p, 0, 0]", 2: "j = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]",
                       3: "j = _inverse(F[p], 3, G)" if "J" in names else "j = 1.0"}[text.dim])  # fmt: skip
         text.add("i1 = 0.0", "square = 0.0")
-        text.over("i", "m")
-        text.add("i1 += F[p, i, m] * F[p, i, m]")
-        text.back(2)
+        text.each("im", "i1 += F[p, i, m] * F[p, i, m]")
         if needs_c:
-            text.over("i", "m")
-            text.add("value = 0.0")
-            text.over("k")
-            text.add("value += F[p, k, i] * F[p, k, m]")
-            text.back()
-            text.add("C[i, m] = value", "square += value * value")
-            text.back(2)
+            text.each("im", *text.sum("F[p, k, i] * F[p, k, m]"), "C[i, m] = value", "square += value * value")
         for number in with_fibres:
-            text.over("i")
-            text.add("value = 0.0")
-            text.over("k")
-            text.add(f"value += F[p, i, k] * directions[row, {number * text.dim} + k]")
-            text.back()
-            text.add(f"f{number}[i] = value")
-            text.back()
-            if f"I{4 + 2 * number}" in names:
-                text.add(f"I{4 + 2 * number} = 0.0")
-                text.over("i")
-                text.add(f"I{4 + 2 * number} += f{number}[i] * f{number}[i]")
-                text.back()
+            text.each("i", *text.sum(f"F[p, i, k] * directions[row, {number * text.dim} + k]"), f"f{number}[i] = value")
+            if (four := f"I{4 + 2 * number}") in names:
+                text.add(f"{four} = 0.0")
+                text.each("i", f"{four} += f{number}[i] * f{number}[i]")
         for number in fifth:
             text.add(f"I{5 + 2 * number} = 0.0")
-            text.over("i")
-            text.add("value = 0.0")
-            text.over("k")
-            text.add(f"value += F[p, k, i] * f{number}[k]")
-            text.back()
-            text.add(f"c{number}[i] = value", f"I{5 + 2 * number} += value * value")
-            text.back()
-            text.over("i")
-            text.add("value = 0.0")
-            text.over("k")
-            text.add(f"value += F[p, i, k] * c{number}[k]")
-            text.back()
-            text.add(f"h{number}[i] = value")
-            text.back()
+            square = f"I{5 + 2 * number} += value * value"
+            text.each("i", *text.sum(f"F[p, k, i] * f{number}[k]"), f"c{number}[i] = value", square)
+            text.each("i", *text.sum(f"F[p, i, k] * c{number}[k]"), f"h{number}[i] = value")
         if free:
             text.add(f"b = lateral({', '.join(['i1', 'j', *fibres])}, numpy.log(j), constants)")
         text.add(*known)
@@ -387,13 +364,8 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
 
     def isochoric() -> None:
         """Write ``Q = I1 F - F C``."""
-        text.over("i", "m")
-        text.add("value = I1 * F[p, i, m]")
-        text.over("k")
-        text.add("value -= F[p, i, k] * C[k, m]")
-        text.back()
-        text.add("Q[i, m] = value")
-        text.back(2)
+        summed = text.sum("F[p, i, k] * C[k, m]", start="I1 * F[p, i, m]", sign="-")
+        text.each("im", *summed, "Q[i, m] = value")
 
     second = "I2" in names
     text.start("stress", "P", ["G", "C", "Q"], vectors)
@@ -401,9 +373,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
     text.values({f"g{name}": value for name, value in scalars.g.items()})
     if second:
         isochoric()
-    text.over("i", "m")
-    text.add("P[p, i, m] = " + " + ".join(f"g{name} * {tensor(name, 'i', 'm')}" for name in names))
-    text.back(2)
+    text.each("im", "P[p, i, m] = " + " + ".join(f"g{name} * {tensor(name, 'i', 'm')}" for name in names))
     text.end()
 
     pairs = {pair: value for pair, value in scalars.h.items() if value != 0}
@@ -416,22 +386,14 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
     if second or fifth:
         if second:
             isochoric()
-        text.over("i", "k")
-        text.add("value = 0.0")
-        text.over("m")
-        text.add("value += F[p, i, m] * F[p, k, m]")
-        text.back()
-        text.add("B[i, k] = value")
-        text.back(2)
+        text.each("ik", *text.sum("F[p, i, m] * F[p, k, m]", "m"), "B[i, k] = value")
     # Where a scalar stands beside itself alone, the product needs no array.
     alone = [name for name in of_h if [n for m, n in pairs if m == name] == [name]]
     for name in of_h:
         if name in alone:
             continue
-        text.over("i", "m")
         beside = [(min(name, n), max(name, n), n) for m, n in pairs if m == name]
-        text.add(f"E{name}[i, m] = " + " + ".join(f"h{m}{n} * {tensor(o, 'i', 'm')}" for m, n, o in beside))
-        text.back(2)
+        text.each("im", f"E{name}[i, m] = " + " + ".join(f"h{m}{n} * {tensor(o, 'i', 'm')}" for m, n, o in beside))
     # The parts with delta_ik and with delta_mn.
     one, other = [], []
     if "I1" in names:
@@ -449,10 +411,7 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             other.append(f"+ {five} * f{number}[m] * f{number}[n]")
     diagonal = one == ["(gI1 if m == n else 0.0)"]
     if other or (one and not diagonal):
-        text.over("m", "n")
-        text.add("T[m, n] = " + (" + ".join(one) or "0.0"), "U[m, n] = 0.0 " + " ".join(other))
-        text.back(2)
-    text.over("i", "m", "k", "n")
+        text.each("mn", "T[m, n] = " + (" + ".join(one) or "0.0"), "U[m, n] = 0.0 " + " ".join(other))
     terms = [
         f"h{name}{name} * {tensor(name, 'i', 'm')} * {tensor(name, 'k', 'n')}"
         if name in alone
@@ -469,18 +428,14 @@ def _invariant_text(energy: Energy, kind: Kind) -> str:
             f"gI{5 + 2 * number} * (f{number}[i] * {a_other} * F[p, k, m] + F[p, i, n] * {a} * f{number}[k] "
             f"+ B[i, k] * {a} * {a_other})"
         )
-    text.add("value = " + (" + ".join(terms) or "0.0"))
+    value = ["value = " + (" + ".join(terms) or "0.0")]
     if diagonal:
-        text.add("if i == k and m == n:", "value += gI1")
-        text.back()
+        value += ["if i == k and m == n:", "value += gI1", BACK]
     elif one:
-        text.add("if i == k:", "value += T[m, n]")
-        text.back()
+        value += ["if i == k:", "value += T[m, n]", BACK]
     if other:
-        text.add("if m == n:", "value += U[i, k]")
-        text.back()
-    text.add("A[p, i, m, k, n] = value")
-    text.back(4)
+        value += ["if m == n:", "value += U[i, k]", BACK]
+    text.each("imkn", *value, "A[p, i, m, k, n] = value")
     text.end()
 
     text.start("energy", "psi", ["G", "C"], vectors)
@@ -529,41 +484,24 @@ def _stretch_text(energy: Energy, kind: Kind) -> str:
     text.start("stress", "P", ["C", "N", "n"], ["stretch", "g"])
     at_point()
     text.values({f"g[{a}]": value for a, value in enumerate(first)})
-    text.over("i", "m")
-    text.add("value = 0.0")
-    text.over("a")
-    text.add("value += g[a] * n[i, a] * N[m, a]")
-    text.back()
-    text.add("P[p, i, m] = value")
-    text.back(2)
+    text.each("im", *text.sum("g[a] * n[i, a] * N[m, a]", "a"), "P[p, i, m] = value")
     text.end()
 
     text.start("tangent", "A", ["C", "N", "n", "h"], ["stretch", "g"])
     at_point()
     upper = {f"h[{a}, {b}]": second[a][b] for a in range(dim) for b in range(a, dim)}
     text.values({**{f"g[{a}]": value for a, value in enumerate(first)}, **upper})
-    text.over("i", "m", "k", "o")
-    text.add("A[p, i, m, k, o] = 0.0")
-    text.back(4)
-    text.over("a", "c")
-    text.add("normal = h[min(a, c), max(a, c)]", "same = 0.0", "swapped = 0.0", "if a != c:")
-    text.add(
+    text.each("imko", "A[p, i, m, k, o] = 0.0")
+    text.each(
+        "ac", "normal = h[min(a, c), max(a, c)]", "same = 0.0", "swapped = 0.0", "if a != c:",
         "apart = stretch[a] - stretch[c]",
         # The difference quotient loses digits where stretches are nearly equal, and its limit is exact to second order.
-        "if abs(apart) > 1e-5 * (stretch[a] + stretch[c]):",
-    )
-    text.add("difference = (g[a] - g[c]) / apart")
-    text.back()
-    text.add("else:", "difference = 0.5 * (h[a, a] + h[c, c]) - h[min(a, c), max(a, c)]")
-    text.back()
-    text.add(
-        "total = (g[a] + g[c]) / (stretch[a] + stretch[c])",
-        "same = 0.5 * (difference + total)",
-        "swapped = 0.5 * (difference - total)",
-    )
-    text.back()
-    text.add(f"add_pair({dim}, a, c, normal, same, swapped, n, N, A[p])")
-    text.back(2)
+        "if abs(apart) > 1e-5 * (stretch[a] + stretch[c]):", "difference = (g[a] - g[c]) / apart", BACK,
+        "else:", "difference = 0.5 * (h[a, a] + h[c, c]) - h[min(a, c), max(a, c)]", BACK,
+        "total = (g[a] + g[c]) / (stretch[a] + stretch[c])", "same = 0.5 * (difference + total)",
+        "swapped = 0.5 * (difference - total)", BACK,
+        f"add_pair({dim}, a, c, normal, same, swapped, n, N, A[p])",
+    )  # fmt: skip
     text.end()
 
     text.start("energy", "psi", ["C", "N", "n"], ["stretch"])
@@ -588,8 +526,7 @@ def _nearest_bound(text: _Text, hidden: dict[Any, Any]) -> None:
     text.add("result[row] = share0")
     for number in range(1, len(shares)):
         # A share that is no number is none either way.
-        text.add(f"if not share{number} > result[row]:", f"result[row] = share{number}")
-        text.back()
+        text.block(f"if not share{number} > result[row]:", f"result[row] = share{number}")
     text.end()
 
 

@@ -15,6 +15,7 @@ from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Kind, Material, isotropic_moduli
+from pdpetsc.material.symmetric import WEIGHT, matrix
 
 if TYPE_CHECKING:
     from pdpetsc.material.energy import Energy
@@ -151,13 +152,13 @@ class EnergyMaterial(Material):
             return True
         return bool(np.isfinite(self._across(F, select, history)).all())
 
-    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``b`` in plane stress, ``b^2`` in a bar, 1 in plane strain and solids (n,) [-]."""
         if self.kind(F.shape[-1]) in ("solid", "strain"):
             return np.ones(len(F))
         return self._across(F, np.arange(len(F)), history)
 
-    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``P_zz = d psi / d F_zz`` (n,) [stress] in plane strain."""
         return self._across(F, np.arange(len(F)), history)
 
@@ -291,17 +292,8 @@ def _undeformed(energy: Energy, constants: tuple[float, ...], axes: tuple[tuple[
 
 def _voigt(moduli: Float) -> Float:
     """Return the stiffness of the strains ``11, 22, 33, sqrt(2) 23, ...`` (6, 6)."""
-    pairs = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
-    weight = [1.0 if i == m else np.sqrt(0.5) for i, m in pairs]
     both = moduli + moduli.transpose(1, 0, 2, 3)
-    both = 0.25 * (both + both.transpose(0, 1, 3, 2))
-    scale = [1.0 if i == m else 2.0 for i, m in pairs]
-    return np.array(
-        [
-            [weight[a] * scale[a] * weight[b] * scale[b] * both[i, m, k, n] for b, (k, n) in enumerate(pairs)]
-            for a, (i, m) in enumerate(pairs)
-        ]
-    )
+    return np.asarray(matrix(0.25 * (both + both.transpose(0, 1, 3, 2))) * np.outer(WEIGHT, WEIGHT))
 
 
 def isotropic_mean(moduli: Float) -> tuple[float, float]:

@@ -68,7 +68,7 @@ class J2(Yields, LogarithmicMaterial):
         return self.rate is None and not free and isinstance(law_of(self.hardening), Linear)
 
     def constants(self, dim: int) -> Float:
-        """Return ``lambda, mu, y, H`` of linear hardening, else the step time."""
+        """Return ``lambda, mu, y, H`` of linear hardening, else the time of the step."""
         if not self._linear_loops(dim):
             return super().constants(dim)
         return np.array([*self.lame(dim), self.yield_stress, float(law_of(self.hardening).slope(np.zeros(())))])
@@ -77,20 +77,20 @@ class J2(Yields, LogarithmicMaterial):
         """Return compiled loops for linear hardening, else those around ``respond``."""
         return HistoryKernels(*linear_return_loops(dim)) if self._linear_loops(dim) else super().history_kernels(dim)
 
-    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return it in closed form in a bar with linear hardening, whose plastic strain keeps its volume."""
         if F.shape[-1] > 1 or not self._linear_loops(1):
-            return super().hidden_stretch(F, history, t)
+            return super().hidden_stretch(F, history, dt)
         _, _, y, H = self.constants(1)
         whole, elastic = np.log(F[:, 0, 0]), np.log(F[:, 0, 0] * history[:, 0])
         growth = np.maximum(self.E * np.abs(elastic) - y - H * history[:, -1], 0.0) / (self.E + H)
         elastic -= np.sign(elastic) * growth
         return np.asarray(np.exp(-2.0 * self.nu * elastic - (whole - elastic)))
 
-    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
         """Return ``tau_3`` after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
         if not self._linear_loops(2):
-            return super().out_of_plane_stress(F, history, t)
+            return super().out_of_plane_stress(F, history, dt)
         P = np.empty(len(F))
         linear_out_of_plane(np.ascontiguousarray(F), self.constants(2), history, P)
         return P

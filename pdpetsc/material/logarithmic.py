@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.kernels.logarithmic import LogarithmicLoops, logarithmic_loops
-from pdpetsc.material.base import HistoryKernels, Kind
-from pdpetsc.material.stepped import SteppedMaterial, blocks
+from pdpetsc.kernels.logarithmic import logarithmic_loops
+from pdpetsc.material.base import Kind
+from pdpetsc.material.stepped import Step, SteppedMaterial, condensed
 
-# Numbers of a history between G and the state of the law: hidden elastic strain, hidden whole strain, step time.
-KEPT = 3
+# Numbers of a history between G and the state of the law: hidden elastic strain and hidden total strain.
+KEPT = 2
 # Strains nearer to each other than this share of the spread of all three, or of the largest, count as equal where the
 # difference quotient of their stresses is asked: the stress of a body that yields early turns within tiny strains.
 EQUAL, ROUND_OFF = 1e-5, 1e-9
@@ -99,92 +99,50 @@ class LogarithmicMaterial(SteppedMaterial):
         return np.zeros(1)
 
     def initial_history(self, dim: int, n: int) -> Float:
-        """Return the history of ``n`` undeformed points: G, hidden strains and step time, and the law's own state."""
+        """Return the history of ``n`` undeformed points: G, hidden strains, and the law's own state."""
         return np.tile(np.concatenate([np.eye(dim).ravel(), np.zeros(KEPT), self.initial_state()]), (n, 1))
 
     def plastic_strain(self, history: Float) -> Float:
         """Return the last number of the state (n,) [-]: the accumulated plastic strain."""
         return history[:, -1]
 
-    def history_kernels(self, dim: int) -> HistoryKernels:
-        """Return loops over blocks of points around ``respond``."""
-        kind, loops = self.kind(dim), logarithmic_loops(dim)
+    def _state(self, history: Float, dim: int) -> Float:
+        return history[:, dim * dim + KEPT :]
 
-        def stress(F: Float, select: GlobalIndex, constants: Float, history: Float, P: Float) -> None:
-            for points, kept in blocks(select, history):
-                axes, found = self._returned(F, points, constants[-1], kept, kind, False)
-                loops.stress(points, kept, found.tau, axes.stretch, axes.N, axes.n, P)
-
-        def tangent(F: Float, select: GlobalIndex, constants: Float, history: Float, A: Float) -> None:
-            for points, kept in blocks(select, history):
-                axes, found = self._returned(F, points, constants[-1], kept, kind, True)
-                assert found.moduli is not None
-                moduli = np.ascontiguousarray(_condensed(found.moduli, kind))
-                shear = _shear(axes.strain, found.tau, found.moduli, dim)
-                loops.tangent(points, kept, found.tau, moduli, shear, axes.stretch, axes.N, axes.n, A)
-
-        def energy(F: Float, select: GlobalIndex, constants: Float, history: Float, psi: Float) -> None:
-            for points, kept in blocks(select, history):
-                _, found = self._returned(F, points, constants[-1], kept, kind, False)
-                psi[points] = self.energy(found.elastic, found.state)
-
-        def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
-            first = dim * dim
-            for points, kept in blocks(select, history):
-                axes, found = self._returned(F, points, constants[-1], kept, kind, False)
-                loops.commit(kept, found.elastic, axes.stretch, axes.N, axes.n)
-                if kind in ("stress", "bar"):
-                    kept[:, first + 1] += axes.strain[:, 2] - kept[:, first]
-                kept[:, first] = found.elastic[:, 2]
-                kept[:, first + 2] = constants[-1]
-                kept[:, first + KEPT :] = found.state
-
-        return HistoryKernels(stress, tangent, energy, commit)
-
-    def hidden_stretch(self, F: Float, history: Float, t: float | None = None) -> Float:
-        """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
-        dim, kind = F.shape[-1], self.kind(F.shape[-1])
-        across = np.ones(len(F))
-        if kind in ("stress", "bar"):
-            for points, kept in blocks(np.arange(len(F)), history):
-                axes, _ = self._returned(F, points, t, kept, kind, False)
-                whole = kept[:, dim * dim + 1] + axes.strain[:, 2] - kept[:, dim * dim]
-                across[points] = np.exp(whole * (3 - dim))
-        return across
-
-    def out_of_plane_stress(self, F: Float, history: Float, t: float | None = None) -> Float:
-        """Return ``tau_3`` after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
-        P = np.empty(len(F))
-        for points, kept in blocks(np.arange(len(F)), history):
-            P[points] = self._returned(F, points, t, kept, "strain", False)[1].tau[:, 2]
-        return P
-
-    def _returned(
-        self, F: Float, points: GlobalIndex, t: float | None, kept: Float, kind: Kind, moduli: bool
-    ) -> tuple[_Axes, Response]:
-        """Return trial strains and the response at points of F, at the step time that was kept where ``t`` is None."""
+    def _trial(self, F: Float, points: GlobalIndex, history: Float, kind: Kind) -> _Axes:
         dim, n = F.shape[-1], len(points)
-        first = dim * dim
         axes = _Axes(np.empty((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim)))
-        loops: LogarithmicLoops = logarithmic_loops(dim)
-        loops.trial(np.ascontiguousarray(F), points, kept, *axes)
-        state = kept[:, first + KEPT :]
-        dt = self.time_of_step(t, kept[:, first + 2])
+        logarithmic_loops(dim).trial(np.ascontiguousarray(F), points, history, *axes)
         if kind == "strain":
-            axes.strain[:, 2] = kept[:, first]
-        if kind in ("stress", "bar"):
-            return axes, self.free_across(axes.strain, state, dt, kind, moduli)
-        return axes, self.respond(axes.strain, state, dt, moduli)
+            axes.strain[:, 2] = history[:, dim * dim]
+        return axes
 
+    def _write_stress(self, step: Step, P: Float) -> None:
+        axes = step.frame
+        loops = logarithmic_loops(P.shape[-1])
+        loops.stress(step.points, step.history, step.response.tau, axes.stretch, axes.N, axes.n, P)
 
-def _condensed(moduli: Float, kind: Kind) -> Float:
-    """Return the moduli of a body without stress across it (n, 3, 3), whose hidden strains follow the others."""
-    if kind == "stress":
-        return np.asarray(moduli - moduli[:, :, 2:] * moduli[:, 2:, :] / moduli[:, 2:, 2:])
-    if kind == "bar":
-        lateral = (moduli[:, 0, 1] + moduli[:, 0, 2]) * moduli[:, 2, 0] / (moduli[:, 2, 1] + moduli[:, 2, 2])
-        return np.asarray((moduli[:, 0, 0] - lateral)[:, None, None] * np.ones((1, 3, 3)))
-    return moduli
+    def _write_tangent(self, step: Step, A: Float) -> None:
+        axes, (tau, moduli, _, _), dim = step.frame, step.response, A.shape[-1]
+        shear, moduli = _shear(axes.strain, tau, moduli, dim), np.ascontiguousarray(condensed(moduli, step.kind))
+        loops = logarithmic_loops(dim)
+        loops.tangent(step.points, step.history, tau, moduli, shear, axes.stretch, axes.N, axes.n, A)
+
+    def _energy(self, step: Step) -> Float:
+        return self.energy(step.response.elastic, step.response.state)
+
+    def _remember(self, step: Step, dim: int) -> None:
+        axes, response, history, first = step.frame, step.response, step.history, dim * dim
+        logarithmic_loops(dim).commit(history, response.elastic, axes.stretch, axes.N, axes.n)
+        if step.kind in ("stress", "bar"):
+            history[:, first + 1] += axes.strain[:, 2] - history[:, first]
+        history[:, first] = response.elastic[:, 2]
+        history[:, first + KEPT :] = response.state
+
+    def _hidden_strain(self, step: Step, dim: int) -> Float:
+        first = dim * dim
+        total = step.history[:, first + 1] + step.frame.strain[:, 2] - step.history[:, first]
+        return np.asarray(total * (3 - dim))
 
 
 def _shear(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:

@@ -5,16 +5,41 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.material.base import HistoryMaterial, Kind
+from pdpetsc.material.base import HistoryKernels, HistoryMaterial, Kind
 from pdpetsc.material.roots import rising_roots
 
 # Points that are computed together: their arrays stay in the cache.
 BLOCK = 4096
+
+
+class Step(NamedTuple):
+    """The end of a step at a block of points.
+
+    Attributes
+    ----------
+    F : (all points, dim, dim) float64
+        Deformation gradients [-].
+    points : (n,) int64
+        The points of the block.
+    history : (n, n_history) float64
+        Their history, which ``commit`` overwrites.
+    kind : {"solid", "strain", "stress", "bar"}
+        What the body shows of the solid.
+    frame, response
+        Trial strains, as ``frame.strain``, with the axes that the kinematics need; the response of the law to them.
+    """
+
+    F: Float
+    points: GlobalIndex
+    history: Float
+    kind: Kind
+    frame: Any
+    response: Any
 
 
 @dataclass(frozen=True)
@@ -31,9 +56,35 @@ class SteppedMaterial(HistoryMaterial):
     def respond(self, strain: Float, state: Float, dt: Float, moduli: bool) -> Any:
         """Return what a step ends with: a tuple that begins with stresses and moduli, whose third row is across."""
 
+    # Kinematics: from F to strains, from the response of the law to P, A, energy and history.
+
+    @abstractmethod
+    def _state(self, history: Float, dim: int) -> Float:
+        """Return the columns of the history that the law reads (n, n_state)."""
+
+    @abstractmethod
+    def _trial(self, F: Float, points: GlobalIndex, history: Float, kind: Kind) -> Any:
+        """Return trial strains with their axes."""
+
+    @abstractmethod
+    def _write_stress(self, step: Step, P: Float) -> None: ...
+
+    @abstractmethod
+    def _write_tangent(self, step: Step, A: Float) -> None: ...
+
+    @abstractmethod
+    def _energy(self, step: Step) -> Float: ...
+
+    @abstractmethod
+    def _remember(self, step: Step, dim: int) -> None: ...
+
+    @abstractmethod
+    def _hidden_strain(self, step: Step, dim: int) -> Float:
+        """Return the sum of the logarithmic strains that F does not show (n,) [-]."""
+
     @property
     def timed(self) -> bool:
-        """Return whether the last of its constants is the step time."""
+        """Return whether it has a duration."""
         return self.duration is not None
 
     @property
@@ -42,7 +93,7 @@ class SteppedMaterial(HistoryMaterial):
         return 0.5 * self.E / (1.0 + self.nu), self.E / (3.0 * (1.0 - 2.0 * self.nu))
 
     def constants(self, dim: int) -> Float:
-        """Return the step time, which is put there before every step."""
+        """Return the time of the step, which is set for laws with a ``duration``."""
         return np.zeros(1)
 
     def thickness_stretch(self, F: Float) -> Float:
@@ -50,9 +101,55 @@ class SteppedMaterial(HistoryMaterial):
         stretch: Float = np.linalg.det(F) ** -self.lateral_strain_ratio(F.shape[-1])
         return stretch
 
-    def time_of_step(self, t: float | None, before: Float) -> Float:
-        """Return the time since step times ``before`` (n,) [time]; 0 where ``t`` is None or rates do not count."""
-        return np.zeros(len(before)) if t is None or self.duration is None else self.duration * (t - before)
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return loops over blocks of points around ``respond``."""
+        kind = self.kind(dim)
+
+        def stress(F: Float, select: GlobalIndex, constants: Float, history: Float, P: Float) -> None:
+            for step in self._steps(F, select, constants[-1], history, kind):
+                self._write_stress(step, P)
+
+        def tangent(F: Float, select: GlobalIndex, constants: Float, history: Float, A: Float) -> None:
+            for step in self._steps(F, select, constants[-1], history, kind, moduli=True):
+                self._write_tangent(step, A)
+
+        def energy(F: Float, select: GlobalIndex, constants: Float, history: Float, psi: Float) -> None:
+            for step in self._steps(F, select, constants[-1], history, kind):
+                psi[step.points] = self._energy(step)
+
+        def commit(F: Float, select: GlobalIndex, constants: Float, history: Float) -> None:
+            for step in self._steps(F, select, constants[-1], history, kind):
+                self._remember(step, dim)
+
+        return HistoryKernels(stress, tangent, energy, commit)
+
+    def hidden_stretch(self, F: Float, history: Float, dt: float = 0.0) -> Float:
+        """Return the stretch across a plane without stress there, the product of both of a bar, else 1 (n,) [-]."""
+        dim, kind = F.shape[-1], self.kind(F.shape[-1])
+        across = np.ones(len(F))
+        if kind in ("stress", "bar"):
+            for step in self._steps(F, np.arange(len(F)), dt, history, kind):
+                across[step.points] = np.exp(self._hidden_strain(step, dim))
+        return across
+
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
+        """Return the stress across the plane after the return (n,) [stress] in plane strain: ``F_zz`` is 1."""
+        P = np.empty(len(F))
+        for step in self._steps(F, np.arange(len(F)), dt, history, "strain"):
+            P[step.points] = step.response[0][:, 2]
+        return P
+
+    def _steps(
+        self, F: Float, select: GlobalIndex, dt: float, history: Float, kind: Kind, moduli: bool = False
+    ) -> Iterator[Step]:
+        """Yield blocks of points of F at the end of a step of the time ``dt``."""
+        for first in range(0, len(select), BLOCK):
+            points, kept = select[first : first + BLOCK], history[first : first + BLOCK]
+            frame = self._trial(F, points, kept, kind)
+            given = frame.strain, self._state(kept, F.shape[-1]), np.full(len(points), dt)
+            free = kind in ("stress", "bar")
+            response = self.free_across(*given, kind, moduli) if free else self.respond(*given, moduli)
+            yield Step(F, points, kept, kind, frame, response)
 
     def free_across(self, strain: Float, state: Float, dt: Float, kind: Kind, moduli: bool) -> Any:
         """Return the response where hidden strains, written into ``strain`` (n, ...), leave no stress across the body.
@@ -75,7 +172,11 @@ class SteppedMaterial(HistoryMaterial):
         return self.respond(strain, state, dt, moduli)
 
 
-def blocks(select: GlobalIndex, history: Float) -> Iterator[tuple[GlobalIndex, Float]]:
-    """Yield points with their rows of the history, which may be written."""
-    for first in range(0, len(select), BLOCK):
-        yield select[first : first + BLOCK], history[first : first + BLOCK]
+def condensed(moduli: Float, kind: Kind) -> Float:
+    """Return the moduli of a body without stress across it (n, k, k), whose hidden strains follow the others."""
+    if kind == "stress":
+        return np.asarray(moduli - moduli[:, :, 2:3] * moduli[:, 2:3, :] / moduli[:, 2:3, 2:3])
+    if kind == "bar":
+        both = moduli[:, :, 1:2] + moduli[:, :, 2:3]
+        return np.asarray(moduli - both * moduli[:, 2:3, :] / both[:, 2:3, :])
+    return moduli

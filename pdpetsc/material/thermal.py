@@ -171,6 +171,11 @@ class Thermal(Declared):
             )
         return np.broadcast_to(values, (len(T), 3))
 
+    @property
+    def softens(self) -> bool:
+        """Return whether temperature changes moduli."""
+        return self.factor is not None or self.law is not None
+
     def conduction(self) -> Float | None:
         """Return the conductivity as a tensor in the axes of the body (3, 3), None where it is not given."""
         if self.conductivity is None:

@@ -351,7 +351,7 @@ def read_checkpoint(
         problem.bonds_restored()
     for name, kept in arrays.items():
         _put(kept, cloud, order.from_parts(tables[name]), f"{path}: {name}")
-    problem.restored()
+    problem.restored(float(values["t"]))
     u = _with_virtual(cloud, order.from_parts(part), values["virtual"])
     at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), values["tangent_virtual"])
     if not problem.admissible(problem.state(u, float(values["t"]))):

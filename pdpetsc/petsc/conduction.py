@@ -118,8 +118,8 @@ class ScalarMatrix:
         x.destroy(), y.destroy()
         return found
 
-    def solve(self, b: Float, start: Float) -> tuple[Float, int, bool]:
-        """Return x with its given values from ``start`` (n_owned,), the iterations, and whether it is a solution.
+    def solve(self, b: Float, start: Float) -> tuple[Float, bool]:
+        """Return x with its given values from ``start`` (n_owned,), and whether it is a solution.
 
         Where nothing holds a piece, its level is that of ``start``.
         """
@@ -132,14 +132,13 @@ class ScalarMatrix:
         round_off = r.duplicate()
         r.setArray(residual)
         size = r.norm()
-        found, iterations, good = start.copy(), 0, True
+        found, good = start.copy(), True
         if size > 0.0:
             x.set(0.0)
             round_off.setArray(self._diagonal * np.abs(start))
             floor = FLOOR * float(np.finfo(float).eps) * round_off.norm()
             self._ksp.setTolerances(rtol=RTOL, atol=floor, max_it=MOST)
             self._ksp.solve(r, x)
-            iterations = int(self._ksp.getIterationNumber())
             found += x.getArray(readonly=True)
             self._inside.multAdd(-1.0 * x, r, r)
             round_off.setArray(self._diagonal * np.abs(found))
@@ -148,7 +147,7 @@ class ScalarMatrix:
         for vector in (x, r, round_off):
             vector.destroy()
         lost, whole = total(self._cloud.comm, [float((stuck**2).sum()), float((b**2).sum())])
-        return found, iterations, good and bool(lost <= GOOD**2 * whole)
+        return found, good and bool(lost <= GOOD**2 * whole)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

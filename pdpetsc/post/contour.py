@@ -461,7 +461,7 @@ def elastic_law(solution: Solution, number: int, inside: Mask) -> LinearElastic 
     thermal = None if expansion is None else expansion.thermals[number]
     if thermal is not None and thermal.law is not None:
         # Of own particles inside (n_owned,), which have one temperature: others are refused.
-        temperature = expansion.temperature(solution.state.t) if expansion is not None else None
+        temperature = solution.state.temperature
         if temperature is not None:
             law = thermal.material_at(solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
     if not isinstance(law, IsotropicMaterial):

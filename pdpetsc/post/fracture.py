@@ -383,7 +383,7 @@ class EnergyReleaseRate(_Release):
                 at[moved] = np.eye(2) + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
                 volume = operator.volume.copy()
                 volume[moved] *= np.linalg.det(by)
-                change -= volume * material_term.energy_at(at, volume) / (2.0 * d)
+                change -= volume * material_term.energy_at(solution.state, at, volume) / (2.0 * d)
         change /= solution.problem.body.thickness
         rest, size = solution.sum([change.sum() + self._of_loads(solution, domain), np.abs(change).sum()])
         return self._with_place(solution, domain, float(rest), float(size))

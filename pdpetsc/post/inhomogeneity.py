@@ -10,7 +10,6 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.kernels.sparsity import sum_by
-from pdpetsc.material.expanded import ExpandedAtPoints
 from pdpetsc.post.bonds_left import pairs_of
 from pdpetsc.post.solution import Solution
 from pdpetsc.terms.bond_forces import BondForces
@@ -84,19 +83,19 @@ def of_place(solution: Solution) -> OfPlace:
 
 
 def _of_place(solution: Solution) -> OfPlace:
-    expansion, t = solution.problem.body.expansion, solution.state.t
+    expansion = solution.state.expansion
     _, graded = materials_of(solution)
     factor = _with_ghosts(solution, graded)
     if expansion is None:
         return OfPlace(solution, None, factor, None, ((MODULI, factor),))
-    of_temperature = expansion.factor(t)
+    of_temperature = expansion.factor
     whole = factor if of_temperature is None else _with_ghosts(solution, graded * of_temperature)
-    own = expansion.strain(t).copy()
+    own = expansion.strain.copy()
     if isinstance(solution.problem.material_term, BondForces):
-        own[:, :2, :2] = expansion.in_body(t)
-    given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain(t)).T))
-    by_law = any(one is not None and one.law is not None for one in expansion.thermals)
-    temperature = expansion.temperature(t) if by_law else None
+        own[:, :2, :2] = expansion.in_body()
+    given = ((MODULI, factor), *((STRAIN, one) for one in _shown(solution, expansion.eigenstrain).T))
+    by_law = any(one is not None and one.law is not None for one in expansion.of.thermals)
+    temperature = expansion.temperature if by_law else None
     kept = None if temperature is None else _with_ghosts(solution, temperature)
     return OfPlace(solution, _shown(solution, own), whole, kept, given)
 
@@ -124,7 +123,7 @@ def explicit_derivative(solution: Solution) -> Float:
     ``psi_,m = S : eps_,m + psi / c c_,m + psi_,T T_,m`` with the strain without stress eps, the factor c of the moduli,
     the temperature T where a law depends on it otherwise, and the slopes of all of them by the weights of the body,
     which are exact where they are linear; ``S = psi F_theta^-1 - F_e^T P``, and ``-P`` of linear bodies and bonds
-    (``ExpandedAtPoints.energy_by_strain``). Collective.
+    (``MaterialLaw.energy_by_strain``). Collective.
     """
     return solution.state.kept("explicit derivative", lambda: _explicit_derivative(solution, of_place(solution).factor))
 
@@ -166,23 +165,20 @@ def _explicit_derivative(solution: Solution, moduli: Float) -> Float:
             found += _of_bonds(solution, _of_families(solution, place.strain))
         return np.asarray(found)
     operator, owner = material_term.operator, material_term.operator.owner
-    F, _, psi = material_term.conjugates(state)
+    psi = material_term.conjugates(state)[2]
     found = (psi / factor[owner])[:, None] * _of_points(material_term, moduli[:, None])[:, 0]
     if place.strain is not None:
-        S, slope = np.zeros((len(F), 3, 3)), _of_points(material_term, place.strain)
-        for one in material_term.materials:
-            assert isinstance(one, ExpandedAtPoints)
-            S[one.points] = one.energy_by_strain(F[one.points])
+        S, slope = material_term.energy_by_strain(state), _of_points(material_term, place.strain)
         by_strain = np.stack([S[:, 0, 0], S[:, 1, 1], S[:, 0, 1] + S[:, 1, 0], S[:, 2, 2]], axis=1)
         found += np.einsum("pc,pcm->pm", by_strain, slope)
     if place.temperature is not None:
+        F = material_term.deformation(state)
         by, slope = np.zeros(len(F)), _of_points(material_term, place.temperature[:, None])[:, 0]
         low, high = _range(solution, place.temperature)
         step = LAW_STEP * (high - low) if high > low else 1.0
-        for one in material_term.materials:
-            assert isinstance(one, ExpandedAtPoints)
-            at = place.temperature[owner[one.points]]
-            by[one.points] = one.energy_by_temperature(F[one.points], at, step)
+        for law in material_term.laws(state).materials:
+            at = place.temperature[owner[law.points]]
+            by[law.points] = law.energy_by_temperature(F[law.points], at, step)
         found += by[:, None] * slope
     share = operator.volume / solution.volume[owner]
     return operator.sum_over_points(share[:, None] * found)
@@ -221,11 +217,11 @@ def _of_bonds(solution: Solution, slope: Float) -> Float:
     """
     cloud, families, material_term = solution.cloud, solution.problem.body.families, solution.problem.material_term
     assert isinstance(material_term, BondForces)
-    xi, expansion = families.bonds(cloud.x), solution.problem.body.expansion
+    xi, expansion = families.bonds(cloud.x), solution.state.expansion
     assert expansion is not None
     along = xi
     if material_term.finite:
-        along = xi + np.einsum("bij,bj->bi", expansion.in_body(solution.state.t)[families.centres], xi)
+        along = xi + np.einsum("bij,bj->bi", expansion.in_body()[families.centres], xi)
     n = along / np.linalg.norm(along, axis=1)[:, None]
     moment = sum_by(
         families.centres, np.einsum("b,bi,bj->bij", material_term.tension(solution.state), n, xi), cloud.n_owned
@@ -263,8 +259,7 @@ def singular(solution: Solution, tips: Sequence[Float], start: float) -> bool:
     That of heat that flows round a crack does: its mean square within a distance ``start`` of a tip [length] is then
     three times that from there to twice the distance, and as large where the temperature is smooth. Collective.
     """
-    expansion = solution.problem.body.expansion
-    temperature = None if expansion is None else expansion.temperature(solution.state.t)
+    temperature = solution.state.temperature
     if temperature is None:
         return False
     square = (slopes_of_particles(solution, _with_ghosts(solution, temperature)[:, None]) ** 2).sum(axis=(1, 2))

@@ -236,8 +236,7 @@ def temperature(solution: Solution) -> Float:
     CaseError
         The case says nothing of temperature.
     """
-    expansion = solution.problem.body.expansion
-    found = None if expansion is None else expansion.temperature(solution.t)
+    found = solution.state.temperature
     if found is None:
         raise CaseError("The case says nothing of temperature; leave the field temperature out.")
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +14,7 @@ from pdpetsc.discrete.overlap import Overlap, start_displacements, start_forces
 from pdpetsc.discrete.surface import Surface
 from pdpetsc.gradient.base import Stencils, whole_families
 from pdpetsc.kernels.bonds import elongation_kernel
+from pdpetsc.material.thermal import Thermal
 from pdpetsc.problem.expansion import StressFree
 
 
@@ -30,6 +32,8 @@ class Body:
         Its facets, where somebody asks for them.
     thickness : float
         Of a plane body, which the volumes contain [length].
+    thermals : sequence of Thermal or None, optional
+        Dependence of each material on temperature; absent for a body that does not expand.
 
     Attributes
     ----------
@@ -40,12 +44,19 @@ class Body:
     expansion: StressFree | None = None
 
     def __init__(
-        self, cloud: Cloud, families: Families, surface: Surface | None = None, thickness: float = 1.0
-    ) -> None:
+        self, cloud: Cloud, families: Families, surface: Surface | None = None, thickness: float = 1.0,
+        thermals: Sequence[Thermal | None] | None = None,
+    ) -> None:  # fmt: skip
         self.cloud = cloud
         self.families = families
         self.surface = surface
         self.thickness = thickness
+        self.thermals = thermals
+
+    @property
+    def expands(self) -> bool:
+        """Return whether it may deform without stress."""
+        return self.thermals is not None
 
     @property
     def dim(self) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -90,7 +91,7 @@ class PrescribedTemperature(TemperatureField):
 
 
 class StressFree:
-    """The stress-free deformation of the own particles, and what multiplies their moduli at their temperature.
+    """Temperature and strains without stress of a body, as functions of the load parameter.
 
     Parameters
     ----------
@@ -113,145 +114,150 @@ class StressFree:
         self, cloud: Cloud, families: Families, thermals: Sequence[Thermal | None], material_of: LocalIndex,
         field: TemperatureField | None, eigenstrains: Sequence[tuple[LocalIndex, Eigenstrain]], across: Float,
     ) -> None:  # fmt: skip
-        self._cloud = cloud
-        self._families = families
+        self.cloud = cloud
+        self.families = families
         self.thermals = thermals
-        self._thermals = [
+        self.of_particles = [
             (np.flatnonzero(material_of == number).astype(np.int32), one)
             for number, one in enumerate(thermals)
             if one is not None
         ]
+        self.eigenstrains = eigenstrains
+        self.across = across
         self._field = field
-        self._eigenstrains = eigenstrains
-        self._across = across
-        self._kept: dict[str, tuple[tuple[float, int], Float]] = {}
-
-    @property
-    def version(self) -> int:
-        """Return a number that grows whenever the temperature at the same step time changes (not collective)."""
-        return 0 if self._field is None else self._field.version
+        self._last: tuple[int, FreeDeformation] | None = None
 
     @property
     def softens(self) -> bool:
         """Return whether temperature changes moduli (not collective)."""
-        return any(one.factor is not None or one.law is not None for _, one in self._thermals)
+        return any(thermal.softens for _, thermal in self.of_particles)
 
-    def temperature(self, t: float) -> Float | None:
-        """Return the temperature of the own particles at step time ``t`` (n_owned,); None without (collective)."""
-        field = self._field
-        return None if field is None else self._at("temperature", t, lambda: field.at(t))
-
-    def strain(self, t: float) -> Float:
-        """Return the strains without stress of the own particles (n_owned, 3, 3) [-] (collective).
+    def at(self, t: float) -> FreeDeformation:
+        """Return the deformation at a load parameter, the last one again if the temperature is the same (collective).
 
         Raises
         ------
-        CaseError, SolveError
-            A function of the case fails, or the strain leaves no positive volume.
+        SolveError
+            A function of the case fails.
         """
+        version = 0 if self._field is None else self._field.version
+        if self._last is None or self._last[0] != version or self._last[1].t != t:
+            temperature = None if self._field is None else self._field.at(t)
+            self._last = version, FreeDeformation(self, t, temperature)
+        return self._last[1]
 
-        def make() -> Float:
-            temperature, strain = self.temperature(t), self.eigenstrain(t).copy()
-            with agreed(self._cloud.comm):
-                if temperature is not None:
-                    for own, thermal in self._thermals:
-                        strain[own] += thermal.strain(temperature[own])
-                flat = np.flatnonzero(~(np.linalg.eigvalsh(strain)[:, 0] > -1.0))
-                if len(flat):
-                    raise CaseError(
-                        f"The strain without stress at {self._cloud.x[flat[0]]} leaves no volume at step time {t:g}: "
-                        f"a principal one is -1 or less; check expansion, temperatures and eigenstrains."
-                    )
-            return strain
 
-        return self._at("strain", t, make)
+class FreeDeformation:
+    """The stress-free deformation of the own particles, and the factor of their moduli, at one temperature.
 
-    def eigenstrain(self, t: float) -> Float:
-        """Return the part of these strains that no temperature makes (n_owned, 3, 3) [-] (collective)."""
+    Parameters
+    ----------
+    of : StressFree
+        The body.
+    t : float
+        Load parameter [-].
+    temperature : (n_owned,) float64 or None
+        Temperature of the own particles; None in a body without.
 
-        def make() -> Float:
-            strain = np.zeros((self._cloud.n_owned, 3, 3))
-            with agreed(self._cloud.comm):
-                for where, condition in self._eigenstrains:
-                    if len(where):
-                        strain[where] += condition.strain(t)
-            return strain
+    Notes
+    -----
+    Properties are collective on first use. They raise SolveError or CaseError if a function of the case fails or if the
+    strain leaves no positive volume.
+    """
 
-        return self._at("eigenstrain", t, make)
+    def __init__(self, of: StressFree, t: float, temperature: Float | None) -> None:
+        self.of = of
+        self.t = t
+        self.temperature = temperature
+        self._elongations: dict[bool, Float] = {}
 
-    def factor(self, t: float) -> Float | None:
-        """Return what multiplies the moduli of the own particles (n_owned,) [-]; None for nothing (collective)."""
-        temperature = self.temperature(t)
-        if temperature is None or not self.softens:
+    @cached_property
+    def strain(self) -> Float:
+        """Return the strains without stress of the own particles (n_owned, 3, 3) [-]."""
+        strain, cloud = self.eigenstrain.copy(), self.of.cloud
+        with agreed(cloud.comm):
+            if self.temperature is not None:
+                for own, thermal in self.of.of_particles:
+                    strain[own] += thermal.strain(self.temperature[own])
+            flat = np.flatnonzero(~(np.linalg.eigvalsh(strain)[:, 0] > -1.0))
+            if len(flat):
+                raise CaseError(
+                    f"The strain without stress at {cloud.x[flat[0]]} leaves no volume at step time {self.t:g}: "
+                    f"a principal one is -1 or less; check expansion, temperatures and eigenstrains."
+                )
+        return strain
+
+    @cached_property
+    def eigenstrain(self) -> Float:
+        """Return the part of these strains that no temperature makes (n_owned, 3, 3) [-]."""
+        strain = np.zeros((self.of.cloud.n_owned, 3, 3))
+        with agreed(self.of.cloud.comm):
+            for where, condition in self.of.eigenstrains:
+                if len(where):
+                    strain[where] += condition.strain(self.t)
+        return strain
+
+    @cached_property
+    def factor(self) -> Float | None:
+        """Return the factor of the moduli of the own particles (n_owned,) [-]; None for 1."""
+        if self.temperature is None or not self.of.softens:
             return None
+        factor = np.ones(self.of.cloud.n_owned)
+        with agreed(self.of.cloud.comm):
+            for own, thermal in self.of.of_particles:
+                factor[own] = thermal.factors(self.temperature[own])
+        return factor
 
-        def make() -> Float:
-            found = np.ones(self._cloud.n_owned)
-            with agreed(self._cloud.comm):
-                for own, thermal in self._thermals:
-                    found[own] = thermal.factors(temperature[own])
-            return found
-
-        return self._at("factor", t, make)
-
-    def by_temperature(self, t: float) -> tuple[Float, Float, float]:
+    def by_temperature(self) -> tuple[Float, Float, float]:
         """Return how strain without stress (n_owned, 3, 3) and the logarithm of the factor (n_owned,) change with T.
 
         By central differences of what the materials give, with a step that is returned too [temperature] (collective).
         """
-        temperature = self.temperature(t)
+        temperature, parts = self.temperature, self.of.of_particles
         assert temperature is not None
-        reference = [np.full(len(own), thermal.reference) for own, thermal in self._thermals]
-        away = [temperature[own] - zero for (own, _), zero in zip(self._thermals, reference, strict=True)]
-        most = max((float(np.abs(one).max(initial=0.0)) for one in away), default=0.0)
-        most = max(most, LEAST_DISTANCE * float(np.abs(temperature).max(initial=0.0)))
-        step = DIFFERENCE * (largest(self._cloud.comm, most) or 1.0)
-        strain, factor = np.zeros((self._cloud.n_owned, 3, 3)), np.zeros(self._cloud.n_owned)
-        with agreed(self._cloud.comm):
-            for own, thermal in self._thermals:
+        away = [np.abs(temperature[own] - thermal.reference).max(initial=0.0) for own, thermal in parts]
+        most = max([*map(float, away), LEAST_DISTANCE * float(np.abs(temperature).max(initial=0.0))])
+        step = DIFFERENCE * (largest(self.of.cloud.comm, most) or 1.0)
+        strain, factor = np.zeros((len(temperature), 3, 3)), np.zeros(len(temperature))
+        with agreed(self.of.cloud.comm):
+            for own, thermal in parts:
                 up, down = temperature[own] + step, temperature[own] - step
                 strain[own] = (thermal.strain(up) - thermal.strain(down)) / (2.0 * step)
                 factor[own] = np.log(thermal.factors(up) / thermal.factors(down)) / (2.0 * step)
         return strain, factor, step
 
-    def in_body(self, t: float) -> Float:
+    def in_body(self) -> Float:
         """Return the strain that a body shows, with what that across its plane widens it by (n_owned, dim, dim) [-]."""
-        dim, strain = self._cloud.dim, self.strain(t)
-        shown = strain[:, :dim, :dim].copy()
+        dim = self.of.cloud.dim
+        shown = self.strain[:, :dim, :dim].copy()
         if dim == 2:
-            shown += (self._across * strain[:, 2, 2])[:, None, None] * np.eye(2)
+            shown += (self.of.across * self.strain[:, 2, 2])[:, None, None] * np.eye(2)
         return shown
 
-    def elongation(self, t: float, finite: bool) -> Float:
-        """Return by how much bonds are longer without force (n_bonds,) [length] (collective).
+    def elongation(self, finite: bool) -> Float:
+        """Return by how much bonds are longer without force (n_bonds,) [length] (collective on first use).
 
         That is the mean of ``|(I + eps) xi| - |xi|`` of both ends, or of ``n . eps xi`` for elongations along the first
         direction of a bond.
         """
+        if finite not in self._elongations:
+            self._elongations[finite] = self._elongation(finite)
+        return self._elongations[finite]
 
-        def make() -> Float:
-            cloud, families = self._cloud, self._families
-            strain = np.empty((cloud.n_local, cloud.dim, cloud.dim))
-            strain[: cloud.n_owned] = self.in_body(t)
-            cloud.halo.forward(strain)
-            if len(cloud.sign):
-                strain[cloud.n_owned :] *= cloud.sign[:, :, None] * cloud.sign[:, None, :]
-            xi = families.bonds(cloud.x)
-            length = np.linalg.norm(xi, axis=1)
+    def _elongation(self, finite: bool) -> Float:
+        cloud, families = self.of.cloud, self.of.families
+        strain = np.empty((cloud.n_local, cloud.dim, cloud.dim))
+        strain[: cloud.n_owned] = self.in_body()
+        cloud.halo.forward(strain)
+        if len(cloud.sign):
+            strain[cloud.n_owned :] *= cloud.sign[:, :, None] * cloud.sign[:, None, :]
+        xi = families.bonds(cloud.x)
+        length = np.linalg.norm(xi, axis=1)
 
-            def of(ends: LocalIndex) -> Float:
-                stretched = np.einsum("bij,bj->bi", strain[ends], xi)
-                if finite:
-                    return np.asarray(np.linalg.norm(xi + stretched, axis=1) - length)
-                return np.asarray(np.einsum("bi,bi->b", xi, stretched) / length)
+        def of(ends: LocalIndex) -> Float:
+            stretched = np.einsum("bij,bj->bi", strain[ends], xi)
+            if finite:
+                return np.asarray(np.linalg.norm(xi + stretched, axis=1) - length)
+            return np.asarray(np.einsum("bi,bi->b", xi, stretched) / length)
 
-            return np.asarray(0.5 * (of(families.centres) + of(families.neighbours)))
-
-        return self._at(f"elongation {finite}", t, make)
-
-    def _at(self, name: str, t: float, make: Callable[[], Float]) -> Float:
-        """Return what was made for this step time and temperature, or make it."""
-        key = t, self.version
-        if name not in self._kept or self._kept[name][0] != key:
-            self._kept[name] = key, make()
-        return self._kept[name][1]
+        return np.asarray(0.5 * (of(families.centres) + of(families.neighbours)))

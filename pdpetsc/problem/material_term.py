@@ -8,7 +8,6 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.damage.criterion import Solid
-from pdpetsc.errors import CaseError
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
@@ -53,18 +52,6 @@ class MaterialTerm(Term):
     @abstractmethod
     def largest_modulus(self) -> float:
         """Return the largest modulus on this rank [stress] (not collective)."""
-
-    def expand(self) -> None:
-        """Follow the deformation that the body has without stress, ``body.expansion`` (collective).
-
-        Raises
-        ------
-        CaseError
-            The formulation cannot.
-        """
-        raise CaseError(
-            f"{type(self).__name__} knows no strain without stress; leave temperatures and eigenstrains out."
-        )
 
     @property
     def driving_points(self) -> Solid | None:

@@ -8,11 +8,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
+from pdpetsc.clock import Clock
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.gradient.products import ConstraintProduct, Entries, Loop, Product
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.expansion import FreeDeformation
 from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.material_term import MaterialTerm
@@ -37,6 +39,8 @@ class Problem:
         Prescribed unknowns.
     damage : Damage, optional
         The bonds that can fail.
+    duration : float
+        Physical time from load parameter 0 to 1 [time].
 
     Attributes
     ----------
@@ -59,8 +63,12 @@ class Problem:
         terms: Sequence[Term],
         supports: Supports,
         damage: Damage | None = None,
+        duration: float = 1.0,
     ) -> None:
         self.body = body
+        self.duration = duration
+        # Load parameter of the last converged step.
+        self._converged = 0.0
         self.material_term = material_term
         self.terms: list[Term] = [material_term, *terms]
         self.supports = supports
@@ -75,7 +83,8 @@ class Problem:
             damage.driving_variable.take(points)
         self._last: State | None = None
         self._last_version = -1
-        self._unstrained: tuple[tuple[float, int, int], Float] | None = None
+        # Stress-free deformation and rebuilds with the forces without strain that they give.
+        self._unstrained: tuple[FreeDeformation | None, int, Float] | None = None
 
     @property
     def dim(self) -> int:
@@ -150,12 +159,18 @@ class Problem:
         damage = [] if self.damage is None else [f"damage {type(self.damage.bonds.law).__name__}"]
         return ["families", *(part for term in self.terms for part in term.parts), *damage]
 
+    def clock(self, t: float) -> Clock:
+        """Return load parameter and physical time at a load parameter (not collective)."""
+        return Clock(t, t * self.duration, (t - self._converged) * self.duration)
+
     def state(self, u: Float, t: float = 0.0) -> State:
         """Return the state at unknowns (n_rows, dim) and a step time, the last one again where nothing has changed."""
         last = self._last
-        changed = last is None or last.t != t or self._last_version != self.version or not np.array_equal(last.u, u)
+        expansion = None if self.body.expansion is None else self.body.expansion.at(t)
+        same = last is not None and last.t == t and last.expansion is expansion and np.array_equal(last.u, u)
+        changed = not same or self._last_version != self.version
         if last is None or int(total(self.body.cloud.comm, int(changed))) > 0:
-            self._last = last = State(self.body, u.copy(), t)
+            self._last = last = State(self.body, u.copy(), self.clock(t))
             self._last_version = self.version
         return last
 
@@ -187,14 +202,13 @@ class Problem:
 
         They are what a residual is compared with where neither loads nor supports act.
         """
-        expansion = self.body.expansion
-        if expansion is None:
+        if self.body.expansion is None:
             return None
-        key = t, expansion.version, self.rebuilds
-        if self._unstrained is None or self._unstrained[0] != key:
-            zero = np.zeros((self.body.cloud.n_rows, self.dim))
-            self._unstrained = key, self.force_of([self.material_term], State(self.body, zero, t))
-        return self._unstrained[1]
+        state = State(self.body, np.zeros((self.body.cloud.n_rows, self.dim)), self.clock(t))
+        last, rebuilds = self._unstrained, self.rebuilds
+        if last is None or last[0] is not state.expansion or last[1] != rebuilds:
+            self._unstrained = last = state.expansion, rebuilds, self.force_of([self.material_term], state)
+        return last[2]
 
     def force_of(self, terms: Sequence[Term], state: State) -> Float:
         """Return what terms add to the residual at a state that they admit (n_rows, dim) [force]."""
@@ -248,8 +262,9 @@ class Problem:
             found |= {f"{unique}.{of}": array for of, array in term.arrays().items()}
         return found if self.last_step is None else {**found, **self.last_step.arrays()}
 
-    def restored(self) -> None:
-        """Let terms follow their arrays, which have been read (not collective)."""
+    def restored(self, t: float) -> None:
+        """Continue from a load parameter; terms follow their arrays, which have been read (not collective)."""
+        self._converged = t
         for term in self.terms:
             if term.arrays():
                 term.restored()
@@ -265,6 +280,7 @@ class Problem:
             term.commit(state)
         if self.last_step is not None:
             self.last_step.commit(state)
+        self._converged = state.t
 
     def revert(self) -> None:
         """Take back what failed since the last ``commit``."""
@@ -272,17 +288,12 @@ class Problem:
             self._bonds_changed(rebuild=self.damage.revert())
         for one in self.staggered:
             one.revert()
-            self._last = None
 
     def advance(self, before: float, t: float) -> None:
         """Find what goes ahead of the equilibrium at step time ``t``, from the converged one at ``before``."""
+        self._converged = before
         for one in self.staggered:
             one.advance(before, t)
-            self._last = None
-
-    def renewed(self) -> None:
-        """Follow a field ahead that has changed at the same step time (not collective)."""
-        self._last = None
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most if the step ends at a state [-]."""

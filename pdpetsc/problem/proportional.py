@@ -60,7 +60,7 @@ def refuse_what_is_not_proportional(problem: Problem, who: str, beyond: bool = F
 
 def _refuse_term(problem: Problem, term: Term, who: str, times: Sequence[float]) -> None:
     zero, name = np.zeros(problem.supports.fixed.shape), type(term).__name__
-    states = [State(problem.body, zero, t) for t in (1.0, *times)]
+    states = [State(problem.body, zero, problem.clock(t)) for t in (1.0, *times)]
     found = [term.linearise(state) for state in states]
     if term.load:
         if any(found):

@@ -1,4 +1,4 @@
-"""State of a problem: unknowns, step time, and what is computed from them."""
+"""State of a problem: unknowns, clock, and what is computed from them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
 from pdpetsc.arrays import Float
+from pdpetsc.clock import START, Clock
 from pdpetsc.problem.body import Body
 
 T = TypeVar("T")
 
 
 class State:
-    """Unknowns and step time, and what terms have computed from them.
+    """Unknowns and clock, and what terms have computed from them.
 
     Ghosts are exchanged once, when they are first asked for, and what a term keeps here (deformation gradients,
     integrities of bonds) is computed once for forces, tangent, energy and outputs.
@@ -23,18 +24,35 @@ class State:
         Whose unknowns they are.
     u : (n_rows, dim) float64
         Unknowns [length]; not to be changed while the state is in use.
-    t : float
-        Step time, which is the load factor where loads are proportional to it [-].
+    clock : Clock
+        Load parameter and physical time.
     u_local : (n_local, dim) float64, optional
         Displacements with ghosts, where they are known [length].
     """
 
-    def __init__(self, body: Body, u: Float, t: float = 0.0, u_local: Float | None = None) -> None:
+    def __init__(self, body: Body, u: Float, clock: Clock = START, u_local: Float | None = None) -> None:
         self.body = body
         self.u = u
-        self.t = t
+        self._clock = clock
+        # The stress-free deformation, None for a body that does not expand.
+        self.expansion = None if body.expansion is None else body.expansion.at(clock.load)
         self._u_local = u_local
         self._kept: dict[Hashable, Any] = {}
+
+    @property
+    def clock(self) -> Clock:
+        """Return load parameter and physical time."""
+        return self._clock
+
+    @property
+    def t(self) -> float:
+        """Return the load parameter [-]."""
+        return self._clock.load
+
+    @property
+    def temperature(self) -> Float | None:
+        """Return the temperature of the own particles (n_owned,), None in a body without."""
+        return None if self.expansion is None else self.expansion.temperature
 
     @property
     def own(self) -> Float:
@@ -53,15 +71,13 @@ class State:
 
         Of a body that expands they are those beyond what its bonds have without force (collective).
         """
-        u_local, expansion = self.u_local, self.body.expansion
-        if expansion is None:
-            return self.kept(("elongation", finite), lambda: self.body.elongated(u_local, finite))
+        u_local, expansion = self.u_local, self.expansion
 
         def make() -> tuple[Float, float]:
             e, least = self.body.elongated(u_local, finite)
-            return e - expansion.elongation(self.t, finite), least
+            return e if expansion is None else e - expansion.elongation(finite), least
 
-        return self.kept(("elongation", finite, expansion.version), make)
+        return self.kept(("elongation", finite), make)
 
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what was kept under ``key``, or make and keep it."""

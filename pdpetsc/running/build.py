@@ -55,7 +55,7 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
-from pdpetsc.solvers.staggered import MonolithicHeat, StaggeredHeat
+from pdpetsc.solvers.staggered import HeatSteps
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
@@ -188,7 +188,8 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
                 raise
             weights = Unsuited(str(error))
     chosen = replace(case, weights=weights)
-    body = Body(cloud, families, surface, case.particles.thickness)
+    thermals = case.thermals if case.expands else None
+    body = Body(cloud, families, surface, case.particles.thickness, thermals)
     return _problem(chosen, body, materials, material_of, factor, options)
 
 
@@ -236,7 +237,8 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 )  # fmt: skip
                 families = find_families(cloud, repeated=None if share is None else 0.0, in_order=_in_order(case))
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
-                problem = _problem(bare, Body(cloud, families, surface), materials, alternating, None)
+                around = Body(cloud, families, surface, thermals=bare.thermals if bare.expands else None)
+                problem = _problem(bare, around, materials, alternating, None)
                 state = problem.state(np.zeros_like(x))
                 filling(problem).rehearse(state)
                 problem.internal_force(state)
@@ -279,15 +281,14 @@ def _problem(
             heat = heat_of(case.heat, body, applied, case.thermals, material_of, operator, bonds.omega, damage)
         field = None if heat is None else heat.field
         body.expansion = stress_free(body, applied, case.thermals, material_of, materials, field)
-        material_term.expand()
     extra = []
     for number, declared in enumerate(case.terms, 1):
         extra.append(build_extra(declared, number, body))
     conduction = [] if heat is None else [heat]
-    problem = Problem(body, material_term, [*others, *applied.terms, *extra, *conduction], supports, damage)
+    terms = [*others, *applied.terms, *extra, *conduction]
+    problem = Problem(body, material_term, terms, supports, damage, case.duration)
     for one in conduction:
-        march = MonolithicHeat if one.declared.coupling == "monolithic" else StaggeredHeat
-        problem.staggered.append(march(one, Options({}) if options is None else options))
+        problem.staggered.append(HeatSteps(one, Options({}) if options is None else options))
     if damage is not None:
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
@@ -417,11 +418,6 @@ def _points(
         solve = partial(solve_scalar, options=options)
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
-    if case.expands and case.gradients.patches is not None:
-        raise CaseError(
-            "MeanDilatation shares the whole dilatation, not what stress comes from; take its scheme alone where a "
-            "body expands or has strain without stress."
-        )
     if case.damage is not None:
         if case.gradients.patches is not None:
             raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")

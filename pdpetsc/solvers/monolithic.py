@@ -17,19 +17,13 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.newton import ONE_STEP, StaticSolver
 from pdpetsc.solvers.protocol import StepResult
-from pdpetsc.solvers.staggered import HeatSystem, MonolithicHeat, no_temperature
-from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.solvers.staggered import HeatSteps, HeatSystem
 from pdpetsc.terms.material_points import MaterialPoints
 
 # The temperature counts where its residual is below this share of the largest of the step.
 GOOD = 1e-10
 # Names of both parts of the unknowns, in the options of PCFIELDSPLIT.
 TEMPERATURE, DISPLACEMENT = "temperature", "displacement"
-
-
-def monolithic_heat(problem: Problem) -> MonolithicHeat | None:
-    """Return the heat conduction that is solved together with the equilibrium, None without (not collective)."""
-    return next((one for one in problem.staggered if isinstance(one, MonolithicHeat)), None)
 
 
 class MonolithicSolver(StaticSolver):
@@ -57,9 +51,10 @@ class MonolithicSolver(StaticSolver):
     def __init__(
         self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
     ) -> None:
-        heat = monolithic_heat(problem)
-        assert heat is not None
-        self._heat = heat
+        (heat,) = problem.staggered
+        assert isinstance(heat, HeatSteps)
+        assert isinstance(problem.material_term, MaterialPoints)
+        self._heat, self._field, self._points = heat, heat.heat.field, problem.material_term
         cloud = problem.body.cloud
         self._n_u, self._n_T = problem.supports.fixed.size, cloud.n_owned
         # What temperatures and their residuals are divided by for PETSc; those of a step follow it.
@@ -74,11 +69,10 @@ class MonolithicSolver(StaticSolver):
     @classmethod
     def refuse(cls, problem: Problem) -> None:
         """Raise CaseError where temperature and displacement cannot be found together, on every rank."""
-        material_term = problem.material_term
-        if not isinstance(material_term, MaterialPoints) or isinstance(material_term, DamagedPoints):
+        if type(problem.material_term) is not MaterialPoints:
             raise CaseError(
-                'HeatConduction with coupling="monolithic" takes bodies of deformation gradients whose bonds stay; '
-                'take "staggered", which finds the same: no heat depends on the displacement.'
+                'HeatConduction with coupling="monolithic" takes bodies of deformation gradients whose bonds stay and '
+                'that share no dilatation; take "staggered", which finds the same: no heat depends on the displacement.'
             )
 
     @property
@@ -90,16 +84,15 @@ class MonolithicSolver(StaticSolver):
         """Find equilibrium and temperature at step time ``t`` starting from ``u`` (n_rows, dim)."""
         system = self._system
         if self._all_prescribed:
-            self._heat.solve(system)
+            self._heat.solve()
             return super().solve(u, t)
-        if self._heat.heat.declared.duration is None and not system.matrix.solve(system.b, system.start)[2]:
-            # A piece that gains heat without end: functions of the temperature are not asked then.
-            raise no_temperature(t)
+        if self._heat.heat.declared.duration is None:
+            # Refuse a piece that gains heat without end before functions of the temperature are evaluated.
+            self._heat.solution()
         self._couple(system)
         attempt, result = super().solve(u, t)
         if result.converged:
             self._take(self._x)
-            self._heat.iterations = 0
         return attempt, result
 
     def destroy(self) -> None:
@@ -116,7 +109,7 @@ class MonolithicSolver(StaticSolver):
 
     @property
     def _system(self) -> HeatSystem:
-        system = self._heat.sought
+        system = self._heat.system
         assert system is not None
         return system
 
@@ -139,7 +132,7 @@ class MonolithicSolver(StaticSolver):
 
     def _couple(self, system: HeatSystem) -> None:
         """Make the matrix of a step, whose part of the temperature changes with its length."""
-        change = np.abs(system.start - self._heat.heat.field.before).max(initial=0.0)
+        change = np.abs(system.start - self._field.before).max(initial=0.0)
         scale = system.matrix.scale
         sources = np.abs(system.matrix.residual(system.start, system.b, system.start)).max(initial=0.0) / scale
         self._degree = largest(self._comm, float(max(change, sources))) or 1.0
@@ -166,9 +159,8 @@ class MonolithicSolver(StaticSolver):
 
     def _forces_of(self, change: Float) -> Float:
         """Return how internal forces change with the temperature, as PETSc sees both (n_u,)."""
-        material_term = self.problem.material_term
-        assert isinstance(material_term, MaterialPoints) and self._coupling is not None
-        operator, body = material_term.operator, self.problem.body
+        assert self._coupling is not None
+        operator, body = self._points.operator, self.problem.body
         f = np.zeros((body.cloud.n_local, body.dim))
         operator.divergence(self._coupling * (change * self._degree)[operator.owner][:, None, None], f)
         return np.where(self._equilibrium.free, body.gather(f), 0.0).ravel() / self._scales.force
@@ -182,40 +174,26 @@ class MonolithicSolver(StaticSolver):
         return np.asarray(self._system.start + x.array_r[self._n_u :] * self._degree)
 
     def _take(self, x: PETSc.Vec) -> None:
-        self._warm(self._temperature(x))
-
-    def _warm(self, temperature: Float) -> None:
-        """Let the body have a temperature (n_owned,)."""
-        self._heat.heat.field.take(temperature)
-        self.problem.renewed()
+        self._field.take(self._temperature(x))
 
     def _run(self, start: Float) -> int:
         # Later runs go on with the temperature that has been found.
-        now = self._heat.heat.field.now
-        return self._solve_from(np.concatenate([start.ravel() / self._scales.length, self._unknowns_of(now)]))
-
-    def _unknowns_of(self, temperature: Float) -> Float:
-        return np.asarray((temperature - self._system.start) / self._degree)
+        change = (self._field.now - self._system.start) / self._degree
+        return self._solve_from(np.concatenate([start.ravel() / self._scales.length, change]))
 
     def _linear_step(self, u: Float, state: State, b: Float) -> tuple[Float, int]:
         """Return the displacements of Newton's first step, which the temperature takes as well."""
-        system, ksp = self._system, self.snes.getKSP()
-        now = self._heat.heat.field.now
+        system, ksp, now = self._system, self.snes.getKSP(), self._field.now.copy()
         assert self._mats is not None
-        self._coupling = self._by_temperature(state)
+        self._coupling = self._points.stress_by_temperature(state)
         heat = system.matrix.residual(now, system.b, system.start)
         self._r.array = np.concatenate([b.ravel() / self._scales.force, -heat / self._power])
         ksp.setOperators(*self._mats)
         ksp.solve(self._r, self._x)
         change = self._x.array_r[self._n_u :] * self._degree
         if np.isfinite(total(self._comm, float(change.sum()))):
-            self._warm(now + change)
+            self._field.take(now + change)
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
-
-    def _by_temperature(self, state: State) -> Float:
-        material_term = self.problem.material_term
-        assert isinstance(material_term, MaterialPoints)
-        return material_term.stress_by_temperature(state)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         self._take(x)
@@ -234,7 +212,7 @@ class MonolithicSolver(StaticSolver):
         self._take(x)
         values = self._displacement(x)
         self._filled_at = self._equilibrium.at_prescribed(values)
-        self._coupling = self._by_temperature(self._equilibrium.state(values))
+        self._coupling = self._points.stress_by_temperature(self._equilibrium.state(values))
         self._equilibrium.assemble(values, effort(snes.getKSP()))
         for mat in (J, P):
             mat.assemble()
@@ -245,7 +223,7 @@ class MonolithicSolver(StaticSolver):
         warm, change = self._temperature(x), y.array_r[self._n_u :] * self._degree
 
         def moved(part: float) -> Float:
-            self._warm(warm - part * change)
+            self._field.take(warm - part * change)
             return self._equilibrium.at_prescribed(here - part * step)
 
         part = self._equilibrium.admissible_part(moved)
@@ -258,12 +236,9 @@ class MonolithicSolver(StaticSolver):
         self._take(x)
         return self._equilibrium.judge(self._displacement(x), self._rtol) and self._conducts(x)
 
-    def _norm_of_heat(self, x: PETSc.Vec) -> float:
-        return float(np.sqrt(total(self._comm, float((self._heat_residual(x) ** 2).sum()))))
-
     def _conducts(self, x: PETSc.Vec) -> bool:
         """Return whether the residual of the temperature counts as zero."""
-        norm = self._norm_of_heat(x)
+        norm = float(np.sqrt(total(self._comm, float((self._heat_residual(x) ** 2).sum()))))
         self._first = max(self._first, norm)
         floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
         return np.isfinite(norm) and norm <= max(GOOD * self._first, floor)

@@ -1,4 +1,4 @@
-"""Heat conduction before the equilibrium of every load step."""
+"""Heat conduction in every load step: before the equilibrium, or as unknowns beside the displacement."""
 
 from __future__ import annotations
 
@@ -35,20 +35,12 @@ class HeatSystem(NamedTuple):
     t: float
 
 
-def no_temperature(t: float) -> SolveError:
-    """Return the error of a step time that has no temperature."""
-    return SolveError(
-        f"Heat conduction found no temperature at step time {t:.6g}: a piece of the body gains heat that nothing takes "
-        f"away, or the linear solver failed; prescribe a temperature or convection on every piece, or let conduction "
-        f"take time."
-    )
-
-
-class StaggeredHeat:
+class HeatSteps:
     """The temperature of each load step, ``C (T - T_0) / dt + K (w T + (1 - w) T_0) = w Q + (1 - w) Q_0``.
 
     ``w`` is 1 for the backward Euler rule and 1/2 for Crank and Nicolson's; without a duration it is ``K T = Q``. ``K``
-    is that of the bonds that the step begins with.
+    is that of the bonds that the step begins with. Staggered, the temperature is solved for before the equilibrium;
+    monolithic, it is an unknown of Newton's method beside the displacement (``MonolithicSolver``).
 
     Parameters
     ----------
@@ -57,26 +49,37 @@ class StaggeredHeat:
     options : Options
         PETSc's of the run.
 
+    Attributes
+    ----------
+    system : HeatSystem or None
+        The system of the present load step.
+
     Notes
     -----
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    monolithic = False
-
     def __init__(self, heat: Heat, options: Options) -> None:
         self.heat = heat
-        self.iterations = 0
+        self.system: HeatSystem | None = None
         self._options = options
         self._stiff: tuple[int, csr_matrix] | None = None
         self._made: tuple[tuple[int, float], ScalarMatrix] | None = None
 
-    def advance(self, before: float, t: float) -> None:
-        """Go from the temperature of step time ``before`` to that of ``t``."""
-        self.solve(self.system(before, t))
+    @property
+    def monolithic(self) -> bool:
+        """Return whether the temperature is solved for together with the displacement (not collective)."""
+        return self.heat.declared.coupling == "monolithic"
 
-    def system(self, before: float, t: float) -> HeatSystem:
-        """Return what the temperature of step time ``t`` solves, after that of ``before``."""
+    def advance(self, before: float, t: float) -> None:
+        """Set up the system of the step from ``before`` to ``t``; staggered, go to its solution."""
+        self.system = self._system(before, t)
+        if self.monolithic:
+            self.heat.field.take(self.system.start)
+        else:
+            self.solve()
+
+    def _system(self, before: float, t: float) -> HeatSystem:
         heat = self.heat
         declared = heat.declared
         dt = 0.0 if declared.duration is None else (t - before) * declared.duration
@@ -94,12 +97,27 @@ class StaggeredHeat:
         start[prescribed.held] = prescribed.at(t)[prescribed.held]
         return HeatSystem(matrix, b, start, t)
 
-    def solve(self, system: HeatSystem) -> None:
-        """Find the temperature of a step and take it."""
-        found, self.iterations, good = system.matrix.solve(system.b, system.start)
+    def solve(self) -> None:
+        """Go to the temperature of the present step."""
+        self.heat.field.take(self.solution())
+
+    def solution(self) -> Float:
+        """Return the temperature that the system of the present step has for itself (n_owned,).
+
+        Raises
+        ------
+        SolveError
+            The system has no solution, or the linear solver failed.
+        """
+        assert self.system is not None
+        temperature, good = self.system.matrix.solve(self.system.b, self.system.start)
         if not good:
-            raise no_temperature(system.t)
-        self.heat.field.take(found)
+            raise SolveError(
+                f"Heat conduction found no temperature at step time {self.system.t:.6g}: a piece of the body gains "
+                f"heat that nothing takes away, or the linear solver failed; prescribe a temperature or convection on "
+                f"every piece, or let conduction take time."
+            )
+        return temperature
 
     def revert(self) -> None:
         """Go back to the temperature of the last converged step."""
@@ -128,28 +146,3 @@ class StaggeredHeat:
             held = heat.prescribed.held
             self._made = key, ScalarMatrix(heat.body.cloud, near, held, self._options)
         return self._made[1]
-
-    def temperature(self) -> Float:
-        """Return that of the present step (n_owned,) (not collective)."""
-        return self.heat.field.now
-
-
-class MonolithicHeat(StaggeredHeat):
-    """The temperature of each load step as an unknown of Newton's method beside the displacement.
-
-    Attributes
-    ----------
-    sought : HeatSystem or None
-        What the temperature of the present step solves.
-    """
-
-    monolithic = True
-
-    def __init__(self, heat: Heat, options: Options) -> None:
-        super().__init__(heat, options)
-        self.sought: HeatSystem | None = None
-
-    def advance(self, before: float, t: float) -> None:
-        """Say what the temperature of step time ``t`` solves; it begins with that of ``before``."""
-        self.sought = self.system(before, t)
-        self.heat.field.take(self.sought.start)

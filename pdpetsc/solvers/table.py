@@ -8,7 +8,7 @@ from pdpetsc.declare.solvers import DeclaredSolver, DynamicRelaxation, EventDriv
 from pdpetsc.errors import CaseError
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.proportional import refuse_what_is_not_proportional
-from pdpetsc.solvers.monolithic import MonolithicSolver, monolithic_heat
+from pdpetsc.solvers.monolithic import MonolithicSolver
 from pdpetsc.solvers.newton import StaticSolver
 from pdpetsc.solvers.path_following.solver import PathSolver
 from pdpetsc.solvers.protocol import Solver
@@ -35,7 +35,7 @@ def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
         The table has nothing, or what it has finds no temperature together with the displacement.
     """
     found = implementation(declared)
-    if monolithic_heat(problem) is None:
+    if not problem.coupled:
         return found
     if found is not StaticSolver:
         raise CaseError(

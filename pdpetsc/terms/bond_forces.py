@@ -49,7 +49,7 @@ class BondForces(MaterialTerm):
     Raises
     ------
     CaseError
-        The materials do not fit together or the dimension, on every rank.
+        The materials do not fit together or the dimension, or depend on temperature, on every rank.
 
     Notes
     -----
@@ -63,6 +63,11 @@ class BondForces(MaterialTerm):
         super().__init__(body)
         if len({material.kinematics for material in materials}) > 1:
             raise CaseError("All materials of a body need the same kinematics, small or finite.")
+        if any(thermal is not None and thermal.softens for thermal in body.thermals or ()):
+            raise CaseError(
+                "The stiffness of bonds does not depend on temperature; leave the factor of Thermal out, or take a "
+                "material of deformation gradients."
+            )
         self._bonds = bonds
         self._take(materials, material_of, np.ones(body.cloud.n_owned) if factor is None else factor)
         self.horizons = 1 if self.a is None else 2
@@ -139,22 +144,6 @@ class BondForces(MaterialTerm):
             self._driving = DamagedPoints(self.body, self.omega, scheme, solids, of, factor, damage)
         self._is_nonlocal = damage.driving_variable.is_nonlocal
         self.horizons = 2 if self._is_nonlocal or self.a is not None else 1
-
-    def expand(self) -> None:
-        """Take elongations as those beyond what bonds have without force, as states give them (collective).
-
-        Raises
-        ------
-        CaseError
-            The moduli depend on temperature.
-        """
-        if self.body.expansion is not None and self.body.expansion.softens:
-            raise CaseError(
-                "The stiffness of bonds does not depend on temperature; leave the factor of Thermal out, or take a "
-                "material of deformation gradients."
-            )
-        if self._driving is not None:
-            self._driving.expand()
 
     @property
     def n_points(self) -> int:
@@ -373,7 +362,7 @@ class BondForces(MaterialTerm):
 
         In plane strain the stress is Poisson's ratio times the trace of that in the plane.
         """
-        dim, expansion = self.body.dim, self.body.expansion
+        dim, expansion = self.body.dim, state.expansion
         across = self._hidden_stretch(self.deformation_gradient(state), state)
         strained = [elastic.nu if dim == 2 and elastic.plane == "strain" else 0.0 for elastic in self._elastic]
         ratio = np.array(strained)[self._material_of]
@@ -383,7 +372,7 @@ class BondForces(MaterialTerm):
             young = np.array(
                 [elastic.E if elastic.plane == "strain" and dim == 2 else 0.0 for elastic in self._elastic]
             )
-            held = (young[self._material_of] * self._factor) * expansion.strain(state.t)[:, 2, 2]
+            held = (young[self._material_of] * self._factor) * expansion.strain[:, 2, 2]
             traces = [trace - held for trace in traces]
         if dim == 1:  # the product of two equal ones
             across = 1.0 + 0.5 * (across - 1.0) if not self.finite else np.sqrt(across)
@@ -391,13 +380,13 @@ class BondForces(MaterialTerm):
 
     def _hidden_stretch(self, F: Float, state: State) -> Float:
         """Return the product of the stretches that F (n_owned, dim, dim) does not show, to first order (collective)."""
-        dim, expansion = self.body.dim, self.body.expansion
-        elastic = F if expansion is None else F - expansion.in_body(state.t)
+        dim, expansion = self.body.dim, state.expansion
+        elastic = F if expansion is None else F - expansion.in_body()
         stretch = np.array([one.thickness_stretch(elastic) for one in self._elastic])
         across = stretch[self._material_of, np.arange(len(F))]
         if expansion is not None:
             free = [float(dim == 1 or (dim == 2 and one.plane == "stress")) for one in self._elastic]
-            hidden = expansion.strain(state.t)[:, range(dim, 3), range(dim, 3)].sum(axis=1)
+            hidden = expansion.strain[:, range(dim, 3), range(dim, 3)].sum(axis=1)
             across = across + np.array(free)[self._material_of] * hidden
         return np.asarray(across)
 

@@ -93,11 +93,6 @@ class DamagedPoints(MaterialPoints):
             return None
         return KeptHistory(self.operator, self.materials, self._material_of, self.body.cloud.x)
 
-    def expand(self) -> None:
-        """Let the materials follow the stress-free deformation; in plane strain they are solids then (collective)."""
-        super().expand()
-        self._history = self._undeformed()
-
     @property
     def gradients(self) -> GradientOperator:
         """Return the gradients of the bonds that are left."""
@@ -106,11 +101,6 @@ class DamagedPoints(MaterialPoints):
     @property
     def lost(self) -> Mask:
         """Return which points are of particles that have no gradient any more (n_points,)."""
-        return self._dead
-
-    @property
-    def _without(self) -> Mask:
-        """Return the points that are lost: a law that flowed to where it has no stress at F = I is not asked there."""
         return self._dead
 
     @property
@@ -135,9 +125,7 @@ class DamagedPoints(MaterialPoints):
 
     def temperature(self, state: State) -> Float | None:
         """Return the temperature of the points (n_points,), None where the body has none (collective)."""
-        expansion = self.body.expansion
-        found = None if expansion is None else expansion.temperature(state.t)
-        return None if found is None else found[self.operator.owner]
+        return None if state.temperature is None else state.temperature[self.operator.owner]
 
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]; I where a particle has no gradient any more."""
@@ -184,7 +172,7 @@ class DamagedPoints(MaterialPoints):
         """Add ``H^T (W P)`` with the integrity of the bonds at the state."""
         T = self.damage.phi(state)
         operator, h = self.operator, self.scaled_weights(T)
-        P = self.stress(self.deformation(state))
+        P = self.stress(state)
         add_divergence(operator, h, P, f)
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
@@ -194,7 +182,7 @@ class DamagedPoints(MaterialPoints):
     def linearise(self, state: State) -> list[Product]:
         """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of the integrity if it is not frozen."""
         T = self.damage.phi(state)
-        A, h = Moduli(self.moduli(self.deformation(state))), self.scaled_weights(T)
+        A, h = Moduli(self.laws(state).moduli(self.deformation(state))), self.scaled_weights(T)
         softening = self._softening(state) if self.damage.bonds.softens else []
         return [PointProduct(self.operator, A, h, lambda: self._share(T)), *softening]
 
@@ -210,7 +198,7 @@ class DamagedPoints(MaterialPoints):
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
         gradient = self.damage.gradient(state)
-        v = self._forces(self.stress(self.deformation(state)), gradient)
+        v = self._forces(self.stress(state), gradient)
         return softening_products(state, gradient, v, self.damage.damageable.opposite.of_vectors)
 
     def _forces(self, P: Float, gradient: Gradient) -> Float:
@@ -262,7 +250,7 @@ class DamagedPoints(MaterialPoints):
     def energy(self, state: State) -> float:
         """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point."""
         T = self.damage.phi(state)
-        return float(self.operator.volume @ (self.point_energy(self.deformation(state)) * self._at_points(T)))
+        return float(self.operator.volume @ (self.point_energy(state) * self._at_points(T)))
 
     def local_damage(self) -> Float:
         """Return ``1 - sum_j T V_j / sum_j V_j`` of the own particles (n_owned,) [-] (not collective)."""

@@ -72,7 +72,7 @@ def stress_free(
     made = StressFree(body.cloud, body.families, thermals, material_of, field, strains, np.array(across)[material_of])
     try:
         for t in (0.0, 1.0):
-            made.strain(t), made.factor(t)
+            _ = made.at(t).strain, made.at(t).factor
     except SolveError as error:
         raise CaseError(str(error)) from error
     return made

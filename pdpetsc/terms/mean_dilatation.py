@@ -68,6 +68,7 @@ class Response(NamedTuple):
 class PatchPoints(MaterialPoints):
     """Internal forces with one dilatation for each patch of particles (``gradient.mean_dilatation``).
 
+    The dilatation is that of the elastic part: what a body expands by without stress is taken off first.
     With ``b = <F^-T g>`` and ``s`` of the same kind, vectors on the particles of a patch, the tangent is that of points
     which keep their mean dilatation, and ``W (s (x) b + b (x) s + k b (x) b)`` of every patch.
 
@@ -158,13 +159,15 @@ class PatchPoints(MaterialPoints):
 
     def shared(self, state: State) -> Shared:
         """Return the gradients at an admissible state, with the dilatations of patches."""
-        F = self._own_gradient(state)  # materials are those of the step time of the state from here on
-        return state.kept(("shared", id(self.operator)), lambda: self._share(F, self._weight))
+        F = self._own_gradient(state)
+        return state.kept(("shared", id(self.operator)), lambda: self._share(state, F, self._weight))
 
-    def _share(self, F: Float, weight: Float) -> Shared:
-        """Return gradients of all points with the dilatations of patches, means by weights (n_points,)."""
+    def _share(self, state: State, F: Float, weight: Float) -> Shared:
+        """Return gradients of all points with the elastic dilatations of patches, means by weights (n_points,)."""
         dim = self.body.dim
         theta = np.einsum("pii->p", F) - dim if self._linear else np.log(np.linalg.det(F))
+        if state.expansion is not None:
+            theta -= self._free_dilatation(state.expansion.strain[self.operator.owner])
         missing = self._sum(weight * theta)[self.patch_of_point] - theta
         if self._linear:
             F_bar = F + missing[:, None, None] / dim * np.eye(dim)
@@ -178,7 +181,7 @@ class PatchPoints(MaterialPoints):
 
         def make() -> Response:
             F, F_bar, missing = self.shared(state)
-            P_bar = self.stress(F_bar)
+            P_bar = self.laws(state).stress(F_bar)
             work = np.einsum("pii->p", P_bar) if self._linear else np.einsum("pij,pij->p", P_bar, F_bar)
             r = work / dim + self._rest * missing
             lacking = self._sum(self._weight * r)[self.patch_of_point] - r
@@ -197,12 +200,23 @@ class PatchPoints(MaterialPoints):
     def conjugates(self, state: State) -> tuple[Float, Float, Float]:
         """Return F of the points, not what materials see, with the stress that forces have and the whole energy."""
         shared = self.shared(state)
-        return shared.F, self.response(state).P, self.point_energy(shared.F_bar) + self._rest_energy(state)
+        return shared.F, self.response(state).P, self.point_energy(state) + self._rest_energy(state)
 
-    def energy_at(self, F: Float, volume: Float) -> Float:
-        """Return the energy density of all points (n_points,) at gradients F and volumes (n_points,) of one's own."""
-        shared = self._share(F, volume / self._sum(volume)[self.patch_of_point])
-        return np.asarray(self.point_energy(shared.F_bar) + 0.5 * self._rest * shared.missing**2)
+    def energy_at(self, state: State, F: Float, volume: Float) -> Float:
+        """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
+        shared = self._share(state, F, volume / self._sum(volume)[self.patch_of_point])
+        return np.asarray(self.laws(state).energy(shared.F_bar) + 0.5 * self._rest * shared.missing**2)
+
+    def energy_by_strain(self, state: State) -> Float:
+        """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
+        assert state.expansion is not None
+        S, one = super().energy_by_strain(state), np.eye(3)
+        slope = one if self._linear else np.linalg.inv(one + state.expansion.strain[self.operator.owner])
+        return np.asarray(S - self.response(state).lacking[:, None, None] * slope)
+
+    def _free_dilatation(self, strain: Float) -> Float:
+        """Return the dilatation without stress (n_points,) [-] of strains (n_points, 3, 3)."""
+        return np.asarray(np.einsum("pii->p", strain) if self._linear else np.log(np.linalg.det(np.eye(3) + strain)))
 
     def admissible(self, state: State) -> bool:
         """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
@@ -229,7 +243,7 @@ class PatchPoints(MaterialPoints):
         dim, linear = self.body.dim, self._linear
         F, F_bar, missing = self.shared(state)
         P_bar, _, lacking = self.response(state)
-        A = self.moduli(F_bar)
+        A = self.laws(state).moduli(F_bar)
         scale = np.ones(len(F)) if linear else np.exp(missing / dim)
         seen = np.broadcast_to(np.eye(dim), F.shape) if linear else F
         B = np.array(np.broadcast_to(np.eye(dim), F.shape)) if linear else np.swapaxes(np.linalg.inv(F), 1, 2)

@@ -51,7 +51,7 @@ def main(n=40000):
         for body, (dim, plane) in BODIES.items():
             F = np.eye(dim) + 0.1 * np.random.default_rng(1).standard_normal((n, dim, dim)).clip(-2.0, 2.0)
             pair = by_hand(E, NU, plane), pd.Hyperelastic(text, plane, mu=MU, lam=LAM)
-            hand, own = (MaterialAtPoints(material, np.arange(n), dim, None) for material in pair)
+            hand, own = (MaterialAtPoints(material, np.arange(n), dim, None).at() for material in pair)
             shapes = {"stress": (dim,) * 2, "tangent": (dim,) * 4, "energy": ()}
             found = [ratio(hand, own, method, F, shape) for method, shape in shapes.items()]
             print(f"| {name} | {body} | " + " | ".join(f"{value:.2f}" for value in found) + " |")

@@ -1,0 +1,94 @@
+"""The laws of all gradient points of a body at one state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from pdpetsc.arrays import Float, Mask
+from pdpetsc.material.at_points import MaterialLaw
+
+
+class PointLaws:
+    """Stress, tangent and energy of all points as functions of F (n_points, dim, dim).
+
+    Parameters
+    ----------
+    materials : sequence of MaterialLaw
+        The laws, at the load parameter and temperature of a state, with their points.
+    dim : int
+        Dimension of the body.
+    """
+
+    def __init__(self, materials: Sequence[MaterialLaw], dim: int) -> None:
+        self.materials = list(materials)
+        self.dim = dim
+
+    @cached_property
+    def linear(self) -> bool:
+        """Return whether all laws are linear."""
+        return all(law.material.linear for law in self.materials)
+
+    def stress(self, F: Float) -> Float:
+        """Return ``P_p`` (n_points, dim, dim) [stress]."""
+        P = np.empty_like(F)
+        for law in self.materials:
+            law.stress(F, P)
+        return P
+
+    def moduli(self, F: Float) -> Float:
+        """Return ``A_p = dP/dF`` (n_points, dim, dim, dim, dim) [stress]."""
+        A = np.empty((len(F), *(self.dim,) * 4))
+        for law in self.materials:
+            law.tangent(F, A)
+        return A
+
+    def energy(self, F: Float) -> Float:
+        """Return ``psi_p`` (n_points,) [energy / volume]."""
+        psi = np.empty(len(F))
+        for law in self.materials:
+            law.energy(F, psi)
+        return psi
+
+    def cauchy(self, F: Float) -> Float:
+        """Return ``sigma_p = P F^T / J`` (n_points, dim, dim) [stress], J with the hidden stretches; P if linear."""
+        sigma = self.stress(F)
+        for law in self.materials:
+            if not law.material.linear and len(law.points):
+                part = F[law.points]
+                J = np.linalg.det(part) * law.hidden_stretch(part)
+                sigma[law.points] = np.einsum("pik,pjk->pij", sigma[law.points], part) / J[:, None, None]
+        return sigma
+
+    def out_of_plane(self, F: Float) -> tuple[Float, Float, Float]:
+        """Return stretch, P and Cauchy stress in one direction across a line or plane body (n_points,)."""
+        stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
+        for law in self.materials:
+            part, linear = F[law.points], law.material.linear
+            across = law.hidden_stretch(part)
+            if self.dim > 1:
+                stretch[law.points] = across
+            else:  # of two equal ones the product, which to first order is one plus the sum of their strains
+                stretch[law.points] = 1.0 + 0.5 * (across - 1.0) if linear else np.sqrt(across)
+            P[law.points] = law.out_of_plane_stress(part)
+            current = 1.0 if linear else stretch[law.points] / (np.linalg.det(part) * across)
+            sigma[law.points] = P[law.points] * current
+        return stretch, P, sigma
+
+    def defined(self, F: Float, lost: Mask | None = None) -> bool:
+        """Return whether all laws have a stress, but for points that are lost (n_points,)."""
+        return all(law.defined(F, lost) for law in self.materials)
+
+    def plastic_growth(self, F: Float) -> Float:
+        """Return the growth of the accumulated plastic strain (n_points,) [-] if the step ends at F."""
+        growth = np.zeros(len(F))
+        for law in self.materials:
+            growth[law.points] = law.plastic_growth(F)
+        return growth
+
+    def commit(self, F: Float) -> None:
+        """Make the state at F the one that the next step starts from."""
+        for law in self.materials:
+            law.commit(F)

@@ -54,7 +54,7 @@ class PointDrivingVariable(DrivingVariable):
 
     Parameters
     ----------
-    bonds : DrivenBonds
+    bonds : DamageableBonds
         The bonds.
     measure : Measure
         What drives damage at a point.

@@ -28,9 +28,9 @@ class LatticeControl(Control):
 
     Parameters
     ----------
-    repeats : Repeats
+    lattice : LatticeStencils
         Which particles share one family.
-    edge : NonUniform
+    irregular : NonUniform
         The control of the particles whose families do not repeat, and of one of each pattern of the others.
     scale : (n_owned,) float64
         ``c_i``, 1 at the one that stands for a pattern [-].

@@ -35,7 +35,7 @@ class NonUniform(Control):
         ``s_ij`` [force / length].
     K_inverse : (n_owned, dim, dim) float64
         Inverse of ``sum_j s_ij xi (x) xi``, which makes H the gradient that fits the family best; zero for H = 0.
-    integrity : (n_bonds,) float64, optional
+    phi : (n_bonds,) float64, optional
         ``T_ij`` [-], on the forces but not in H, so that they do not derive from an energy; 1 where absent.
     """
 

@@ -49,7 +49,7 @@ class PointDrivingVariable(DrivingVariable):
 
     Parameters
     ----------
-    bonds : DrivenBonds
+    bonds : DamageableBonds
         The bonds.
     measure : Measure
         What drives damage at a point.

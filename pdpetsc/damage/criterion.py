@@ -165,9 +165,9 @@ class Gradient:
         The bonds, ascending.
     along : (n,) float64
         Derivative by the elongation of the bond itself [1 / length].
-    beyond : Beyond or None
+    nonlocal_part : NonlocalPart or None
         What is left; None where the elongation of the bond says all.
-    ends : tuple of OfEnds
+    ends : tuple of EndpointMean
         What is left besides, of means of both ends, each of all bonds.
     """
 
@@ -303,7 +303,7 @@ class LocalDrivingVariable(DrivingVariable):
 
     Parameters
     ----------
-    bonds : DrivenBonds
+    bonds : DamageableBonds
         The bonds.
     """
 
@@ -336,7 +336,7 @@ class LinearDrivingVariable(LocalDrivingVariable):
 
     Parameters
     ----------
-    bonds : DrivenBonds
+    bonds : DamageableBonds
         The bonds.
     limit : (n_bonds,) float64
         Their elongations of failure [length], positive.
@@ -416,7 +416,7 @@ class Criterion(Declared, ABC):
 
         Parameters
         ----------
-        bonds : DrivenBonds
+        bonds : DamageableBonds
             The bonds.
         toughness : callable
             Energy that breaking a linear bond takes over its elastic energy where the drive is 1 [-], for the degree of

@@ -265,14 +265,14 @@ class SeveralDrivingVariables(DrivingVariable):
 
     Parameters
     ----------
-    drives : sequence of Drive
+    driving_variables : sequence of DrivingVariable
         One for each law, of all bonds.
     of_bond : (n_bonds,) int64
         The law of each bond, -1 for none.
     """
 
-    def __init__(self, drives: Sequence[DrivingVariable], of_bond: GlobalIndex) -> None:
-        self._driving_variables, self._of_bond = drives, of_bond
+    def __init__(self, driving_variables: Sequence[DrivingVariable], of_bond: GlobalIndex) -> None:
+        self._driving_variables, self._of_bond = driving_variables, of_bond
 
     @property
     def is_nonlocal(self) -> bool:

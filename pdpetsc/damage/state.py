@@ -26,7 +26,7 @@ class FailingBonds:
 
     Parameters
     ----------
-    bonds : DrivenBonds
+    bonds : DamageableBonds
         The bonds.
     laws : AssignedLaws
         How they fail.
@@ -37,9 +37,9 @@ class FailingBonds:
 
     Attributes
     ----------
-    integrity : (n_bonds,) float64
+    phi : (n_bonds,) float64
         What the force of each bond is multiplied with [-]: 1 intact, 0 broken.
-    worst : (n_bonds,) float64
+    kappa : (n_bonds,) float64
         Largest drive so far [-], or that of the last equilibrium where bonds heal.
     protected : (n,) int64
         Bonds that do not fail.
@@ -100,9 +100,9 @@ class FailingBonds:
 
         Returns
         -------
-        integrity : (n_bonds,) float64
+        phi : (n_bonds,) float64
             [-]
-        falling : (n,) int64
+        softening : (n,) int64
             Bonds whose integrity changes with their drive, ascending.
         slope : (n,) float64
             Its derivative by the drive [-].

@@ -109,9 +109,9 @@ class LatticeGradient(GradientOperator):
 
     Parameters
     ----------
-    edge : GradientOperator
+    irregular : GradientOperator
         The operator of ``lattice.irregular``.
-    repeats : Repeats
+    lattice : LatticeStencils
         Which families repeat.
     """
 
@@ -277,7 +277,7 @@ class LatticeSharedGradient(SameGradient):
 
     Parameters
     ----------
-    edge : SameGradient
+    irregular : SameGradient
         The control of the particles whose families do not repeat, without stiffness at those that stand for a pattern.
     weight : (n_entries,) float64
         ``w_ij`` of the entries of the weights of the gradient [force / length].
@@ -296,7 +296,7 @@ class LatticeLoop(PointLoop):
 
     Parameters
     ----------
-    operator : RepeatedOperator
+    operator : LatticeGradient
         The gradient.
     A : Moduli
         Moduli of the points.
@@ -353,7 +353,7 @@ def add_row_forces(
     ----------
     points : RowPoints, optional
         What gives their stress; none where absent.
-    same : RepeatedGradient, optional
+    same : LatticeSharedGradient, optional
         The control.
     u : (n_local, dim) float64, optional
         Displacements [length]; not read where stresses are given and there is no control.

@@ -32,11 +32,11 @@ class Damage:
         Whose bonds they are.
     bonds : FailingBonds
         Their state.
-    drive : Drive
+    driving_variable : DrivingVariable
         What drives their damage.
     finite : bool
         Whether elongations are those of the current length, or along the first direction of a bond.
-    driven_bonds : DrivenBonds
+    damageable : DamageableBonds
         The bonds as the drive reads them.
 
     Attributes

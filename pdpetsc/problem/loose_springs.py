@@ -26,7 +26,7 @@ class LooseSprings(Term):
     ----------
     body : Body
         Particles and bonds.
-    matter : Matter
+    material_term : MaterialTerm
         Whose particles may lose bonds.
     stiffness : float
         Typical stiffness of a particle [force / length].

@@ -31,7 +31,7 @@ class Problem:
     ----------
     body : Body
         Particles and bonds.
-    matter : Matter
+    material_term : MaterialTerm
         The term of the material.
     terms : sequence of Term
         The others: zero-energy control, loads, whatever a case adds.

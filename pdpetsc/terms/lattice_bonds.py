@@ -34,9 +34,9 @@ class LatticeBonds(BondForces):
     ----------
     body : Body
         Particles and bonds, which repeat.
-    repeats : Repeats
+    lattice : LatticeStencils
         Which families repeat.
-    edge : BondForces
+    irregular : BondForces
         The term of ``lattice.irregular``.
 
     Notes
@@ -182,11 +182,11 @@ class LatticeBondProduct(Product):
 
     Parameters
     ----------
-    term : RepeatedBonds
+    term : LatticeBonds
         The bonds.
-    edge : BondForces
+    irregular : BondForces
         Those of the particles whose families do not repeat.
-    repeats : Repeats
+    lattice : LatticeStencils
         Which families repeat.
     state : State
         Where it is taken.

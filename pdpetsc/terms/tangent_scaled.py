@@ -49,7 +49,7 @@ class TangentScaledForces(ControlForces):
     ----------
     body, name, control, damage
         As for ``ControlForces``; ``control`` is the elastic one.
-    matter : MaterialPoints
+    material_term : MaterialPoints
         The material that it follows.
     least : float
         Share of its stiffness that it keeps at least [-].

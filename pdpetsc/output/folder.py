@@ -10,7 +10,7 @@ import os
 import re
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -275,15 +275,7 @@ def set_history_aside(comm: Comm, folder: Path) -> None:
     OutputError
         The file cannot be moved.
     """
-    with agreed(comm):
-        if is_root(comm) and (folder / "history.csv").exists():
-            try:
-                (folder / EARLIER).mkdir(exist_ok=True)
-                os.replace(folder / "history.csv", folder / EARLIER / "history.csv")
-            except OSError as error:
-                raise OutputError(
-                    f"Cannot move {folder / 'history.csv'} to {folder / EARLIER}: {error.strerror or error}."
-                ) from error
+    _move_aside(comm, folder, ["history.csv"], lambda path: True)
 
 
 def set_pictures_aside(comm: Comm, folder: Path) -> None:
@@ -296,18 +288,20 @@ def set_pictures_aside(comm: Comm, folder: Path) -> None:
     OutputError
         A file cannot be moved.
     """
+    _move_aside(comm, folder, ["picture.png", *DRAWN], _is_drawn)
+
+
+def _move_aside(comm: Comm, folder: Path, names: Sequence[str], is_ours: Callable[[Path], bool]) -> None:
     with agreed(comm):
-        if is_root(comm):
-            paths = [folder / name for name in ("picture.png", *DRAWN)]
+        if not is_root(comm):
+            return
+        for path in (folder / name for name in names):
             try:
-                for path in paths:
-                    if not path.is_symlink() and path.is_file() and _is_drawn(path):
-                        (folder / EARLIER).mkdir(exist_ok=True)
-                        os.replace(path, folder / EARLIER / path.name)
+                if not path.is_symlink() and path.is_file() and is_ours(path):
+                    (folder / EARLIER).mkdir(exist_ok=True)
+                    os.replace(path, folder / EARLIER / path.name)
             except OSError as error:
-                raise OutputError(
-                    f"Cannot move pictures of {folder} to {folder / EARLIER}: {error.strerror or error}."
-                ) from error
+                raise OutputError(f"Cannot move {path} to {folder / EARLIER}: {error.strerror or error}.") from error
 
 
 def _of_earlier_run(folder: Path) -> list[Path]:

@@ -294,7 +294,7 @@ def _names(fields: Sequence[Field]) -> list[str]:
 
 
 def _is_of(path: Path, run: str, n: int) -> bool:
-    """Return whether a file of particles is whole and of this run."""
+    """Return True if a file of particles is whole and of this run."""
     try:
         with open_hdf5(path) as file:
             return bool(file.attrs["run"] == run) and all(len(file[name]) == n for name in ("position", "id", "volume"))

@@ -47,7 +47,7 @@ class Holder:
 
     @property
     def gone(self) -> bool:
-        """Return whether it is known that the process has ended: it was on this machine and is not there any more."""
+        """Return True if it is known that the process has ended: it was on this machine and is not there any more."""
         # Of another user's process a system may not tell when it started.
         return self.host == socket.gethostname() and _started(self.pid) not in (self.started, "unknown")
 
@@ -332,7 +332,7 @@ def _of_earlier_run(folder: Path) -> list[Path]:
 
 
 def _marked(path: Path) -> bool:
-    """Return whether pdpetsc wrote a file, by what is in it."""
+    """Return True if pdpetsc wrote a file, by what is in it."""
     with path.open("rb") as file:
         head = file.read(4096)
     if path.suffix == ".csv":
@@ -357,13 +357,13 @@ def _marked(path: Path) -> bool:
 
 
 def _is_drawn(path: Path) -> bool:
-    """Return whether pdpetsc drew a file, by its mark."""
+    """Return True if pdpetsc drew a file, by its mark."""
     with path.open("rb") as file:
         return b"pdpetsc" in file.read(4096) or (path.suffix == ".gif" and b"pdpetsc" in path.read_bytes())
 
 
 def _is_summary(path: Path) -> bool:
-    """Return whether a file is the summary of a run."""
+    """Return True if a file is the summary of a run."""
     try:
         found = json.loads(path.read_text())
         return "pdpetsc" in found["versions"] and "status" in found

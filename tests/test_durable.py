@@ -895,6 +895,36 @@ def test_adding_a_step_costs_the_same_late_as_early(tmp_path, monkeypatch):
     assert len(ET.parse(tmp_path / "fields.xdmf").getroot().findall(".//Grid[@GridType='Uniform']")) == 201
 
 
+class Judged(pd.Quantity):
+    """The broken bonds; to doubt them fails beyond half of the load, and says how often they were evaluated before."""
+
+    def __init__(self):
+        self.evaluated = []
+
+    def evaluate(self, solution):
+        self.evaluated.append(solution.step)
+        return pd.BrokenBonds().evaluate(solution)
+
+    def doubt(self, solution):
+        if solution.t > 0.5:
+            raise ValueError("nobody knows")
+        return ""
+
+
+def test_a_diagnostic_that_fails_costs_nothing_that_is_computed(tmp_path):
+    pd.run(strip(), output=tmp_path / "whole")
+    judged = Judged()
+    case = strip()
+    with pytest.raises(pd.RunError, match="nobody knows"):
+        pd.run(dataclasses.replace(case, history={**case.history, "broken": judged}), output=tmp_path / "part")
+    assert judged.evaluated == [0, 0, 1, 2]  # tried once, then once a step
+    assert history(tmp_path / "part").splitlines() == history(tmp_path / "whole").splitlines()[:4]
+    with h5py.File(tmp_path / "part" / "checkpoint.h5") as file:
+        assert file.attrs["step"] == 2
+    pd.run(case, output=tmp_path / "rest", restart=tmp_path / "part")
+    assert history(tmp_path / "rest") == history(tmp_path / "whole")
+
+
 # What stays in the folder.
 
 

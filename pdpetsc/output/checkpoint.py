@@ -103,9 +103,8 @@ class Checkpoints(Observer):
             self._write(self.observed.last)
 
     def _write(self, solution: Solution) -> None:
-        tables = [observer.table for observer in self._tables]
-        for table in tables:
-            table.flush()
+        for observer in self._tables:
+            observer.table.flush()
         texts: dict[str, bytes] = {}
         if is_root(self.observed.comm):
             new = self.observed.steps[len(self._records) : solution.step]
@@ -113,7 +112,7 @@ class Checkpoints(Observer):
             texts[STEPS] = f"[{','.join(self._records)}]".encode()
         with agreed(self.observed.comm):
             if is_root(self.observed.comm):
-                texts |= {table.path.stem: table.path.read_bytes() for table in tables}
+                texts |= dict(observer.table.read() for observer in self._tables)
         path, run = self.observed.folder / "checkpoint.h5", self.observed.run
         write_checkpoint(solution, self.observed.order, path, run, self._declared, texts)
         self._saved = solution.step

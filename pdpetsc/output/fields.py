@@ -53,18 +53,7 @@ class Fields(Observer):
     def rehearse(self, start: Solution, report: Report) -> None:
         """Evaluate the fields, which must have a row for each particle."""
         for field in self._fields:
-            evaluated = field(start)
-            with agreed(start.cloud.comm):
-                try:
-                    values = np.asarray(evaluated)
-                except ValueError:  # rows of different lengths
-                    values = np.empty(0, dtype=object)
-                name = getattr(field, "__name__", repr(field))
-                if values.shape[:1] != start.u.shape[:1] or values.dtype.kind not in "fiub" or values.ndim > 3:
-                    raise CaseError(
-                        f"The field {name} must return numbers, a row for each of the {len(start.u)} particles of this "
-                        f"rank, not an array of {values.dtype} of shape {values.shape}."
-                    )
+            _evaluated(field, field, start)
 
     def begin(self, observed: Observed) -> None:
         """Write the fields of the start, and the surface."""
@@ -159,17 +148,7 @@ class FieldWriter:
 
     def write(self, solution: Solution) -> None:
         """Write the fields of a step."""
-        values = {name: np.asarray(in_space(field)(solution)) for name, field in self._fields.items()}
-        n = self._cloud.n_owned
-        with agreed(self._cloud.comm):
-            for name, array in values.items():
-                if array.shape[:1] != (n,) or array.ndim > 3 or max(array.shape[1:], default=1) > 3:
-                    raise CaseError(
-                        f"The field {name} must be ({n},), or with one or two dimensions of at most 3 after that, not "
-                        f"{array.shape}."
-                    )
-                if array.dtype.kind not in "biuf":
-                    raise CaseError(f"The field {name} must hold numbers, not {array.dtype}.")
+        values = {name: _evaluated(field, in_space(field), solution) for name, field in self._fields.items()}
         self.put(solution.step, solution.t, values)
 
     def put(self, number: int, t: float, values: dict[str, NDArray[Any]]) -> None:
@@ -275,6 +254,34 @@ class FieldWriter:
             file.create_virtual_dataset(name, layout)
 
 
+def _evaluated(field: Field, function: Field, solution: Solution) -> NDArray[Any]:
+    """Return a field, by a function that evaluates it in the way that is wanted (collective).
+
+    Raises
+    ------
+    CaseError
+        It cannot be written, on all ranks.
+    """
+    evaluated, n = function(solution), len(solution.u)
+    with agreed(solution.cloud.comm):
+        try:
+            values = np.asarray(evaluated)
+        except ValueError:  # rows of different lengths
+            values = np.empty(0, dtype=object)
+        name = getattr(field, "__name__", repr(field))
+        if values.shape[:1] != (n,) or values.dtype.kind not in "biuf":
+            raise CaseError(
+                f"The field {name} must return numbers, a row for each of the {n} particles of this rank, not an array "
+                f"of {values.dtype} of shape {values.shape}."
+            )
+        if values.ndim > 3 or max(values.shape[1:], default=1) > 3:
+            raise CaseError(
+                f"The field {name} must be ({n},), or with one or two dimensions of at most 3 after that, not "
+                f"{values.shape}."
+            )
+        return values
+
+
 def _names(fields: Sequence[Field]) -> list[str]:
     """Return the names of fields; raises CaseError where they cannot be told apart or are none."""
     names = [str(getattr(field, "__name__", "")) for field in fields]
@@ -287,7 +294,7 @@ def _names(fields: Sequence[Field]) -> list[str]:
 
 
 def _is_of(path: Path, run: str, n: int) -> bool:
-    """Return whether a file of particles is whole and of this run."""
+    """Return True if a file of particles is whole and of this run."""
     try:
         with open_hdf5(path) as file:
             return bool(file.attrs["run"] == run) and all(len(file[name]) == n for name in ("position", "id", "volume"))

@@ -263,7 +263,7 @@ def writing_hdf5(path: Path, size: int | None = None, **options: Any) -> Iterato
 
 
 def on_several_nodes(comm: Comm) -> bool:
-    """Return whether ranks are on more than one machine (collective)."""
+    """Return True if ranks are on more than one machine (collective)."""
     here = comm.Split_type(MPI.COMM_TYPE_SHARED)
     alone = here.size == comm.size
     here.Free()

@@ -10,7 +10,7 @@ import os
 import re
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,7 +47,7 @@ class Holder:
 
     @property
     def gone(self) -> bool:
-        """Return whether it is known that the process has ended: it was on this machine and is not there any more."""
+        """Return True if it is known that the process has ended: it was on this machine and is not there any more."""
         # Of another user's process a system may not tell when it started.
         return self.host == socket.gethostname() and _started(self.pid) not in (self.started, "unknown")
 
@@ -275,15 +275,7 @@ def set_history_aside(comm: Comm, folder: Path) -> None:
     OutputError
         The file cannot be moved.
     """
-    with agreed(comm):
-        if is_root(comm) and (folder / "history.csv").exists():
-            try:
-                (folder / EARLIER).mkdir(exist_ok=True)
-                os.replace(folder / "history.csv", folder / EARLIER / "history.csv")
-            except OSError as error:
-                raise OutputError(
-                    f"Cannot move {folder / 'history.csv'} to {folder / EARLIER}: {error.strerror or error}."
-                ) from error
+    _move_aside(comm, folder, ["history.csv"], lambda path: True)
 
 
 def set_pictures_aside(comm: Comm, folder: Path) -> None:
@@ -296,18 +288,20 @@ def set_pictures_aside(comm: Comm, folder: Path) -> None:
     OutputError
         A file cannot be moved.
     """
+    _move_aside(comm, folder, ["picture.png", *DRAWN], _is_drawn)
+
+
+def _move_aside(comm: Comm, folder: Path, names: Sequence[str], is_ours: Callable[[Path], bool]) -> None:
     with agreed(comm):
-        if is_root(comm):
-            paths = [folder / name for name in ("picture.png", *DRAWN)]
+        if not is_root(comm):
+            return
+        for path in (folder / name for name in names):
             try:
-                for path in paths:
-                    if not path.is_symlink() and path.is_file() and _is_drawn(path):
-                        (folder / EARLIER).mkdir(exist_ok=True)
-                        os.replace(path, folder / EARLIER / path.name)
+                if not path.is_symlink() and path.is_file() and is_ours(path):
+                    (folder / EARLIER).mkdir(exist_ok=True)
+                    os.replace(path, folder / EARLIER / path.name)
             except OSError as error:
-                raise OutputError(
-                    f"Cannot move pictures of {folder} to {folder / EARLIER}: {error.strerror or error}."
-                ) from error
+                raise OutputError(f"Cannot move {path} to {folder / EARLIER}: {error.strerror or error}.") from error
 
 
 def _of_earlier_run(folder: Path) -> list[Path]:
@@ -338,7 +332,7 @@ def _of_earlier_run(folder: Path) -> list[Path]:
 
 
 def _marked(path: Path) -> bool:
-    """Return whether pdpetsc wrote a file, by what is in it."""
+    """Return True if pdpetsc wrote a file, by what is in it."""
     with path.open("rb") as file:
         head = file.read(4096)
     if path.suffix == ".csv":
@@ -363,13 +357,13 @@ def _marked(path: Path) -> bool:
 
 
 def _is_drawn(path: Path) -> bool:
-    """Return whether pdpetsc drew a file, by its mark."""
+    """Return True if pdpetsc drew a file, by its mark."""
     with path.open("rb") as file:
         return b"pdpetsc" in file.read(4096) or (path.suffix == ".gif" and b"pdpetsc" in path.read_bytes())
 
 
 def _is_summary(path: Path) -> bool:
-    """Return whether a file is the summary of a run."""
+    """Return True if a file is the summary of a run."""
     try:
         found = json.loads(path.read_text())
         return "pdpetsc" in found["versions"] and "status" in found

@@ -168,7 +168,7 @@ class ConsoleReport(Report):
 
 
 def _watched(comm: Comm) -> bool:
-    """Return whether somebody sees what this rank prints on its terminal.
+    """Return True if somebody sees what this rank prints on its terminal.
 
     mpirun gives every rank a terminal, whatever its own output is; where it is on this machine, that one tells.
     """

@@ -118,7 +118,7 @@ class StoredFields:
             return list(file[self._group(step)])
 
     def is_entry(self, name: str, step: int | None = None) -> bool:
-        """Return whether a field is an entry of a tensor that is a field too, as ``stress_xx`` of ``stress``."""
+        """Return True if a field is an entry of a tensor that is a field too, as ``stress_xx`` of ``stress``."""
         with self._open() as file:
             return bool(file[self._group(step)][name].is_virtual)
 

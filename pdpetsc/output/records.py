@@ -63,6 +63,13 @@ class Table:
             if is_root(self._comm) and self._waiting:
                 self._flush()
 
+    def read(self) -> tuple[str, bytes]:
+        """Return its name and its text (not collective); raises OutputError if it is gone."""
+        try:
+            return self.path.stem, self.path.read_bytes()
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+
     def _flush(self) -> None:
         try:
             flush(self.path)

@@ -36,7 +36,7 @@ class Check:
 
     @property
     def ok(self) -> bool:
-        """Return whether the result is what was expected."""
+        """Return True if the result is what was expected."""
         return self.expected.holds(self.got)
 
     @property

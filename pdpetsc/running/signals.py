@@ -39,7 +39,7 @@ class Signals:
         self._at = 0.0
 
     def asked(self) -> bool:
-        """Return whether any rank got a signal (collective)."""
+        """Return True if any rank got a signal (collective)."""
         return int(total(self._comm, int(self._caught))) > 0
 
     def note(self, number: int, frame: FrameType | None) -> None:
@@ -52,7 +52,7 @@ class Signals:
             raise KeyboardInterrupt
 
     def waits(self) -> bool:
-        """Return whether a signal that should end the run has not reached Python yet."""
+        """Return True if a signal that should end the run has not reached Python yet."""
         return not (self.patient or self.deaf or self._caught)
 
 

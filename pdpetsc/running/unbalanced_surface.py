@@ -52,7 +52,7 @@ class Unbalanced:
 
     @property
     def wrong(self) -> bool:
-        """Return whether nobody should take the numbers."""
+        """Return True if the result is unreliable."""
         if self.stress is None or self.displacement is None:
             return self.particles > MANY * self.held
         return not max(self.stress, self.displacement) <= WRONG
@@ -89,7 +89,7 @@ class UnbalancedForces(Observer):
 
 
 def nearly_incompressible(case: Case, dim: int) -> bool:
-    """Return whether a case has a material that keeps its volume, or patches that are meant for one (not collective).
+    """Return True if a case has a material that keeps its volume, or patches that are meant for one (not collective).
 
     Those whose bonds fail, with a temperature besides, and of bonds are not looked at.
     """

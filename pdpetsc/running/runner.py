@@ -200,7 +200,7 @@ class _Run:
     def _free(self, solver: Solver) -> None:
         """Free what solver and problem hold outside Python."""
         solver.destroy()
-        for one in self.prepared.problem.staggered if self.prepared is not None else ():
+        for one in self.prepared.problem.fields if self.prepared is not None else ():
             one.destroy()
 
     @property

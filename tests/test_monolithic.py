@@ -79,7 +79,7 @@ def test_stress_changes_with_temperature_as_the_tangent_says(law, plane, rng):
         plane = "strain"
     prepared = pd.prepare(case(law=law, plane=plane))
     problem = prepared.problem
-    heat = problem.staggered[0].heat
+    heat = problem.fields[0].heat
     T = 0.2 + rng.random(prepared.cloud.n_owned)
     u = 0.1 * prepared.cloud.x[: prepared.cloud.n_owned] + 0.002 * rng.standard_normal((prepared.cloud.n_owned, 2))
 

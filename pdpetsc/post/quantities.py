@@ -330,7 +330,7 @@ class DissipatedEnergy(Quantity):
         """Return the energy."""
         problem = solution.problem
         known = problem.material_term.dissipated_energy()
-        if (known is None or problem.staggered) and problem.body.expansion is not None:
+        if (known is None or problem.fields) and problem.body.expansion is not None:
             raise CaseError(
                 "The energy that this body dissipates is not the external work less the stored energy: strains without "
                 "stress store energy too; leave DissipatedEnergy out."

@@ -18,7 +18,7 @@ from pdpetsc.problem.expansion import FreeDeformation
 from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.material_term import MaterialTerm
-from pdpetsc.problem.staggered_field import StaggeredField
+from pdpetsc.problem.solved_field import SolvedField
 from pdpetsc.problem.state import State
 from pdpetsc.problem.supports import Supports
 from pdpetsc.problem.term import KeptArray, Term
@@ -46,8 +46,8 @@ class Problem:
     ----------
     springs : LooseSprings or None
         The term that holds loose particles, whose springs solvers move; None where bonds cannot fail.
-    ahead : list of Ahead
-        What is found before the equilibrium of each load step.
+    fields : list of SolvedField
+        Fields that are solved for beside the displacement, at most one.
     last_step : LastStep or None
         How far the body moved in the last load step, where its material has a history and nothing else changes.
 
@@ -74,7 +74,7 @@ class Problem:
         self.supports = supports
         self.damage = damage
         self.springs: LooseSprings | None = None
-        self.staggered: list[StaggeredField] = []
+        self.fields: list[SolvedField] = []
         # What has been cut off a cell, heated or damaged does not go on as in the step before.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
         self.last_step = LastStep(self) if goes_on and material_term.has_history else None
@@ -108,8 +108,8 @@ class Problem:
 
     @property
     def coupled(self) -> bool:
-        """Return whether another field is found together with the displacement (not collective)."""
-        return any(one.monolithic for one in self.staggered)
+        """Return whether another field is solved for together with the displacement (not collective)."""
+        return any(field.monolithic for field in self.fields)
 
     @property
     def constrained(self) -> bool:
@@ -286,14 +286,14 @@ class Problem:
         """Take back what failed since the last ``commit``."""
         if self.damage is not None:
             self._bonds_changed(rebuild=self.damage.revert())
-        for one in self.staggered:
-            one.revert()
+        for field in self.fields:
+            field.revert()
 
     def advance(self, before: float, t: float) -> None:
-        """Find what goes ahead of the equilibrium at step time ``t``, from the converged one at ``before``."""
+        """Begin the step from the converged step time ``before`` to ``t``; staggered fields are solved for."""
         self._converged = before
-        for one in self.staggered:
-            one.advance(before, t)
+        for field in self.fields:
+            field.advance(before, t)
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most if the step ends at a state [-]."""

@@ -55,7 +55,7 @@ from pdpetsc.problem.material_term import MaterialTerm
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.scales import nearest_distances, scales_of
 from pdpetsc.problem.term import Term
-from pdpetsc.solvers.staggered import HeatSteps
+from pdpetsc.solvers.heat_steps import HeatSteps
 from pdpetsc.solvers.table import implementation
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
@@ -288,7 +288,7 @@ def _problem(
     terms = [*others, *applied.terms, *extra, *conduction]
     problem = Problem(body, material_term, terms, supports, damage, case.duration)
     for one in conduction:
-        problem.staggered.append(HeatSteps(one, Options({}) if options is None else options))
+        problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
     if damage is not None:
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)

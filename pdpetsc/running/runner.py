@@ -166,7 +166,7 @@ class _Run:
         """Free what solver and problem hold outside Python."""
         if self.solver is not None and self.prepared is not None:
             self.solver.destroy()
-            for field in self.prepared.problem.staggered:
+            for field in self.prepared.problem.fields:
                 field.destroy()
 
     def _prepare(self, options: Mapping[str, Any]) -> tuple[Prepared, Solver]:

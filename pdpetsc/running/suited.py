@@ -41,7 +41,7 @@ def poisson_ratio(lame: float) -> float:
 
 
 def takes_patches(case: Case, dim: int) -> bool:
-    """Return True if a body can have ``MeanDilatation`` (not collective)."""
+    """Return True if a body that locks has ``MeanDilatation`` by default (not collective)."""
     laws = [cast(Material, ungraded(material)) for _, material in case.materials]
     flat = dim == 1 or (dim == 2 and any(law.plane == "stress" for law in laws))
     return not (flat or case.of_bonds or case.expands or case.damage is not None)

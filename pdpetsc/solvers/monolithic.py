@@ -15,9 +15,9 @@ from pdpetsc.petsc.library import effort, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
+from pdpetsc.solvers.heat_steps import HeatSteps, HeatSystem
 from pdpetsc.solvers.newton import ONE_STEP, StaticSolver
 from pdpetsc.solvers.protocol import StepResult
-from pdpetsc.solvers.staggered import HeatSteps, HeatSystem
 from pdpetsc.terms.material_points import MaterialPoints
 
 # The temperature counts where its residual is below this share of the largest of the step.
@@ -51,7 +51,7 @@ class MonolithicSolver(StaticSolver):
     def __init__(
         self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
     ) -> None:
-        (heat,) = problem.staggered
+        (heat,) = problem.fields
         assert isinstance(heat, HeatSteps)
         assert isinstance(problem.material_term, MaterialPoints)
         self._heat, self._field, self._points = heat, heat.heat.field, problem.material_term

@@ -187,9 +187,8 @@ class Heat(Term):
 
     def matrix(self) -> csr_matrix:
         """Return what this rank adds to K, over its particles with ghosts (n_local, n_local) (not collective)."""
-        intact = np.ones(len(self._omega)) if self._damage is None else self._damage.bonds.intact.astype(float)
         if self._operator is None:
-            return self._along_bonds(intact) + self._resisting
+            return self._along_bonds() + self._resisting
         operator = self._operator()
         K = self._resisting + self._of_gradient(operator)
         G = self.declared.control
@@ -199,7 +198,7 @@ class Heat(Term):
         alone = np.zeros(self.body.cloud.n_owned, dtype=bool)
         alone[operator.owner[operator.volume == 0.0]] = True
         strength = np.where(alone, max(G, CONTROL), G)
-        return K + self._control(intact, strength) if strength.any() else K
+        return K + self._control(strength) if strength.any() else K
 
     def sources(self, t: float) -> Float:
         """Return Q of the own particles at step time ``t`` (n_owned,) [power] (collective)."""
@@ -227,9 +226,7 @@ class Heat(Term):
         cloud.halo.forward(local)
         if self._operator is None:
             families = self.body.families
-            intact = np.ones(len(self._omega)) if self._damage is None else self._damage.bonds.intact.astype(float)
-            kappa = self._kappa(intact)
-            flow = kappa * (local[families.neighbours] - local[families.centres])
+            flow = self._kappa() * (local[families.neighbours] - local[families.centres])
             sums = sum_by(families.centres, flow[:, None] * families.bonds(cloud.x), cloud.n_owned)
             return np.asarray(-sums / cloud.volume[: cloud.n_owned, None])
         operator = self._operator()
@@ -249,10 +246,15 @@ class Heat(Term):
         ]
         return csr_matrix(sum(parts[1:], parts[0]))
 
-    def _control(self, intact: Float, strength: Float) -> csr_matrix:
+    @property
+    def _intact(self) -> Float:
+        """Return 1 for bonds that are left and 0 for others (n_bonds,)."""
+        return np.ones(len(self._omega)) if self._damage is None else self._damage.bonds.intact.astype(float)
+
+    def _control(self, strength: Float) -> csr_matrix:
         """Return ``sum_ij s_ij (T_j - T_i - grad T . xi_ij)^2`` as a matrix, over bonds that are left."""
         cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
-        weight = self._omega * cloud.volume[families.neighbours] * intact
+        weight = self._omega * cloud.volume[families.neighbours] * self._intact
         whole = with_centres_of(np.arange(cloud.n_owned, dtype=np.int32), families.indptr, families.neighbours, weight)
         K = whole.shape_tensors(cloud.x)
         trace = np.einsum("pii->p", K)
@@ -270,7 +272,7 @@ class Heat(Term):
             D = D - diags(xi[:, a]) @ (of @ slope)
         return csr_matrix(D.T @ diags(each[families.centres] * weight) @ D)
 
-    def _kappa(self, intact: Float) -> Float:
+    def _kappa(self) -> Float:
         """Return ``kappa_ij`` of the bonds of the own particles (n_bonds,) [power / temperature]."""
         cloud, families, dim = self.body.cloud, self.body.families, self.body.dim
         xi = families.bonds(cloud.x)
@@ -279,13 +281,13 @@ class Heat(Term):
         k = np.einsum("pii->p", self.conducting.k) / dim
         each = dim * k * cloud.volume[: cloud.n_owned]
         each = np.divide(each, moment, out=np.zeros_like(each), where=moment > 0.0)
-        return np.asarray(each[families.centres] * weight * intact)
+        return np.asarray(each[families.centres] * weight * self._intact)
 
-    def _along_bonds(self, intact: Float) -> csr_matrix:
+    def _along_bonds(self) -> csr_matrix:
         """Return the conduction of bonds."""
         families = self.body.families
         D = _differences(families.centres, families.neighbours, self.body.cloud.n_local)
-        return csr_matrix(D.T @ diags(self._kappa(intact)) @ D)
+        return csr_matrix(D.T @ diags(self._kappa()) @ D)
 
     @property
     def _facets(self) -> GlobalIndex:

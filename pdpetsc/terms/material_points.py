@@ -156,12 +156,13 @@ class MaterialPoints(MaterialTerm):
 
     def admissible(self, state: State) -> bool:
         """Return whether this rank's materials are defined: ``det F > 0`` unless all are linear."""
-        F = self.deformation(state)
+        # Laws are collective on first use: compute them on every rank before one returns.
+        F, laws = self.deformation(state), self.laws(state)
         if self._linear:
             return True
         if not determinant_kernel(self.body.dim)(F) > 0.0:
             return False
-        return self.laws(state).defined(F, self.lost)
+        return laws.defined(F, self.lost)
 
     @property
     def lost(self) -> Mask | None:

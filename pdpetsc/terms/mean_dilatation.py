@@ -220,7 +220,7 @@ class PatchPoints(MaterialPoints):
 
     def admissible(self, state: State) -> bool:
         """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
-        F = self._own_gradient(state)
+        F, _ = self._own_gradient(state), self.laws(state)  # on every rank before one returns
         if not self._linear and not determinant_kernel(self.body.dim)(F) > 0.0:
             return False
         return super().admissible(state)

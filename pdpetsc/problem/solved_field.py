@@ -1,25 +1,25 @@
-"""What is found before the equilibrium of a load step, such as a temperature."""
+"""Fields that are solved for beside the displacement, such as a temperature."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 
-class StaggeredField(Protocol):
+class SolvedField(Protocol):
     """A field that equilibrium depends on and that does not depend on the displacement of the step."""
 
     @property
     def monolithic(self) -> bool:
-        """Return whether the solver finds it together with the displacement (not collective)."""
+        """Return whether it is solved for together with the displacement, not before it (not collective)."""
         ...
 
     def advance(self, before: float, t: float) -> None:
-        """Go from the last converged step time ``before`` to ``t`` (collective).
+        """Go from the last converged step time ``before`` to ``t``, or set up the system of that step (collective).
 
         Raises
         ------
         SolveError
-            It cannot.
+            The field has no solution.
         """
 
     def revert(self) -> None:

@@ -288,7 +288,7 @@ class Snapping(pd.Quantity):
 
     def evaluate(self, solution):
         damage = solution.problem.damage
-        return solution.sum((solution.problem.matter.k * damage.limit**self.power).sum())
+        return solution.sum((solution.problem.material_term.k * damage.limit**self.power).sum())
 
 
 def case(rows=16, calibration="family"):

@@ -257,7 +257,7 @@ case = pd.Case(
     scheme=pd.MeanDilatation(pd.Correspondence(), 2.0), control=pd.ByShear(pd.Silling()),
     conditions=[pd.Displacement(pd.region.Slab("x", high=5.0), x=0.0, y=0.0)],
 )
-patch_of_point = pd.prepare(case).problem.matter.patch_of_point
+patch_of_point = pd.prepare(case).problem.material_term.patch_of_point
 count = int(total(world(), len(np.unique(patch_of_point))))
 if world().rank == 0:
     print(count)

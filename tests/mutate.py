@@ -2,7 +2,7 @@
 
     pip install pytest-cov
     python tests/mutate.py 100 [seed] [whole]
-    python tests/mutate.py 100 [seed] pdpetsc/damage pdpetsc/discrete/interior.py tests/test_plane_energy.py
+    python tests/mutate.py 100 [seed] pdpetsc/damage pdpetsc/discrete/interior.py tests/bonds/test_plane_energy.py
 
 Works on a copy of the checkout. Each broken line is judged by the tests that run it in the same process, found with
 coverage; lines of compiled kernels, which coverage does not see, and lines that only other processes run by the tests
@@ -24,15 +24,38 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 # Tests of lines that coverage does not see.
 WHOLE = [
-    "tests/test_input.py", "tests/test_scene.py", "tests/test_material.py", "tests/test_gradient.py",
-    "tests/test_across.py", "tests/test_loads.py", "tests/test_bonds.py", "tests/test_damage.py",
-    "tests/test_meshes.py", "tests/test_cracks.py", "tests/test_stabilisation.py", "tests/test_plasticity.py",
-    "tests/test_stability.py", "tests/test_units.py", "tests/test_periodic.py", "tests/test_relaxation.py",
-    "tests/test_model.py", "tests/test_matrix_free.py", "tests/test_events.py", "tests/test_following.py",
-    "tests/test_durable.py", "tests/test_fracture.py", "tests/test_runs.py", "tests/test_cli.py",
-    "tests/test_tools.py", "tests/test_patch.py", "tests/test_hpc.py", "tests/test_life.py", "tests/test_beams.py",
-    "tests/test_methods.py", "tests/test_closed_forms.py", "tests/test_bench.py",
-]  # fmt: skip
+    "tests/declare/test_input.py",
+    "tests/declare/test_scene.py",
+    "tests/material/test_material.py",
+    "tests/gradient/test_gradient.py",
+    "tests/output/test_across.py",
+    "tests/terms/test_loads.py",
+    "tests/bonds/test_bonds.py",
+    "tests/damage/test_damage.py",
+    "tests/mesh/test_meshes.py",
+    "tests/discrete/test_cracks.py",
+    "tests/material/test_plasticity.py",
+    "tests/solvers/test_stability.py",
+    "tests/run/test_units.py",
+    "tests/discrete/test_periodic.py",
+    "tests/solvers/test_relaxation.py",
+    "tests/terms/test_model.py",
+    "tests/petsc/test_matrix_free.py",
+    "tests/solvers/test_events.py",
+    "tests/solvers/test_following.py",
+    "tests/run/test_durable.py",
+    "tests/damage/test_fracture.py",
+    "tests/run/test_runs.py",
+    "tests/command_line/test_cli.py",
+    "tests/command_line/test_tools.py",
+    "tests/gradient/test_patch.py",
+    "tests/run/test_hpc.py",
+    "tests/run/test_life.py",
+    "tests/cases/test_beams.py",
+    "tests/cases/test_methods.py",
+    "tests/bonds/test_closed_forms.py",
+    "tests/cases/test_bench.py",
+]
 # A line that is run by more tests than this is judged by so many of them, drawn at random, then by WHOLE.
 MOST = 40
 SECONDS = 900

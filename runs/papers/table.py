@@ -2,7 +2,7 @@
 
 The rows are in the ``.toml`` files beside this one: what a paper prints, the command that gives the number here, what
 it gave, and the verdict. Without words this writes ``docs/reference/papers.md`` from them; ``--run`` runs every command
-and says which numbers have changed. ``tests/test_papers.py`` does both.
+and says which numbers have changed. ``tests/cases/test_papers.py`` does both.
 
 A row has ``paper``, ``item`` (Table 1, Figure 16), ``what``, ``command`` (one word of it starts with ``out/``, the
 folder of the results), ``result`` (a name in ``results`` of ``summary.json``, or in ``numbers.json``), ``scale``

@@ -1,0 +1,182 @@
+"""Displacements in any direction and displacements that depend on others, from outside the package."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from pdpetsc.declare.conditions import Condition
+from pdpetsc.discrete.selection import select
+from pdpetsc.problem.ties import Combination
+from tests.commands import script_on
+
+
+@dataclass(frozen=True)
+class Along(Condition):
+    """A prescribed displacement along a direction, ``n . u = value t``."""
+
+    region: pd.region.Region
+    normal: Sequence[float]
+    value: float = 0.0
+
+    def put(self, onto, name):
+        cloud = onto.body.cloud
+        own = np.flatnonzero(select(cloud, self.region, name)).astype(np.int32)
+        n = np.array(self.normal)
+        axis = int(np.argmax(np.abs(n)))
+        others = np.array([a for a in range(len(n)) if a != axis])
+        ties = Combination(
+            own, np.full(len(own), axis), len(others) * np.arange(len(own) + 1),
+            np.repeat(cloud.row[own], len(others)), np.tile(others, len(own)), np.tile(-n[others] / n[axis], len(own)),
+        )  # fmt: skip
+        onto.supports.tie(ties, lambda t: np.full(len(own), self.value * t / n[axis]), name)
+
+
+@dataclass(frozen=True)
+class RigidRegion(Condition):
+    """Particles that move as one rigid body at small rotation: ``u = u_a + w x (x - x_a)``.
+
+    Three components of two of its particles, at its ends along y, are its unknowns.
+    """
+
+    region: pd.region.Region
+
+    def put(self, onto, name):
+        cloud = onto.body.cloud
+        own = np.flatnonzero(select(cloud, self.region, name)).astype(np.int32)
+        parts = cloud.comm.allgather([(float(cloud.x[p, 1]), int(cloud.row[p]), cloud.x[p].tolist()) for p in own])
+        ends = sorted(end for part in parts for end in part)
+        (_, a, xa), (_, b, xb) = ends[0], ends[-1]
+        xa, xb, rows = np.array(xa), np.array(xb), cloud.row[own]
+        # Both components of a and the x component of b: the rotation is (u_ax - u_bx) / (y_b - y_a).
+        particle, axis, terms = [], [], []
+        for p, row in zip(own, rows, strict=True):
+            dx, dy = cloud.x[p] - xa
+            of_height, of_width = dy / (xb - xa)[1], dx / (xb - xa)[1]
+            if row not in (a, b):
+                particle.append(p), axis.append(0)
+                terms.append([(a, 0, 1.0 - of_height), (b, 0, of_height)])
+            if row != a:
+                particle.append(p), axis.append(1)
+                terms.append([(a, 1, 1.0), (a, 0, of_width), (b, 0, -of_width)])
+        flat = np.array([term for each in terms for term in each]).reshape(-1, 3)
+        ptr = np.concatenate([[0], np.cumsum([len(each) for each in terms])]).astype(np.int64)
+        ties = Combination(
+            np.array(particle, dtype=np.int32), np.array(axis, dtype=np.int32), ptr, flat[:, 0].astype(np.int64),
+            flat[:, 1].astype(np.int32), flat[:, 2],
+        )  # fmt: skip
+        onto.supports.tie(ties, lambda t: np.zeros(len(particle)), name)
+
+
+def turned(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def pulled(angle, material, normals=True, **given):
+    """Return a plate turned by an angle that rolls along one side and is pulled at the other."""
+    axes = [np.arange(8.0) + 0.5, np.arange(5.0) + 0.5]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    R = turned(angle)
+
+    def side(test):
+        return pd.region.Where(lambda x: test(x @ R))
+
+    corner = side(lambda y: (y[:, 0] < 1.0) & (y[:, 1] < 1.0))
+    left, right = side(lambda y: (y[:, 0] < 1.0) & (y[:, 1] > 1.0)), side(lambda y: y[:, 0] > 7.0)
+    if normals:
+        rolling = [Along(left, R[:, 0]), Along(right, R[:, 0], 0.3)]
+    else:
+        rolling = [pd.Displacement(left, x=0.0), pd.Displacement(right, x=0.3)]
+    declared = {
+        "particles": pd.Arrays(x @ R.T, 1.0), "horizon": 2.015, "material": material,
+        "scheme": pd.Correspondence(), "control": pd.Silling(0.5),
+        "conditions": [pd.Displacement(corner, x=0.0, y=0.0), *rolling], "steps": pd.Steps(2), "fields": [],
+    }  # fmt: skip
+    return pd.Case(**{**declared, **given})
+
+
+@pytest.mark.parametrize("material", [pd.LinearElastic(10.0, 0.3), pd.Hencky(10.0, 0.3)], ids=["linear", "hencky"])
+@pytest.mark.parametrize("options", [{}, {"pd_jacobian": "matfree", "pc_type": "gamg"}, {"pd_jacobian": "matfree"}])
+def test_a_roller_along_any_direction_turns_with_the_body(material, options, tmp_path):
+    straight = pd.run(pulled(0.0, material, normals=False), output=tmp_path / "straight")
+    inclined = pd.run(pulled(0.7, material), output=tmp_path / "inclined", options=options)
+    u, v = straight.solution.u, inclined.solution.u
+    assert np.abs(v - u @ turned(0.7).T).max() < 1e-8 * np.abs(u).max()
+    force = straight.solution.reaction[:40] @ turned(0.7).T
+    assert np.abs(inclined.solution.reaction[:40] - force).max() < 1e-7 * np.abs(force).max()
+    assert inclined.solution.work == pytest.approx(straight.solution.work, rel=1e-7)
+
+
+def bent(**given):
+    """Return a cantilever whose end is rigid and loaded at its top."""
+    top = pd.region.Slab("x", low=11.0) & pd.region.Slab("y", low=3.0)
+    declared = {
+        "particles": pd.Lattice((0.0, 0.0), (12.0, 4.0), 1.0), "horizon": 2.015,
+        "material": pd.LinearElastic(10.0, 0.3),
+        "conditions": [
+            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0, y=0.0),
+            RigidRegion(pd.region.Slab("x", low=10.0)),
+            pd.Force(top, x=0.02, y=-0.03),
+        ],
+        "fields": [],
+    }  # fmt: skip
+    return pd.Case(**{**declared, **given})
+
+
+def test_a_rigid_region_is_the_least_energy_among_its_motions(tmp_path):
+    result = pd.run(bent(), output=tmp_path)
+    problem, u = result.solution.problem, result.solution.u
+    supports, n = problem.supports, u.size
+    K = np.array([problem.linearised(problem.state(0.0 * u))(e.reshape(u.shape)).ravel().copy() for e in np.eye(n)])
+    C = np.array([supports.completed(e.reshape(u.shape), 0.0 * u).ravel() for e in np.eye(n)]).T
+    C = C[:, ~supports.fixed.ravel()]
+    load = problem.external_force(problem.state(u, 1.0)).ravel()
+    expected = C @ np.linalg.solve(C.T @ K @ C, C.T @ load)
+    assert np.abs(expected - u.ravel()).max() < 1e-9 * np.abs(u).max()
+    # Its rows do not strain, and what holds the other end balances the load.
+    x = result.solution.x
+    end = x[:, 0] > 10.0
+    moved = np.stack([np.ones(end.sum()), x[end, 1]], axis=1)
+    assert np.abs(np.linalg.lstsq(moved, u[end, 0], rcond=None)[1]).max() < 1e-20
+    held = result.solution.reaction[x[:, 0] < 1.0].sum(axis=0)
+    assert np.abs(held + np.array([0.02, -0.03])).max() < 1e-9
+
+
+BENT = """
+import sys
+import numpy as np
+import pdpetsc as pd
+from tests.terms.test_constraints import bent, pulled
+case = bent() if sys.argv[1] == "bent" else pulled(0.7, pd.Hencky(10.0, 0.3))
+u = pd.run(case, output=sys.argv[2]).gathered(pd.displacement)
+if u is not None:
+    np.save(sys.argv[3], u)
+"""
+
+
+@pytest.mark.parametrize("name", ["bent", "pulled"])
+def test_two_ranks_find_the_same(name, tmp_path):
+    for ranks in (1, 2):
+        script_on(ranks, BENT, name, tmp_path / f"run{ranks}", tmp_path / f"u{ranks}.npy")
+    one, two = (np.load(tmp_path / f"u{ranks}.npy") for ranks in (1, 2))
+    assert np.abs(one - two).max() < 1e-9 * np.abs(one).max()
+
+
+def test_what_is_tied_twice_or_in_a_chain_is_refused(tmp_path):
+    held, rigid, load = bent().conditions
+    end = pd.region.Slab("x", low=10.0)
+    with pytest.raises(pd.CaseError, match="another condition prescribes or ties"):
+        pd.run(bent(conditions=[held, rigid, Along(end, (0.6, 0.8)), load]), output=tmp_path)
+    corner = end & pd.region.Slab("x", high=11.0) & pd.region.Slab("y", high=1.0)
+    with pytest.raises(pd.CaseError, match="on which other tied ones depend"):
+        pd.run(bent(conditions=[held, Along(corner, (0.6, 0.8)), rigid, load]), output=tmp_path)
+
+
+def test_solvers_without_constraints_refuse_tied_displacements(tmp_path):
+    opening = pd.Opening("y", pd.region.Slab("x", low=11.0), step=0.01, end=0.1)
+    for solver in (pd.DynamicRelaxation(), pd.PathFollowing(opening)):
+        with pytest.raises(pd.CaseError, match="tied displacements"):
+            pd.run(bent(solver=solver), output=tmp_path)

@@ -429,8 +429,8 @@ def hot_plate(folder, steps, force=1.0, length=1.0, restart=None, **changes):
         "fields": [pd.displacement, pd.stress, pd.plastic_strain, pd.temperature],
         "history": {"R": pd.Reaction("x", pd.region.Slab("x", high=length))},
     }
-    # Points that yield begin a step on the yield surface. Rounding chooses their first tangent and so the way of Newton,
-    # which ends anywhere within its tolerance.
+    # Points that yield begin a step on the yield surface. Rounding chooses their first tangent and so the way of
+    # Newton, which ends anywhere within its tolerance.
     return pd.run(pd.Case(**{**given, **changes}), output=folder, restart=restart, options={"snes_rtol": 1e-13})
 
 

@@ -326,7 +326,9 @@ def test_no_loop_over_rows_closes_over_another():
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_ranks_share_families_too(ranks):
-    found = script_on(ranks, "import tests.discrete.test_repeated\n\ntests.discrete.test_repeated.compare_on_all_ranks()")
+    found = script_on(
+        ranks, "import tests.discrete.test_repeated\n\ntests.discrete.test_repeated.compare_on_all_ranks()"
+    )
     assert found.count("alike") == 3 * ranks
 
 

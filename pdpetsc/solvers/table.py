@@ -65,6 +65,8 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     solver = solver_of(problem, declared)
     solver.refuse(problem)
     if problem.supports.ties is not None and solver is not StaticSolver:
+        if solver is MonolithicSolver:
+            raise CaseError('Temperature and tied displacements cannot be solved together; use coupling="staggered".')
         raise CaseError(f"{declared.title} cannot solve for tied displacements; use load steps with Newton.")
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:

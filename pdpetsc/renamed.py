@@ -6,9 +6,9 @@ import warnings
 from collections.abc import Mapping
 
 
-def warn(old: str, new: str) -> None:
-    """Warn that a name has changed, at the line that uses it."""
-    warnings.warn(f"{old} is now {new}; the old name goes with the next release.", FutureWarning, stacklevel=3)
+def warn(old: str, new: str, level: int = 3) -> None:
+    """Warn that a name has changed, at the line that uses it, so many calls up."""
+    warnings.warn(f"{old} is now {new}; the old name goes with the next release.", FutureWarning, stacklevel=level)
 
 
 def accept_old_methods(kind: type, names: Mapping[str, str]) -> None:
@@ -23,5 +23,5 @@ def accept_old_methods(kind: type, names: Mapping[str, str]) -> None:
     """
     for old, new in names.items():
         if old in vars(kind) and new not in vars(kind):
-            warn(f"{kind.__name__}.{old}", new)
+            warn(f"{kind.__name__}.{old}", new, 4)
             setattr(kind, new, vars(kind)[old])

@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from pdpetsc.command_line.arguments import Arguments, split
 from pdpetsc.command_line.case_file import arguments_of, load_case, make_case
@@ -23,9 +23,6 @@ from pdpetsc.command_line.commands import ALONE, COMMANDS
 from pdpetsc.command_line.start import processes_started, start_petsc, take_signals
 from pdpetsc.errors import CaseError, Interrupted, RunError, described, of_petsc
 from pdpetsc.machine import stamp_of
-
-if TYPE_CHECKING:
-    pass
 
 USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE]]
 

@@ -72,8 +72,8 @@ def refuse_rigid_motion(cloud: Cloud, families: Families, resisted: Callable[[Fl
     np.add.at(gram, index, np.einsum("nia,nib->nab", held, held))
     centres, members = families.connecting()
     across = np.flatnonzero(cloud.places.behind(cloud.place[members]))
-    family_strain = _torn_by_mirrors(cloud, members[across])
-    np.add.at(gram, index[centres[across]], np.einsum("nia,nib->nab", family_strain, family_strain))
+    across_mirrors = _torn_by_mirrors(cloud, members[across])
+    np.add.at(gram, index[centres[across]], np.einsum("nia,nib->nab", across_mirrors, across_mirrors))
     sums: dict[int, Float] = {}
     for part in cloud.comm.allgather(dict(zip(labels.tolist(), gram, strict=True))):
         for piece, matrix in part.items():

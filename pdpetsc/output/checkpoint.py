@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import stat
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -167,6 +168,7 @@ def write_checkpoint(
             streams.append((name, rows, sum(counts), rank_by_rank(comm, rows, counts)))
     failure: OutputError | None = None
     if is_root(comm):
+        texts = {name: zlib.compress(text, 1) for name, text in texts.items()}
         size = sum(n * rows.itemsize * rows.shape[1] for _, rows, n, _ in streams) + sum(map(len, texts.values()))
         try:
             with replacing(path) as aside:
@@ -394,7 +396,7 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
 
 
 def _text(file: h5py.File, name: str) -> str:
-    return np.asarray(file[f"texts/{name}"]).tobytes().decode(errors="replace")
+    return zlib.decompress(np.asarray(file[f"texts/{name}"]).tobytes()).decode(errors="replace")
 
 
 def _steps(file: h5py.File, count: int) -> list[dict[str, Any]]:

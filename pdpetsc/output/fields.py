@@ -130,8 +130,8 @@ class FieldWriter:
             if is_root(cloud.comm):
                 try:
                     (folder / FIELDS).mkdir(exist_ok=True)
-                    for family_strain in (folder / FIELDS).glob("step_*.h5.part"):
-                        family_strain.unlink()
+                    for unfinished in (folder / FIELDS).glob("step_*.h5.part"):
+                        unfinished.unlink()
                     earlier = steps_in(folder, run, cloud.n_global) if first > 0 else []
                     there = first > 0 and _is_of(folder / FIELDS / "particles.h5", run, cloud.n_global)
                 except OSError as error:

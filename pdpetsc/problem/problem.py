@@ -283,11 +283,15 @@ class Problem:
         self._converged = state.t
 
     def revert(self) -> None:
-        """Take back what failed since the last ``commit``."""
-        if self.damage is not None:
-            self._bonds_changed(rebuild=self.damage.revert())
+        """Restore bonds and solved fields of the last committed state."""
+        self.revert_bonds()
         for field in self.fields:
             field.revert()
+
+    def revert_bonds(self) -> None:
+        """Restore the bonds of the last committed state; solved fields keep the present step."""
+        if self.damage is not None:
+            self._bonds_changed(rebuild=self.damage.revert())
 
     def advance(self, before: float, t: float) -> None:
         """Begin the step from the converged step time ``before`` to ``t``; staggered fields are solved for."""

@@ -77,7 +77,17 @@ class Supports:
         """Prescribe components of the displacement of some own particles.
 
         Particles may have several conditions that agree; ``prescribed`` compares their values.
+
+        Raises
+        ------
+        CaseError
+            A component is tied already.
         """
+        if self.ties is not None:
+            tied = sum(np.count_nonzero(self.ties.tied[where, axis]) for axis, _ in components)
+            twice = int(total(self.body.cloud.comm, tied))
+            if twice:
+                raise CaseError(f"{name} prescribes {twice} displacements that another condition ties already.")
         for axis, value in components:
             self.fixed[where, axis] = True
             self._held.append(_Held(name, condition, axis, value, where))
@@ -109,7 +119,9 @@ class Supports:
             A component is prescribed or tied already, or depends on one that is tied.
         """
         cloud, where = self.body.cloud, (combination.particle, combination.axis)
-        twice = int(total(cloud.comm, np.count_nonzero(self.fixed[where])))
+        entries = combination.particle.astype(np.int64) * cloud.dim + combination.axis
+        repeated = len(entries) - len(np.unique(entries))
+        twice = int(total(cloud.comm, np.count_nonzero(self.fixed[where]) + repeated))
         if twice:
             raise CaseError(f"{name} ties {twice} displacements that another condition prescribes or ties already.")
         self.fixed[where] = True

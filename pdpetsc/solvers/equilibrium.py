@@ -167,10 +167,10 @@ class Equilibrium:
         springs = self.problem.springs
         if springs is None or not springs.active:
             return step
-        shape, size = self.free.shape, self.free.size
+        shape, size, supports = self.free.shape, self.free.size, self.problem.supports
 
         def resistance(of: Float) -> Float:
-            return np.where(self.free, springs.resistance(of[:size].reshape(shape)), 0.0)
+            return supports.reduced(springs.resistance(supports.completed(of[:size].reshape(shape), np.zeros(shape))))
 
         loose = solve(resistance(step))
         force = float(np.sqrt(total(self.problem.body.cloud.comm, float((resistance(loose) ** 2).sum()))))
@@ -246,7 +246,8 @@ class Equilibrium:
         held = np.zeros(1) if unstrained is None else unstrained
         loads = self._loads_at_start if self._loads is None else self._loads
         begin = np.zeros(1) if self.unbalanced is None else self.unbalanced
-        resisted, jump = (np.where(self.free, 0.0, one) for one in (self.resisted, change))
+        resisted = np.where(self.free, 0.0, self.resisted)
+        jump = np.where(self.free | self._tied, 0.0, change)
         squares = [self.external, self._reaction, held, round_off, change, jump]
         sums = total(
             self.problem.body.cloud.comm,
@@ -347,7 +348,7 @@ class Equilibrium:
         springs = self.problem.springs
         if springs is None or not springs.active:
             return True
-        held = np.where(self.free, springs.force(self.at_prescribed(x)), 0.0)
+        held = self.problem.supports.reduced(springs.force(self.at_prescribed(x)))
         force = float(np.sqrt(total(self.problem.body.cloud.comm, (held**2).sum())))
         resting = force <= max(self._tolerance(x, rtol))
         if not resting:

@@ -164,7 +164,7 @@ def equilibrium(
         attempt, result = solver.solve(attempt, target)
     if stop():
         return attempt, result, broken, 0
-    damage_of(solver).revert()  # what went ahead of the equilibrium stays
+    problem.revert_bonds()  # fields that were solved for stay
     found = settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
     attempt, result, broken, sweeps = found
     return attempt, replace(result, growth=solver.growth(attempt) if result.converged else 0.0), broken, sweeps

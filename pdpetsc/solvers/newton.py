@@ -190,7 +190,7 @@ class StaticSolver(LoadStepSolver):
             found, _ = self._linear_step(u, self.problem.state(u, t), self.problem.supports.reduced(force))
         except PETSc.Error:  # the run has ended, and stands without it
             return None
-        return None if ksp.getConvergedReason() < 0 else found
+        return None if ksp.getConvergedReason() < 0 else self.problem.supports.completed(found, np.zeros_like(found))
 
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from where the step before leads to; return the linear iterations, None where that fails."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -43,6 +44,33 @@ def exact(model, u, rng):
     du = rng.standard_normal(u.shape)
     assert np.allclose(K @ du.ravel(), model.tangent_times(u, du).ravel(), atol=1e-10 * np.abs(K).max())
     return np.count_nonzero(model.failure.following(model.driving_values(u))[2])
+
+
+def test_gradient_and_control_follow_bonds_that_are_restored(rng):
+    """A load step restores bonds without the fields that were solved for; nothing may keep a broken bond."""
+    made = pd.LinearElastic(10.0, 0.3)
+    model = damaged_body(2, LAWS["linear"](CRITICAL), pd.Correspondence(), pd.Silling(0.5), made, rng, 2.015)
+    u = pulled(model, rng, 0.018)
+    model.commit(u)
+    forces, entries, version = model.internal_force(u), len(model.operator.members), model.problem.version
+    assert model.break_bonds(1.7 * pulled(model, rng, 0.03), 8)
+    assert len(model.operator.members) < entries or np.abs(model.internal_force(u) - forces).max() > 1e-3
+    model.problem.revert_bonds()
+    assert model.failure.intact.all() and len(model.operator.members) == entries
+    assert np.abs(model.internal_force(u) - forces).max() < 1e-12 * np.abs(forces).max()
+    assert model.problem.version > version
+
+
+def test_only_the_problem_changes_the_bonds_of_its_damage():
+    """Terms would not follow bonds that another caller breaks or restores."""
+    changes = re.compile(r"damage(_of\(\w+\))?\.(revert|soften|break_bonds|break_families|reset|commit)\(")
+    package = ROOT / "pdpetsc"
+    callers = {
+        str(path.relative_to(package))
+        for path in package.rglob("*.py")
+        if "__pycache__" not in path.parts and changes.search(path.read_text())
+    }
+    assert callers == {"problem/problem.py"}
 
 
 @pytest.mark.parametrize(("dim", "scheme", "material"), pairs(DIMS, EVERY_SCHEME, WITH_HISTORY))

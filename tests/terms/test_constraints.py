@@ -170,6 +170,8 @@ def test_what_is_tied_twice_or_in_a_chain_is_refused(tmp_path):
     end = pd.region.Slab("x", low=10.0)
     with pytest.raises(pd.CaseError, match="another condition prescribes or ties"):
         pd.run(bent(conditions=[held, rigid, Along(end, (0.6, 0.8)), load]), output=tmp_path)
+    with pytest.raises(pd.CaseError, match="another condition ties"):
+        pd.run(bent(conditions=[held, rigid, pd.Displacement(end, y=0.5), load]), output=tmp_path)
     corner = end & pd.region.Slab("x", high=11.0) & pd.region.Slab("y", high=1.0)
     with pytest.raises(pd.CaseError, match="on which other tied ones depend"):
         pd.run(bent(conditions=[held, Along(corner, (0.6, 0.8)), rigid, load]), output=tmp_path)

@@ -145,5 +145,5 @@ class _Averaged(Control):
         return True
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control whose averages count every bond with its integrity."""
+        """Return the control whose averages count every bond with its degradation factor."""
         return _Averaged(self._cloud, self._families, self._omega * phi, self._c)

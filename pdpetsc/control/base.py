@@ -227,7 +227,7 @@ class Control(Product, ABC):
         raise CaseError(_NOT_FOLLOWING)
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control with the stiffness of every bond times its integrity (n_bonds,).
+        """Return the control with the stiffness of every bond times its degradation factor (n_bonds,).
 
         Raises
         ------
@@ -237,9 +237,9 @@ class Control(Product, ABC):
         raise CaseError(_NO_DAMAGE)
 
     def faded(self, phi: Float) -> Control:
-        """Return the control with the force of every bond times its integrity (n_bonds,), and its gradient as it is.
+        """Return the control with the force of every bond times its ``phi`` (n_bonds,), and its gradient as it is.
 
-        Its matrix takes the integrity as constant.
+        Its matrix takes the degradation factor as constant.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class Control(Product, ABC):
     def bond_forces(self, u: Float) -> Float:
         """Return the force of every bond on its second end (n_bonds, dim) [force] for displacements with ghosts.
 
-        The integrity that ``faded`` multiplies them with is not in them (not collective).
+        The degradation factor that ``faded`` multiplies them with is not in them (not collective).
 
         Raises
         ------

@@ -110,7 +110,7 @@ class NonUniform(Control):
         return with_centre_forces(self._families.indptr, forces)
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control with ``s_ij`` times the integrity; H is zero in directions without bonds left."""
+        """Return the control with ``s_ij`` times the degradation factor; H is zero in directions without bonds left."""
         stiffness = self._stiffness * phi
         K = whole_families(self._cloud, self._families, stiffness).shape_tensors(self._cloud.x)
         held = self._K_inverse.any(axis=(1, 2))
@@ -118,7 +118,7 @@ class NonUniform(Control):
         return NonUniform(self._cloud, self._families, stiffness, K_inverse)
 
     def faded(self, phi: Float) -> Control:
-        """Return the control with the integrity as ``T_ij``."""
+        """Return the control with the degradation factor as ``T_ij``."""
         return NonUniform(self._cloud, self._families, self._stiffness, self._K_inverse, phi)
 
     def bond_forces(self, u: Float) -> Float:
@@ -192,7 +192,7 @@ class Directed(Control):
         return True
 
     def damaged(self, phi: Float) -> Control:
-        """Return the control with ``S_ij`` times the integrity, which is in its gradient too.
+        """Return the control with ``S_ij`` times the degradation factor, which is in its gradient too.
 
         ``g'_ij = T_ij M_i^-1 g_ij`` with ``M_i = sum_j T_ij g_ij (x) xi_ij``, so that ``sum_j xi_ij (x) g'_ij = I``:
         affine displacements have no force; H is zero in directions without bonds left.

@@ -42,8 +42,8 @@ class TangentScaled(ZeroEnergyControl):
     rotations as of the control that it follows. The price: unloading goes back to e = 0 with the secant ``c_0``, not
     with the elastic stiffness, and in the step in which a point begins to flow the control is still elastic.
 
-    Where bonds lose their integrity the control has it besides, as the effect of the damage law says. Particles of
-    elastic materials keep the elastic control, and where all are elastic this is ``control``.
+    Where bonds lose their degradation factor the control has it besides, as the effect of the damage law says.
+    Particles of elastic materials keep the elastic control, and where all are elastic this is ``control``.
 
     Parameters
     ----------

@@ -213,7 +213,7 @@ class DrivingVariable(ABC):
 
     @property
     def is_nonlocal(self) -> bool:
-        """Return whether its gradients have a part ``nonlocal_part`` the own elongation; the same at every state."""
+        """Return True if its gradient depends on more than the elongation of the bond; the same at every state."""
         return False
 
     @property
@@ -264,7 +264,7 @@ class DrivingVariable(ABC):
         bonds : (n,) int64
             The bonds, ascending.
         by : (n,) float64
-            What multiplies the derivative of each, such as that of the integrity by the drive [-].
+            What multiplies the derivative of each, such as that of the degradation factor by the drive [-].
         """
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:

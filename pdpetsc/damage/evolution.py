@@ -1,4 +1,4 @@
-"""What the integrity of bonds does to the force states of deformation gradients."""
+"""What the degradation factor of bonds does to the force states of deformation gradients."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pdpetsc.renamed import accept_old_methods
 class DamageEvolution(Declared, ABC):
     """How force states ``T_s omega P K^-1 xi`` and the zero-energy control fade with their bonds, and when these break.
 
-    A bond has the integrity ``T_s`` of the law at its present drive or the one that was kept at the last equilibrium.
-    Whatever the effect, no bond breaks while equilibrium is sought, and a broken bond leaves shape tensor
+    A bond has the degradation factor ``T_s`` of the law at its present drive or the one that was kept at the last
+    equilibrium. Whatever the effect, no bond breaks while equilibrium is sought, and a broken bond leaves shape tensor
     and gradient.
     """
 
@@ -36,7 +36,7 @@ class DamageEvolution(Declared, ABC):
 
     @abstractmethod
     def follows(self, present: Float, kept: Float) -> Mask:
-        """Return which bonds have the integrity of the present drive (n_bonds,), not the kept one."""
+        """Return which bonds have the degradation factor of the present drive (n_bonds,), not the kept one."""
 
     @abstractmethod
     def reached(self, x: Float, kappa: Float) -> Float:
@@ -56,7 +56,7 @@ class DamageEvolution(Declared, ABC):
     def of_control(self, kept: Float) -> Float:
         """Return what the stiffness of the control's bonds is multiplied with (n_bonds,) [-], in its gradient too.
 
-        It follows from the integrities ``kept`` at the last equilibrium, and stays until the next one.
+        It follows from the degradation factors ``kept`` at the last equilibrium, and stays until the next one.
         """
 
     @abstractmethod
@@ -66,11 +66,11 @@ class DamageEvolution(Declared, ABC):
 
 @dataclass(frozen=True)
 class LargestStretch(DamageEvolution):
-    """The integrity is that of the largest drive so far: what a bond has lost it does not regain.
+    """The degradation factor is that of the largest drive so far: what a bond has lost it does not regain.
 
-    The control has the integrity of the last equilibrium in its stiffness and in the gradient that it measures from. A
-    bond that breaks takes its share of the particle's volume with it, so that the force states of the others stay as
-    they were, and bonds that lie across the pull break with the strain of the gradient.
+    The control has the degradation factor of the last equilibrium in its stiffness and in the gradient that it measures
+    from. A bond that breaks takes its share of the particle's volume with it, so that the force states of the others
+    stay as they were, and bonds that lie across the pull break with the strain of the gradient.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class LargestStretch(DamageEvolution):
         return True
 
     def follows(self, present: Float, kept: Float) -> Mask:
-        """Return where the present integrity is below the kept one."""
+        """Return where the present degradation factor is below the kept one."""
         return np.asarray(present < kept)
 
     def reached(self, x: Float, kappa: Float) -> Float:
@@ -101,7 +101,7 @@ class LargestStretch(DamageEvolution):
         return share
 
     def of_control(self, kept: Float) -> Float:
-        """Return the integrity."""
+        """Return the degradation factor."""
         return kept
 
     def fading(self, phi: Float) -> Float | None:
@@ -111,7 +111,7 @@ class LargestStretch(DamageEvolution):
 
 @dataclass(frozen=True)
 class PresentStretch(DamageEvolution):
-    """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the integrity of the present drive everywhere.
+    """As published: ``T = T_s (omega P K^-1 xi + omega T_z)`` with the ``phi`` of the present drive everywhere.
 
     The control fades with its bonds at once, with the derivative of that in the tangent, and measures from the gradient
     of the bonds that have not broken. Bonds break at their critical stretch and for no other reason. Particles keep
@@ -156,5 +156,5 @@ class PresentStretch(DamageEvolution):
         return np.asarray(kept > 0.0, dtype=np.float64)
 
     def fading(self, phi: Float) -> Float | None:
-        """Return the integrity."""
+        """Return the degradation factor."""
         return phi

@@ -26,11 +26,11 @@ QUADRATURE = 40
 class BondDamage(Declared, ABC):
     """A bond keeps its force until the drive of its damage is 1 and loses it beyond; what it lost it does not regain.
 
-    Its state is the integrity ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the largest
-    drive ``x`` that the bond has had, unless ``effect`` says otherwise. The drive of a critical stretch is the stretch
-    over it, ``x = s / s_c``: compression does no damage. What the laws below say of forces and critical stretches is
-    for drives that are linear in the elongation; with another one ``T`` is the same function of x. Derive from it for
-    another law.
+    Its state is the degradation factor ``T``, what its force is multiplied with: 1 intact, 0 broken, a function of the
+    largest drive ``x`` that the bond has had, unless ``effect`` says otherwise. The drive of a critical stretch is the
+    stretch over it, ``x = s / s_c``: compression does no damage. What the laws below say of forces and critical
+    stretches is for drives that are linear in the elongation; with another one ``T`` is the same function of x. Derive
+    from it for another law.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ class BondDamage(Declared, ABC):
     protected : Region, optional
         Bonds with an end in it do not fail.
     effect : DamageEffect
-        How the integrity enters the force states of deformation gradients; ``PresentStretch()`` as published by Hashim
-        et al. Bodies of bonds take the default alone.
+        How the degradation factor enters the force states of deformation gradients; ``PresentStretch()`` as published
+        by Hashim et al. Bodies of bonds take the default alone.
     closes : bool
         Whether cracks that close carry compression: a bond that is shorter than at the start has its whole stiffness,
         however damaged or broken it is. Of bond-based materials alone; the ends of the bond are those that it had, so
@@ -66,7 +66,7 @@ class BondDamage(Declared, ABC):
 
     @property
     def onset(self) -> float:
-        """Return x where the integrity begins to fall [-]: where the drive is 1."""
+        """Return x where the degradation factor begins to fall [-]: where the drive is 1."""
         return 1.0
 
     @property
@@ -89,8 +89,9 @@ class BondDamage(Declared, ABC):
 
         Parameters
         ----------
-        integrity, x, energy : (n,) float64
-            Integrity [-], largest drive [-], elastic energy ``W`` of the intact bond where the drive is 1 [energy].
+        phi, x, energy : (n,) float64
+            Degradation factor [-], largest drive [-], elastic energy ``W`` of the intact bond where the drive is 1
+            [energy].
         degree : float
             With which power of the drive that energy grows [-].
         """
@@ -187,7 +188,7 @@ class PiecewiseLinear(BondDamage):
         return np.zeros_like(x) if r == 1.0 else np.asarray(-r / ((r - 1.0) * x**2))
 
     def reached(self, phi: Float) -> Float:
-        """Return x at which bonds of this integrity fail further (n,) [-].
+        """Return x at which bonds of this degradation factor fail further (n,) [-].
 
         On the envelope ``q = k l (r - x) / (r - 1)``, with the final ratio ``r``, ``q = T k l x``.
         """
@@ -195,7 +196,7 @@ class PiecewiseLinear(BondDamage):
         return np.asarray(r / (1.0 + phi * (r - 1.0)))
 
     def dissipated(self, phi: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
-        """Return what linear bonds have dissipated (n,) [energy]; from their integrity alone for degree 2."""
+        """Return what linear bonds have dissipated (n,) [energy]; from their degradation factor alone for degree 2."""
         if degree != 2.0:
             return super().dissipated(phi, x, energy, degree)
         y = self.reached(phi)

@@ -222,7 +222,7 @@ class AssignedLaws:
         return np.empty(0, dtype=np.int64) if self.of_bond is None else np.flatnonzero(self.of_bond < 0)
 
     def onset(self) -> Float | float:
-        """Return where the integrity of each bond begins to fall, one number where all have one law."""
+        """Return where the degradation factor of each bond begins to fall, one number where all have one law."""
         return self._each([law.onset for law in self.laws])
 
     def final(self) -> Float | float:
@@ -230,7 +230,7 @@ class AssignedLaws:
         return self._each([law.final for law in self.laws])
 
     def phi(self, x: Float, bonds: GlobalIndex) -> Float:
-        """Return the integrity of some bonds at their drives (n,)."""
+        """Return the degradation factor of some bonds at their drives (n,)."""
         return self._by_law(lambda law, at: law.phi(x[at]), bonds)
 
     def slope(self, x: Float, bonds: GlobalIndex) -> Float:

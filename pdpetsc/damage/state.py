@@ -18,7 +18,7 @@ TOGETHER = 1e-7
 
 
 class FailingBonds:
-    """Integrity of the bonds of the own particles, and how far what drives their damage has been.
+    """Degradation factor of the bonds of the own particles, and how far what drives their damage has been.
 
     A bond is held from both of its ends, on two ranks perhaps; ``keys`` tell that the two are one. Where horizons
     differ it may be held from the end alone that reaches the other. What is called ``x``
@@ -44,10 +44,10 @@ class FailingBonds:
     protected : (n,) int64
         Bonds that do not fail.
     frozen : bool
-        Whether the integrity stays while the displacement changes.
+        Whether the degradation factor stays while the displacement changes.
     slack : float
-        Bonds whose integrity at their present drive is above the kept one by less than this follow their drive too
-        [-]: 0 but where a tangent for further loading is wanted.
+        Bonds whose degradation factor at their present drive is above the kept one by less than this follow their drive
+        too [-]: 0 but where a tangent for further loading is wanted.
     length, middle, keys
         As of ``DamageableBonds``.
     """
@@ -84,7 +84,7 @@ class FailingBonds:
 
     @property
     def softens(self) -> bool:
-        """Return whether the integrity follows the displacement now."""
+        """Return whether the degradation factor follows the displacement now."""
         return self.laws.softens and not self.frozen
 
     def commit(self) -> None:
@@ -103,7 +103,7 @@ class FailingBonds:
         phi : (n_bonds,) float64
             [-]
         softening : (n,) int64
-            Bonds whose integrity changes with their drive, ascending.
+            Bonds whose degradation factor changes with their drive, ascending.
         slope : (n,) float64
             Its derivative by the drive [-].
         """
@@ -129,11 +129,11 @@ class FailingBonds:
         return near, max(count, 1.0), found
 
     def fading(self, x: Float) -> float:
-        """Return by how much the integrity of a bond would change at most at drives x [-] (collective)."""
+        """Return by how much the degradation factor of a bond would change at most at drives x [-] (collective)."""
         return largest(self._comm, float(np.abs(self.phi - self.following(x)[0]).max(initial=0.0)))
 
     def soften(self, x: Float) -> float:
-        """Take the integrity at drives x for good; return the largest change of any bond (collective)."""
+        """Take the degradation factor at drives x for good; return the largest change of any bond (collective)."""
         T = self.following(x)[0]
         if self.frozen:
             # Sweeps with damage held end because it only grows; also that of bonds that heal, which do so in Newton.
@@ -208,7 +208,7 @@ class FailingBonds:
         return self._pairs(broken)
 
     def damaged(self) -> tuple[GlobalIndex, Float]:
-        """Return keys (n, 3) and states (n, 2), integrity and worst, of damaged bonds, each from its first end only."""
+        """Return keys (n, 3) and states (n, 2), ``phi`` and worst, of damaged bonds, each from its first end only."""
         mine = np.flatnonzero((self.phi < 1.0) & self._first)
         return self.keys[mine], np.stack([self.phi[mine], self.kappa[mine]], axis=1)
 

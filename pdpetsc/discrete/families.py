@@ -74,16 +74,16 @@ class Families:
 
 
 class LatticeFamilies(Families):
-    """Families of a body on a lattice, of which most are the same steps: bonds are listed when somebody asks for them.
+    """Families of a body on a lattice, most of which share their steps; bonds are listed on first use.
 
     Parameters
     ----------
-    repeats : Repeats
+    lattice : LatticeStencils
         Which own particles share one family.
     """
 
     def __init__(self, lattice: LatticeStencils) -> None:
-        self.__dict__["_repeats"] = lattice
+        self.__dict__["_lattice"] = lattice
 
     @property
     def n_bonds(self) -> int:
@@ -135,7 +135,7 @@ class LatticeFamilies(Families):
 
     @property
     def _of(self) -> LatticeStencils:
-        found: LatticeStencils = self.__dict__["_repeats"]
+        found: LatticeStencils = self.__dict__["_lattice"]
         return found
 
 

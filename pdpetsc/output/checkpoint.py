@@ -496,7 +496,7 @@ def _blocks(file: h5py.File, n: int) -> Iterator[tuple[GlobalIndex, Float]]:
         rows = slice(begin, begin + BLOCK)
         keys, states = np.asarray(file["bonds/keys"][rows]), np.asarray(file["bonds/states"][rows])
         _must(bool(((keys[:, :2] >= 0) & (keys[:, :2] < n)).all()), "a damaged bond has an end that is no particle")
-        _must(bool(((states[:, 0] >= 0.0) & (states[:, 0] <= 1.0)).all()), "an integrity is not in 0 to 1")
+        _must(bool(((states[:, 0] >= 0.0) & (states[:, 0] <= 1.0)).all()), "a degradation factor is not in 0 to 1")
         _must(bool((np.isfinite(states[:, 1]) & (states[:, 1] >= 0.0)).all()), "a stretch of a bond is no number")
         yield keys, states
 

@@ -27,7 +27,7 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
     pairs : (n_pairs, 2) int64
         A particle of the zone, and a local one within its reach.
     left : (n_pairs,) float64
-        Integrity of the bond [-]: 1 whole, 0 broken or cut by a crack.
+        Degradation factor of the bond [-]: 1 whole, 0 broken or cut by a crack.
 
     Notes
     -----
@@ -57,7 +57,7 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
 
 
 def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
-    """Return both ends of the bonds of some own particles, and their integrity (n,) [-]."""
+    """Return both ends of the bonds of some own particles, and their degradation factor (n,) [-]."""
     families, damage = solution.problem.body.families, solution.problem.damage
     lattice = families.lattice
     if lattice is not None:

@@ -19,7 +19,8 @@ from pdpetsc.kernels.bonds import bond_force_kernel
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 
-# A bond whose integrity would be above that of its largest drive by less than this is at its largest drive [-].
+# A bond whose degradation factor would be above that of its largest drive by less than this is at its largest drive
+# [-].
 AT_LARGEST = 1e-4
 
 
@@ -42,7 +43,7 @@ class Damage:
     Attributes
     ----------
     version, breaks : int
-        Grow whenever the integrity of a bond changes; and whenever bonds break or mend.
+        Grow whenever the degradation factor of a bond changes; and whenever bonds break or mend.
 
     Notes
     -----
@@ -101,11 +102,11 @@ class Damage:
         return state.kept("drive", lambda: self._spared(self.driving_variable.at(state)))
 
     def phi(self, state: State) -> Float:
-        """Return the integrity of every bond (n_bonds,) [-]."""
+        """Return the degradation factor of every bond (n_bonds,) [-]."""
         return self._following(state)[0]
 
     def gradient(self, state: State) -> Gradient:
-        """Return how the integrity of the bonds that lose it changes with the displacement."""
+        """Return how the degradation factor of the bonds that lose it changes with the displacement."""
         _, softening, slope = self._following(state)
         return state.kept(
             ("gradient", self.version, self.bonds.frozen),
@@ -113,7 +114,7 @@ class Damage:
         )
 
     def _following(self, state: State) -> tuple[Float, GlobalIndex, Float]:
-        """Return integrity, bonds whose integrity falls, and its derivative by their drive."""
+        """Return degradation factor, bonds whose degradation factor falls, and its derivative by their drive."""
 
         def follow() -> tuple[Float, GlobalIndex, Float]:
             bonds = self.bonds
@@ -121,7 +122,7 @@ class Damage:
                 return bonds.following(self.driving_values(state))
             return bonds.phi, np.empty(0, dtype=np.int64), np.empty(0)
 
-        return state.kept(("integrity", self.version, self.bonds.frozen), follow)
+        return state.kept(("phi", self.version, self.bonds.frozen), follow)
 
     def _spared(self, x: Float) -> Float:
         """Return drives x without those of protected bonds."""
@@ -169,15 +170,15 @@ class Damage:
         return 0 if over is None else self.bonds.tear(self._spared(over), most)
 
     def fading(self, state: State) -> float:
-        """Return by how much the integrity of a bond would change at most [-]."""
+        """Return by how much the degradation factor of a bond would change at most [-]."""
         return self.bonds.fading(self.driving_values(state))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of an integrity [-]."""
+        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
         return self.bonds.soften(self.driving_values(state))
 
     def stored(self) -> tuple[Float, Float]:
-        """Return a copy of the state of the bonds, integrity and largest drive, for ``reset`` (not collective)."""
+        """Return a copy of the state of the bonds, ``phi`` and largest drive, for ``reset`` (not collective)."""
         return self.bonds.phi.copy(), self.bonds.kappa.copy()
 
     def reset(self, stored: tuple[Float, Float]) -> None:
@@ -222,7 +223,7 @@ class Damage:
         return self._lost(np.where(self.bonds.intact, 1.0, 0.0))
 
     def lost_volume(self) -> Float:
-        """Return ``1 - sum_j T V_j / sum_j V_j`` (n_owned,) [-] with the integrity T of the bonds (not collective)."""
+        """Return ``1 - sum_j T V_j / sum_j V_j`` (n_owned,) [-] with the ``phi`` T of the bonds (not collective)."""
         return self._lost(self.bonds.phi)
 
     def _lost(self, left: Float) -> Float:

@@ -270,7 +270,7 @@ class Problem:
                 term.restored()
 
     def commit(self, state: State) -> None:
-        """Take a state as converged: what has a history remembers it."""
+        """Commit a converged state: update all history variables."""
         if self.damage is not None:
             self.soften(state)
             self.damage.commit(state)
@@ -320,7 +320,7 @@ class Problem:
         return broken
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of an integrity [-]."""
+        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
         assert self.damage is not None
         change = self.damage.soften(state)
         if change > 0.0:

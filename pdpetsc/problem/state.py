@@ -16,7 +16,7 @@ class State:
     """Unknowns and clock, and what terms have computed from them.
 
     Ghosts are exchanged once, when they are first asked for, and what a term keeps here (deformation gradients,
-    integrities of bonds) is computed once for forces, tangent, energy and outputs.
+    degradation factors of bonds) is computed once for forces, tangent, energy and outputs.
 
     Parameters
     ----------

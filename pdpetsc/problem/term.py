@@ -186,7 +186,7 @@ class Term(ABC):
         """Read a converged state before any term updates its history."""
 
     def commit(self, state: State) -> None:  # noqa: B027
-        """Take a state as converged: what has a history remembers it."""
+        """Commit a converged state: update history variables. Raise ``version`` if forces then change."""
 
     @property
     def has_history(self) -> bool:

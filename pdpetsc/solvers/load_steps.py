@@ -17,12 +17,12 @@ SAME_TIME = 1e-9
 LOAD_STEP = "load_step"
 # Size of the step after an easy one, over that one.
 GROWTH = 1.5
-# Newton's answer counts where it changes no integrity by more than this: a larger jump has passed unstable states, and
-# round-off decides which of the states beyond them is found.
+# Newton's answer counts where it changes no degradation factor by more than this: a larger jump has passed unstable
+# states, and round-off decides which of the states beyond them is found.
 GENTLE = 0.3
-# Damage has settled where a sweep changes no integrity by more than SETTLED and Newton with damage that follows the
-# displacement then changes none by more than CLOSE; where that fails, where a sweep changes none by more than LAST.
-# There are at most SWEEPS of them.
+# Damage has settled where a sweep changes no degradation factor by more than SETTLED and Newton with damage that
+# follows the displacement then changes none by more than CLOSE; where that fails, where a sweep changes none by more
+# than LAST. There are at most SWEEPS of them.
 SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
 # Largest number of solves until Newton's answer and the damage at it agree; after that sweeps take over.
@@ -179,7 +179,7 @@ def damage_of(solver: StepSolver) -> Damage:
 def followed(
     solver: StepSolver, u: Float, result: StepResult, target: float, most: float = GENTLE
 ) -> tuple[Float, StepResult, float]:
-    """Take the damage at ``u`` and solve again until that changes nothing; return the last change of an integrity.
+    """Take the damage at ``u`` and solve again until that changes nothing; return the last change of a ``phi``.
 
     A zero-energy control has the damage of the equilibrium before, so what Newton found is not yet an equilibrium with
     its own damage. A change of more than ``most`` is not taken and ends the search.
@@ -189,7 +189,7 @@ def followed(
     u, result
         The last equilibrium and the outcome of its solve.
     change : float
-        Last change of an integrity [-]; at most ``LAST`` where ``u`` is in equilibrium with its own damage.
+        Last change of a degradation factor [-]; at most ``LAST`` where ``u`` is in equilibrium with its own damage.
     """
     iterations, linear, change = result.iterations, result.linear_iterations, 1.0
     damage = damage_of(solver)

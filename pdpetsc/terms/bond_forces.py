@@ -30,8 +30,8 @@ from pdpetsc.terms.softening import softening_dilatation, softening_nonlocal
 class BondForces(MaterialTerm):
     """The energy ``sum_ij 1/2 mu_ij k_ij e_ij^2 + sum_i 1/2 B_i theta_i^2``, ``theta_i = sum_j mu_ij a_ij e_ij``.
 
-    A pair of particles counts from both ends. The integrity ``mu`` is 1 without damage; at a given one forces are the
-    derivative of this energy.
+    A pair of particles counts from both ends. The degradation factor ``mu`` is 1 without damage; at a given one forces
+    are the derivative of this energy.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class BondForces(MaterialTerm):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether bonds also keep their integrity while the displacement changes."""
+        """Return whether bonds also keep their degradation factor while the displacement changes."""
         return self.piecewise_linear and (self.damage is None or not self.damage.bonds.softens)
 
     @property
@@ -227,7 +227,7 @@ class BondForces(MaterialTerm):
         return rate
 
     def _softening(self, state: State) -> list[Product]:
-        """Return what the tangent has besides where the integrity of a bond is in more than its own force.
+        """Return what the tangent has besides where the degradation factor of a bond is in more than its own force.
 
         That is, where it depends on more than the elongation of the bond, or where there is a dilatation.
         """
@@ -247,13 +247,13 @@ class BondForces(MaterialTerm):
         return found
 
     def shares(self, state: State) -> Float | None:
-        """Return what elongations add to the dilatation with the integrity of their bonds (n_bonds,) [1 / length]."""
+        """Return what elongations add to the dilatation with the ``phi`` of their bonds (n_bonds,) [1 / length]."""
         if self.a is None or self.damage is None:
             return self.a
         return np.asarray(self.damage.phi(state) * self.a)
 
     def _whole_tension(self, state: State) -> Float:
-        """Return what the tension of every bond is proportional to as its own integrity falls (n_bonds,) [force]."""
+        """Return what the tension of every bond is proportional to as its own ``phi`` falls (n_bonds,) [force]."""
         e = self.elongation(state)
         t = self.k * (np.maximum(e, 0.0) if self._closes else e)
         if self.a is None or self.B is None:
@@ -291,7 +291,7 @@ class BondForces(MaterialTerm):
         return [self.product(state), *self._softening(state)]
 
     def product(self, state: State) -> BondProduct:
-        """Return the tangent of the bonds at a state, without what the integrity has besides in other forces."""
+        """Return the tangent of the bonds at a state, without what the ``phi`` has besides in other forces."""
         a, none = self.shares(state), np.empty(0)
         dilatation = (none, none) if a is None or self.B is None else (a, self.B)
         of_bonds = self.tangent(state), self.secant(state), self.tension(state)

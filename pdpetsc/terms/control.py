@@ -30,7 +30,7 @@ class ControlForces(Term):
     control : Control
         The control of the body as it is at the start.
     damage : Damage, optional
-        The bonds that fail; the control has their integrity as the effect of the damage law says.
+        The bonds that fail; the control has their degradation factor as the effect of the damage law says.
 
     Notes
     -----
@@ -67,7 +67,7 @@ class ControlForces(Term):
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Return whether no integrity scales its forces alone."""
+        """Return whether no degradation factor scales its forces alone."""
         return self.damage is None or not self._fades
 
     @property
@@ -85,7 +85,7 @@ class ControlForces(Term):
         return self._effect.fading(np.ones(1)) is not None
 
     def at(self, state: State) -> Control:
-        """Return the control with the integrity of the bonds at a state."""
+        """Return the control with the degradation factor of the bonds at a state."""
         if self.damage is None:
             return self.control
         fading = self._effect.fading(self.damage.phi(state))
@@ -99,7 +99,7 @@ class ControlForces(Term):
         self.at(state).force(state.u_local, f, self.body.families.everyone)
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
-        """Return what its forces take where no integrity scales them."""
+        """Return what its forces take where no degradation factor scales them."""
         control = self.at(state)
         return control.shared_gradient(operator) if control is self.control else None
 
@@ -109,18 +109,18 @@ class ControlForces(Term):
         return self.at(state).force(u_local, np.zeros_like(u_local), self.body.families.everyone)
 
     def linearise(self, state: State) -> list[Product]:
-        """Return the control, and what the derivative of the integrity adds if it fades."""
+        """Return the control, and what the derivative of the degradation factor adds if it fades."""
         return [self.at(state), *self._softening(state, self.control)]
 
     def _softening(self, state: State, unfaded: Control) -> list[Product]:
-        """Return what bonds that lose force add, for the control without the integrity that fades."""
+        """Return what bonds that lose force add, for the control without the degradation factor that fades."""
         if self.damage is None or not self._fades or not self.damage.bonds.softens:
             return []
         v, opposite = unfaded.bond_forces(state.u_local), self.damage.damageable.opposite
         return softening_products(state, self.damage.gradient(state), v, opposite.of_vectors)
 
     def bonds_changed(self, rebuild: bool) -> None:
-        """Rebuild the control with the present integrity of the bonds."""
+        """Rebuild the control with the present degradation factor of the bonds."""
         if self.damage is not None:
             self.control = self._whole.damaged(self._effect.of_control(self.damage.bonds.phi))
 

@@ -1,4 +1,4 @@
-"""Correspondence with bonds that fail: forces of bonds scaled by their integrity, broken ones out of the gradient."""
+"""Correspondence with bonds that fail: forces of bonds scaled by their ``phi``, broken ones out of the gradient."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pdpetsc.terms.softening import softening_products
 
 
 class DamagedPoints(MaterialPoints):
-    """Correspondence whose force states are multiplied with the integrity of the bonds, ``T = T_s omega P K^-1 xi``.
+    """Correspondence whose force states are multiplied with the ``phi`` of the bonds, ``T = T_s omega P K^-1 xi``.
 
     ``f = H^T (W P(F))`` with the weights ``h_pk = T_ij g_pk``: gradients are those of the intact family, forces fade
     with what drives each bond. The tangent ``H^T (W A) G + d(H^T)/du (W P)`` is exact and not symmetric. A broken bond
@@ -169,31 +169,31 @@ class DamagedPoints(MaterialPoints):
         return np.asarray(h)
 
     def add_force(self, state: State, f: Float) -> None:
-        """Add ``H^T (W P)`` with the integrity of the bonds at the state."""
+        """Add ``H^T (W P)`` with the degradation factor of the bonds at the state."""
         T = self.damage.phi(state)
         operator, h = self.operator, self.scaled_weights(T)
         P = self.stress(state)
         add_divergence(operator, h, P, f)
 
     def add_force_together(self, other: Term, state: State, f: Float) -> bool:
-        """Return False: the integrity of the bonds is in its forces alone."""
+        """Return False: the degradation factor of the bonds is in its forces alone."""
         return False
 
     def linearise(self, state: State) -> list[Product]:
-        """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of the integrity if it is not frozen."""
+        """Return ``H^T (W A) G + d(H^T)/du (W P)``, with the exact derivative of the ``phi`` if it is not frozen."""
         T = self.damage.phi(state)
         A, h = Moduli(self.laws(state).moduli(self.deformation(state))), self.scaled_weights(T)
         softening = self._softening(state) if self.damage.bonds.softens else []
         return [PointProduct(self.operator, A, h, lambda: self._share(T)), *softening]
 
     def _share(self, T: Float) -> Float:
-        """Return the mean integrity of the bonds that are left to each own particle (n_owned,) [-]."""
+        """Return the mea degradation factor of the bonds that are left to each own particle (n_owned,) [-]."""
         centres, n = self.body.families.centres, self.body.cloud.n_owned
         left = np.maximum(np.bincount(centres, self.damage.bonds.intact, n), 1)
         return np.asarray(np.bincount(centres, T, n) / left)
 
     def _softening(self, state: State) -> list[Product]:
-        """Return what the bonds whose integrity falls add to the tangent.
+        """Return what the bonds whose degradation factor falls add to the tangent.
 
         ``v = sum_p W_p P_p g_pk`` is the force of the intact bond on its second end.
         """
@@ -204,7 +204,7 @@ class DamagedPoints(MaterialPoints):
     def _forces(self, P: Float, gradient: Gradient) -> Float:
         """Return the force of the intact bond on its second end (n_bonds, dim) [force], of stresses at points.
 
-        Zero for bonds that the gradient of the integrity is not of.
+        Zero for bonds that the gradient of the degradation factor is not of.
         """
         operator, n = self.operator, len(self.body.families.neighbours)
         softening = np.zeros(n + 1, dtype=bool)
@@ -248,7 +248,7 @@ class DamagedPoints(MaterialPoints):
         return strain
 
     def energy(self, state: State) -> float:
-        """Return ``sum_p W_p T_p psi_p``, with the mean integrity of the bonds of a point."""
+        """Return ``sum_p W_p T_p psi_p``, with the mea degradation factor of the bonds of a point."""
         T = self.damage.phi(state)
         return float(self.operator.volume @ (self.point_energy(state) * self._at_points(T)))
 
@@ -262,7 +262,7 @@ class DamagedPoints(MaterialPoints):
         return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
 
     def _at_points(self, T: Float) -> Float:
-        """Return the mean integrity of the bonds of every point (n_points,)."""
+        """Return the mea degradation factor of the bonds of every point (n_points,)."""
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
 

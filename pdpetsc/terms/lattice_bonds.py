@@ -113,7 +113,7 @@ class LatticeBonds(BondForces):
     def irregular_state(self, state: State) -> State:
         """Return the state of the particles whose families do not repeat (collective the first time)."""
         u_local = state.u_local
-        return state.kept(("edge", id(self)), lambda: self._irregular_state(u_local))
+        return state.kept(("irregular", id(self)), lambda: self._irregular_state(u_local))
 
     def _irregular_state(self, u_local: Float) -> State:
         u = u_local[self._lattice.irregular.local]

@@ -1,6 +1,7 @@
-"""The part of a tangent that comes from the derivative of the integrity of bonds by the displacement.
+"""The part of a tangent that comes from the derivative of the degradation factor of bonds by the displacement.
 
-Each product is ``v (x) dT/du``: force of the intact bond, on both its ends, times the gradient of its integrity.
+Each product is ``v (x) dT/du``: force of the intact bond, on both its ends, times the gradient of its degradation
+factor.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from pdpetsc.problem.state import State
 
 
 def softening_products(state: State, gradient: Gradient, v: Float, opposite: Callable[[Float], Float]) -> list[Product]:
-    """Return what the derivative of the integrity adds if elongations are those of the current length (collective).
+    """Return what the derivative of the ``phi`` adds if elongations are those of the current length (collective).
 
     Parameters
     ----------
     state : State
         The state.
     gradient : Gradient
-        Of the integrity.
+        Of the degradation factor.
     v : (n_bonds, dim) float64
         Force of every bond, intact, on its second end [force].
     opposite : callable
@@ -65,7 +66,7 @@ def softening_dilatation(body: Body, gradient: Gradient, q: Float, n: Float, s: 
     body : Body
         Whose bonds they are.
     gradient : Gradient
-        Of the integrity of those that lose force.
+        Of the degradation factor of those that lose force.
     q : (n_bonds, dim) float64
         Force of every bond on its second end for a dilatation of 1 [force].
     n : (n_bonds, dim) float64
@@ -104,7 +105,7 @@ def _of_ends(v: Float) -> Float:
 
 
 def _of_particles(body: Body, bonds: GlobalIndex, v: Float, part: NonlocalPart) -> Product:
-    """Return the product of bonds whose integrity falls with the displacement of particles of a family.
+    """Return the product of bonds whose degradation factor falls with the displacement of particles of a family.
 
     Stencils begin with both ends, which have the forces, and go on with the particles that have the derivatives.
     """
@@ -120,7 +121,7 @@ def _of_particles(body: Body, bonds: GlobalIndex, v: Float, part: NonlocalPart) 
 
 
 def _of_endpoint_mean(body: Body, bonds: GlobalIndex, v: Float, ends: EndpointMean) -> Product:
-    """Return the product of bonds whose integrity follows the mean of a number of each end.
+    """Return the product of bonds whose degradation factor follows the mean of a number of each end.
 
     ``v`` (n, dim) is half the difference of what both directions of each, intact, put on its second end [force].
     """

@@ -31,7 +31,7 @@ class Families(NamedTuple):
     forces : (n_entries, dim) float64
         Forces of the elastic control on the members of each family [force].
     secant : Control
-        The control with the stiffness that it has at the state, without the integrity that fades.
+        The control with the stiffness that it has at the state, without the degradation factor that fades.
     """
 
     e: Float
@@ -93,7 +93,7 @@ class TangentScaledForces(ControlForces):
         return {"yielding": KeptArray(np.arange(self.body.cloud.n_owned, dtype=np.int32), self._yielding.kept)}
 
     def at(self, state: State) -> Control:
-        """Return the control with the secant stiffness of its families, and the integrity of the bonds, at a state."""
+        """Return the control with the secant stiffness of its families, and the ``phi`` of the bonds, at a state."""
         secant, fading = self.families(state).secant, self._fading(state)
         return secant if fading is None else secant.faded(fading)
 
@@ -119,9 +119,9 @@ class TangentScaledForces(ControlForces):
         return super().energy(state) + float(beyond_secant.sum())
 
     def linearise(self, state: State) -> list[Product]:
-        """Return the secant, what the integrity adds if it fades, and ``b_i h_i (x) m_i`` of the families.
+        """Return the secant, what the degradation factor adds if it fades, and ``b_i h_i (x) m_i`` of the families.
 
-        ``h_i`` are the forces ``m_i`` with the integrity that fades.
+        ``h_i`` are the forces ``m_i`` with the degradation factor that fades.
         """
         families, fading = self.families(state), self._fading(state)
         m, bend = families.forces, self._yielding.bend(families.e)

@@ -70,7 +70,7 @@ class EventSolver(Solver):
     advice = "perturb the positions, so that fewer bonds fail at once"
 
     def __init__(self, problem: Problem, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]) -> None:
-        # Only events change the integrity; between them the body is linear.
+        # Only events change the degradation factor; between them the body is linear.
         problem.freeze(True)
         damage = problem.damage
         self._law = None if damage is None else _law_of(damage)
@@ -283,7 +283,7 @@ class EventSolver(Solver):
         self._able[here] = bonds.phi[m] > 0.0 and m not in bonds.failing
 
     def _store(self) -> None:
-        """Give the body the present integrity of the bonds that have changed."""
+        """Give the body the present degradation factor of the bonds that have changed."""
         if self._pairs is not None:
             damage = self._problem.damage
             assert damage is not None and self._law is not None

@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+import zlib
 
 import h5py
 import numpy as np
@@ -587,13 +588,13 @@ def instead(name, **options):
 
 
 def read_text(file, name):
-    return file[f"texts/{name}"][:].tobytes().decode()
+    return zlib.decompress(file[f"texts/{name}"][:].tobytes()).decode()
 
 
 def text(file, name, words):
     """Put a text in place of another one."""
     file["texts"].pop(name, None)
-    data = np.frombuffer(words.encode(), np.uint8)
+    data = np.frombuffer(zlib.compress(words.encode()), np.uint8)
     file.create_dataset(f"texts/{name}", data=data, chunks=True, maxshape=(None,), fletcher32=True)
 
 

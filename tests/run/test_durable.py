@@ -437,7 +437,7 @@ def test_no_write_that_fails_costs_what_is_done(how, stride, failing_writes, sce
         *(
             pytest.param(how, n, marks=pytest.mark.long)
             for how in ("kill", "full", "broken")
-            for n in range(9, 250, 30)
+            for n in range(9, 250, 80)
         ),
     ],
 )

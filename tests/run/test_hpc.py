@@ -176,7 +176,7 @@ tracemalloc.start()
 cloud = make_cloud(comm, scene); look()
 families = find_families(cloud); look()
 problem = make_problem(scene, cloud, families); look()
-refuse_rigid_motion(cloud, families, problem.supports.fixed); look()
+refuse_rigid_motion(cloud, families, problem.resisted); look()
 choice = choose(problem, {}, Newton())
 with Options({}).suggest(default_options(problem, Newton(), choice)).active():
     solver = StaticSolver(problem, assembler(problem, choice), lambda: False); look()

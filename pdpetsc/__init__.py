@@ -68,6 +68,8 @@ from pdpetsc.errors import CaseError, CheckError, Interrupted, OutputError, RunE
 from pdpetsc.gradient import *  # noqa: F403
 from pdpetsc.gradient.products import PointBlocks, Product
 from pdpetsc.material import *  # noqa: F403
+from pdpetsc.material.graded import Graded
+from pdpetsc.material.thermal import Thermal
 from pdpetsc.post.invariants import damage_dissipation, principal_strains, principal_stresses, triaxiality, von_mises
 from pdpetsc.post.picture import Picture
 from pdpetsc.post.quantities import (
@@ -164,6 +166,7 @@ __all__ = [
     "Facets",
     "Force",
     "FractureEnergy",
+    "Graded",
     "HeatConduction",
     "HeatFlux",
     "HeatSource",
@@ -224,6 +227,7 @@ __all__ = [
     "Temperature",
     "Term",
     "TextFile",
+    "Thermal",
     "Traction",
     "Units",
     "VonMisesStrain",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 from pdpetsc.arrays import Float
 from pdpetsc.bond_based import BondMaterial
@@ -28,7 +28,9 @@ from pdpetsc.declared import Declared, Natural, name_of, refuse_signature, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient import Scheme, Standard, SubHorizons, Weights
 from pdpetsc.gradient.weights import Suited
-from pdpetsc.material import Graded, Material, Thermal
+from pdpetsc.material import Material
+from pdpetsc.material.graded import Graded
+from pdpetsc.material.thermal import Thermal
 from pdpetsc.post.invariants import von_mises
 from pdpetsc.post.picture import Picture
 from pdpetsc.post.quantities import Quantity, refuse_component
@@ -175,6 +177,11 @@ class Case(Declared):
         return [material if isinstance(material, Thermal) else None for _, material in self.materials]
 
     @property
+    def laws(self) -> list[Material]:
+        """Return the materials of a body with deformation gradients, without gradings and temperatures."""
+        return [cast(Material, ungraded(material)) for _, material in self.materials]
+
+    @property
     def expands(self) -> bool:
         """Return whether a body may deform without stress."""
         of_conditions = any(isinstance(condition, ThermalCondition) for condition in self.conditions)
@@ -253,12 +260,17 @@ class Case(Declared):
         return next((duration for _, duration in self._durations), 1.0)
 
     @property
+    def damage_laws(self) -> list[BondDamage]:
+        """Return the laws by which bonds fail, none without damage."""
+        return [] if self.damage is None else self.damage.all_laws
+
+    @property
     def _durations(self) -> list[tuple[str, float]]:
         """Return the durations that parts of the case declare, with the names of the parts."""
         laws = [(f"material {number}", ungraded(one)) for number, (_, one) in enumerate(self.materials, 1)]
         named = [(f"{type(law).__name__} of {name}", law.duration) for name, law in laws]
         named.append(("HeatConduction", None if self.heat is None else self.heat.duration))
-        named += [("the criterion of damage", time) for time in ([] if self.damage is None else self.damage.times)]
+        named += [("the criterion of damage", time) for law in self.damage_laws for time in law.criterion.times]
         return [(name, duration) for name, duration in named if duration is not None]
 
     def _check_durations(self) -> None:
@@ -273,7 +285,7 @@ class Case(Declared):
 
     def _check_temperatures(self) -> None:
         """Raise CaseError where damage reads a temperature that not all of the body has."""
-        if self.damage is not None and self.damage.reads_temperature:
+        if any(law.criterion.reads_temperature for law in self.damage_laws):
             lacking = [number for number, one in enumerate(self.thermals, 1) if one is None]
             if lacking:
                 raise CaseError(
@@ -323,7 +335,7 @@ class Case(Declared):
             named[name] = function
 
     def _check_formulation(self) -> None:
-        if self.damage is not None and self.damage.closes and not self.of_bonds:
+        if any(law.closes for law in self.damage_laws) and not self.of_bonds:
             raise CaseError(
                 "Cracks that close (closes=True) take bond-based materials: a broken bond has left its gradient, which "
                 "does not tell whether its ends touch; take BondBased, or leave closes out."

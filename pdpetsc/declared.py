@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import inspect
 import math
 import numbers
 import traceback
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -95,6 +96,20 @@ def shown(value: object) -> str:
     except Exception:
         text = f"an object of {type(value).__name__}"
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+
+
+def meant(word: str, known: Iterable[str], sentence: str) -> str:
+    """Return a sentence with the known word that is nearest to another one; empty where none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return sentence.format(near[0]) if near else ""
+
+
+def refuse_unknown(words: Iterable[str], known: Collection[str], begin: str) -> None:
+    """Raise CaseError for a word that is not known, with a sentence that begins so."""
+    for word in words:
+        if word not in known:
+            there = f"it has {', '.join(known) or 'none'}"
+            raise CaseError(f"{begin} {word!r}; {meant(word, known, 'did you mean {}? ')}{there}.")
 
 
 def called(what: str, function: Callable[..., T], *arguments: Any) -> T:
@@ -197,7 +212,7 @@ def fits(value: object, hint: Any) -> bool:
     if hint is bool:
         return isinstance(value, bool | np.bool_)
     if origin is Literal:
-        return isinstance(value, str) and value in arguments
+        return fits(value, type(arguments[0])) and value in arguments
     if origin in (Union, types.UnionType):
         return any(fits(value, argument) for argument in arguments)
     if origin is tuple:

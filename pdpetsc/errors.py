@@ -32,11 +32,29 @@ class PdpetscError(Exception):
         communicate.
     petsc : bool
         Whether it came from an error of PETSc on another rank.
+    phase : str
+        What the run was at, if known.
+    rank : int, optional
+        Where it was raised, if not everywhere.
+    what : str
+        What was raised.
+    of_user, of_option, bug : bool
+        As for ``RunError``, which sets them.
     """
 
     exit_status = 1
     agreed = 0
     petsc = False
+    phase = ""
+    rank: int | None = None
+    what = ""
+    of_user = False
+    of_option = False
+    bug = False
+
+    def of_one_rank(self, phase: str, rank: int) -> PdpetscError:
+        """Return the error as one of a single rank, which it names."""
+        return RunError(str(self), users_line(self), phase, rank)
 
 
 class CaseError(PdpetscError, ValueError):
@@ -72,6 +90,10 @@ class OutputError(PdpetscError, OSError):
 class Interrupted(PdpetscError):
     """The run was asked to stop by a signal; the last converged step is on disk."""
 
+    def of_one_rank(self, phase: str, rank: int) -> PdpetscError:
+        """Return the error itself: a signal is of no rank."""
+        return self
+
 
 class RunError(PdpetscError, RuntimeError):
     """A function of the case, PETSc, the memory or pdpetsc itself failed in the course of a run.
@@ -106,6 +128,10 @@ class RunError(PdpetscError, RuntimeError):
         self.of_user = of_user
         self.of_option = of_option
         self.bug = bug
+
+    def of_one_rank(self, phase: str, rank: int) -> PdpetscError:
+        """Return the error itself, which knows its rank."""
+        return self
 
     def __str__(self) -> str:
         words = ["Failed" if self.rank is None else f"Rank {self.rank} failed"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import stat
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from pdpetsc.bounds import whole_number
 
 # What the numbers of a run may depend on, besides pdpetsc and PETSc.
 OF_NUMBERS = ("numpy", "scipy", "numba")
@@ -24,6 +27,16 @@ def versions(packages: Sequence[str] = OF_NUMBERS) -> dict[str, str]:
     return found
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def threads() -> int:
+    """Return how many threads a rank has."""
+    return whole_number(os.environ.get("OMP_NUM_THREADS", "1")) or 1
+
+
 def stamp_of(path: str | Path) -> tuple[int, ...] | None:
     """Return what tells a file from one that was there before: when it changed, its size and its number on the disk.
 
@@ -35,3 +48,17 @@ def stamp_of(path: str | Path) -> tuple[int, ...] | None:
     except (OSError, ValueError):
         return ()
     return (found.st_mtime_ns, found.st_size, found.st_ino) if stat.S_ISREG(found.st_mode) else None
+
+
+def digest_of(path: str | Path) -> str | None:
+    """Return a digest of the content of a file; None if it cannot be read or is no regular file."""
+    digest = hashlib.sha256()
+    try:
+        if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe would wait for a writer
+            return None
+        with Path(path).open("rb") as file:
+            while block := file.read(2**20):
+                digest.update(block)
+    except OSError:
+        return None
+    return digest.hexdigest()

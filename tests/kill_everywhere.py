@@ -67,7 +67,7 @@ def left(place):
                 file[f"step_{step:05d}/displacement"][:]
     if (place / "checkpoint.h5").exists():
         with h5py.File(place / "checkpoint.h5") as file:
-            saved = int(file.attrs["step"])
+            saved = int(json.loads(file.attrs["head"])["step"])
             file["u"][:]
     if (place / "summary.json").exists():
         json.loads((place / "summary.json").read_text())
@@ -83,7 +83,10 @@ def main():
     print(json.dumps({"calls": calls}), flush=True)
     for n in range(first, calls + 1, stride):
         place = folder / str(n)
-        status, said = run(place, n)
+        with (folder / f"log_{n}").open("w+") as log:
+            status, said = run(place, n, log=log.fileno())
+            if len(log.seek(0) or log.readlines()) < n:  # runs that are quicker write less often
+                break
         found = {"n": n, "status": status, "said": said, "left": left(place)}
         words = ("--restart", str(place)) if (place / "checkpoint.h5").exists() else ()
         again, why = run(place, None, *words)

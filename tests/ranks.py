@@ -119,8 +119,8 @@ def run_case(words, output):
     function = load_case(asked.path)
     parameters = arguments_of(function, asked.parameters)
     case = function(**parameters)
-    if asked.solver is not None:
-        case = dataclasses.replace(case, solver=choose("--solver", asked.solver, SOLVERS))
+    if (solver := asked.value("--solver")) is not None:
+        case = dataclasses.replace(case, solver=choose("--solver", solver, SOLVERS))
     options = {}
     for word in asked.petsc:
         if word.startswith("-") and not word[1:2].isdigit():
@@ -129,7 +129,7 @@ def run_case(words, output):
         else:
             options[name] = word
     pd.run(
-        case, output, options=options, parameters=parameters, restart=asked.restart,
+        case, output, options=options, parameters=parameters, restart=asked.value("--restart"),
         restart_anyway="--restart-anyway" in asked.flags, check="--check" in asked.flags,
     )  # fmt: skip
 

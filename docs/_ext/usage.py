@@ -1,9 +1,9 @@
 """The directive ``usage NAME``: what ``python -m pdpetsc NAME -h`` prints, from the program itself."""
 
-from importlib import import_module
-
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
+
+from pdpetsc.command_line.commands import usage_of
 
 
 class Usage(SphinxDirective):
@@ -13,7 +13,7 @@ class Usage(SphinxDirective):
 
     def run(self):
         """Return the text as a block."""
-        text = import_module(f"pdpetsc.command_line.{self.arguments[0]}").USAGE
+        text = usage_of(self.arguments[0])
         return [nodes.literal_block(text, text, language="none")]
 
 

@@ -18,7 +18,6 @@ from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.interior import interior
-from pdpetsc.errors import CaseError
 from pdpetsc.material.linear_elastic import LinearElastic
 
 # Families whose moment is within this share of the largest one count as the largest.
@@ -144,9 +143,6 @@ class BondMaterial(Declared, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        name = type(self).__name__
-        if self.kinematics not in ("small", "finite"):
-            raise CaseError(f'{name} takes kinematics="small" or "finite", not {self.kinematics!r}.')
         LinearElastic(self.E, 0.0 if self.nu is None else self.nu, self.plane)
 
     @abstractmethod

@@ -60,13 +60,6 @@ class BondBased(BondMaterial):
 
     calibration: Literal["continuum", "lattice", "family"] = "continuum"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.calibration not in ("continuum", "lattice", "family"):
-            raise CaseError(
-                f'BondBased takes calibration="continuum", "lattice" or "family", not {self.calibration!r}.'
-            )
-
     def elastic(self, dim: int) -> LinearElastic:
         """Return the linear elastic material with the fixed Poisson's ratio."""
         fixed = 1.0 / 3.0 if dim == 2 and self.plane == "stress" else 0.25

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import ast
-import difflib
 import importlib.util
 import inspect
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pdpetsc.command_line.commands import COMMANDS
-from pdpetsc.declared import shown
+from pdpetsc.declared import meant, refuse_unknown, shown
 from pdpetsc.errors import CaseError, PdpetscError
 
 if TYPE_CHECKING:
@@ -65,20 +64,9 @@ def arguments_of(function: Callable[..., Any], given: Mapping[str, str]) -> dict
     for name, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty:
             raise CaseError(f"Parameter {name} of the case function needs a default.")
-    for name in given:
-        if name not in parameters:
-            known = ", ".join(parameters) or "none"
-            raise CaseError(
-                f"The case has no parameter {name!r}; {meant(name, parameters, 'did you mean {}? ')}it has {known}."
-            )
+    refuse_unknown(given, parameters, "The case has no parameter")
     values = {name: parameter.default for name, parameter in parameters.items()}
     return values | {name: convert(name, text, values[name]) for name, text in given.items()}
-
-
-def meant(word: str, known: Iterable[str], sentence: str) -> str:
-    """Return a sentence with the known word that is nearest to one that is not known; empty where none is near."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return sentence.format(near[0]) if near else ""
 
 
 def make_case(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any]) -> Case:

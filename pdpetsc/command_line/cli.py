@@ -1,30 +1,6 @@
-"""The command line: argument split, PETSc start, run, exit code."""
+"""Run a case, or carry out a command.
 
-from __future__ import annotations
-
-import contextlib
-import dataclasses
-import errno
-import inspect
-import io
-import os
-import shlex
-import signal
-import sys
-import traceback
-from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
-from pathlib import Path
-from typing import Any, NoReturn
-
-from pdpetsc.command_line.arguments import Arguments, split
-from pdpetsc.command_line.case_file import arguments_of, load_case, make_case
-from pdpetsc.command_line.commands import ALONE, COMMANDS
-from pdpetsc.command_line.start import processes_started, start_petsc, take_signals
-from pdpetsc.errors import CaseError, Interrupted, RunError, described, of_petsc
-from pdpetsc.machine import stamp_of
-
-USAGE = """usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE]]
+usage: python -m pdpetsc CASE.py [NAME=VALUE ...] [-o DIR] [--restart FILE] [--quiet] [-PETSC_OPTION [VALUE]]
 
   CASE.py         a file that defines case(NAME=DEFAULT, ...) -> pdpetsc.Case
   NAME=VALUE      a parameter of that function
@@ -46,7 +22,32 @@ python -m pdpetsc compare CASE.py NAME=A,B ...   runs every combination and make
 python -m pdpetsc study CASE.py NAME=A,B ...     the same, some side by side, with orders of convergence
 python -m pdpetsc fit CASE.py NAME=LOW:HIGH ...  finds parameters whose history is that of a measured curve
 python -m pdpetsc import DECK                    writes the case of a deck of Peridigm or PeriLab
-python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here"""
+python -m pdpetsc doctor                         looks whether MPI, PETSc and the rest work here
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import errno
+import inspect
+import io
+import os
+import shlex
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pdpetsc.command_line.arguments import Arguments, split
+from pdpetsc.command_line.case_file import arguments_of, load_case, make_case
+from pdpetsc.command_line.commands import COMMANDS, command, usage_of
+from pdpetsc.command_line.start import start_petsc, take_signals
+from pdpetsc.errors import CaseError, Interrupted, RunError, described, of_petsc
+from pdpetsc.machine import stamp_of
 
 # How long MPI and PETSc may take to end [s]: where one rank fails in that, the others would wait for it for ever.
 LONGEST_END = 120
@@ -145,9 +146,7 @@ def _reopened(stream: Any, number: int) -> io.TextIOWrapper:
 
 def _run(argv: list[str]) -> int:
     if argv and argv[0] in COMMANDS:
-        if argv[0] in ALONE and processes_started() > 1:
-            raise CaseError(f"{argv[0]} works in one process; call it without mpirun.")
-        return int(import_module(COMMANDS[argv[0]]).main(argv[1:]))
+        return command(argv[0], argv[1:])
     arguments = split(argv)
     start_petsc(arguments.petsc)
     from pdpetsc.discrete.communicator import world
@@ -179,7 +178,7 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
     comm = world()
     if "--version" in arguments.flags or ("--help" in arguments.flags and arguments.path is None) or not argv:
         if is_root(comm):
-            print(f"pdpetsc {__version__}" if "--version" in arguments.flags else USAGE)
+            print(f"pdpetsc {__version__}" if "--version" in arguments.flags else usage_of("cli"))
         return 0 if argv else 2
     with agreed(comm):
         if arguments.path is None:
@@ -192,15 +191,15 @@ def _run_case(argv: list[str], arguments: Arguments) -> int:
         return 0
     with agreed(comm):
         case = make_case(arguments.path, function, parameters)
-        if arguments.solver is not None:
-            case = dataclasses.replace(case, solver=choose("--solver", arguments.solver, SOLVERS))
+        if (solver := arguments.value("--solver")) is not None:
+            case = dataclasses.replace(case, solver=choose("--solver", solver, SOLVERS))
     output = arguments.output or Path("out") / arguments.path.stem
     before = stamp_of(output / "summary.json")
     try:
         run(
             case,
             output,
-            restart=arguments.restart,
+            restart=arguments.value("--restart"),
             parameters=parameters,
             restart_anyway="--restart-anyway" in arguments.flags,
             report=lambda ranks: ConsoleReport(ranks, "--quiet" in arguments.flags),
@@ -234,7 +233,7 @@ def _asked(path: Path, argv: Sequence[str]) -> dict[str, Any]:
 def _report_on(folder: Path, arguments: Arguments) -> None:
     """Write the report of a run that has ended (one rank only); results and exit status do not depend on it."""
     try:
-        path = import_module(COMMANDS["report"]).write_report(folder)
+        path = import_module("pdpetsc.output.report").write_report(folder)
         if "--quiet" not in arguments.flags:
             print(f"report in {path}", flush=True)
     except Exception as error:
@@ -251,4 +250,4 @@ def _described(path: Path, function: Callable[..., Any], parameters: Mapping[str
     width = max((len(text) for text in given.values()), default=0)
     lines = [f"  {given[name]:{width}}  {kinds[name]}" for name in parameters]
     listed = ["parameters:", *lines] if lines else ["It has no parameters."]
-    return "\n".join([USAGE, "", str(path), "", *paragraphs, "", *listed])
+    return "\n".join([usage_of("cli"), "", str(path), "", *paragraphs, "", *listed])

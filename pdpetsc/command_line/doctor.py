@@ -1,4 +1,11 @@
-"""``python -m pdpetsc doctor``: whether what pdpetsc stands on works here, and what to do where it does not."""
+"""Look whether what pdpetsc stands on works here, and say what to do where it does not.
+
+usage: [mpirun -n N] python -m pdpetsc doctor
+
+Looks at versions, MPI, PETSc, its direct solver and BLAS, HDF5, the cache of compiled kernels, cores and the disk, and
+says what to do about each. Ends with status 1 where pdpetsc cannot work. With mpirun it looks whether ranks hear each
+other.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +14,20 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from pdpetsc.bounds import whole_number
+from pdpetsc.command_line.arguments import Arguments
 from pdpetsc.command_line.start import processes_started, start_petsc, take_signals
 from pdpetsc.errors import RunError, described
+from pdpetsc.machine import cores, threads
 
 if TYPE_CHECKING:  # the doctor looks first whether MPI can be loaded
     from pdpetsc.discrete.communicator import Comm
-
-USAGE = """usage: [mpirun -n N] python -m pdpetsc doctor
-
-Looks at versions, MPI, PETSc, its direct solver and BLAS, HDF5, the cache of compiled kernels, cores and the disk, and
-says what to do about each. Ends with status 1 where pdpetsc cannot work. With mpirun it looks whether ranks hear each
-other."""
 
 NEEDED = ("numpy", "scipy", "numba", "mpi4py", "petsc4py", "h5py", "meshio", "matplotlib", "rich", "sympy")
 # The oldest that the tests have been run with.
@@ -68,36 +70,25 @@ class Finding(NamedTuple):
     advice: str = ""
 
 
-def unloadable() -> list[Finding]:
-    """Return what is found where PETSc cannot be loaded; nothing where it can. Without it there is no more to see."""
-    try:
-        start_petsc()
-    except RunError as error:
-        what, _, advice = error.what.partition("; ")
-        return [*versions(None), Finding("broken", "petsc4py", what, advice)]
-    return []
-
-
-def versions(comm: Comm | None) -> list[Finding]:
-    """Return the versions of what is needed, and of what is useful."""
-    found = [Finding("ok", "Python", f"{platform.python_version()} on {platform.machine()}")]
+def versions(comm: Comm | None) -> Iterator[Finding]:
+    """Yield the versions of what is needed, and of what is useful."""
+    yield Finding("ok", "Python", f"{platform.python_version()} on {platform.machine()}")
     there, missing = [], []
     for name in NEEDED:
         try:
             there.append(f"{name} {_version(name)}")
         except Exception:  # the cause of one that is there and broken is told of apart
             missing.append(name)
-    found.append(Finding("ok", "packages", ", ".join(there)))
+    yield Finding("ok", "packages", ", ".join(there))
     if missing:
-        found.append(Finding("broken", "packages", f"no {', '.join(missing)}", f"pip install {' '.join(missing)}"))
+        yield Finding("broken", "packages", f"no {', '.join(missing)}", f"pip install {' '.join(missing)}")
     for name, use in OPTIONAL.items():
         try:
-            found.append(Finding("ok", name, _version(name)))
+            yield Finding("ok", name, _version(name))
         except ImportError:
-            found.append(Finding("look", name, "not there", f"pip install {name} for {use}"))
+            yield Finding("look", name, "not there", f"pip install {name} for {use}")
         except Exception as error:
-            found.append(Finding("look", name, str(described(error)), f"install it anew for {use}"))
-    return found
+            yield Finding("look", name, str(described(error)), f"install it anew for {use}")
 
 
 def _version(name: str) -> str:
@@ -109,41 +100,31 @@ def _version(name: str) -> str:
         return str(getattr(module, "__version__", "of unknown version"))
 
 
-def ranks(comm: Comm) -> list[Finding]:
-    """Return whether the processes that were started are ranks of one job that hear each other, and PETSc sees them."""
+def ranks(comm: Comm) -> Iterator[Finding]:
+    """Yield whether the processes that were started are ranks of one job that hear each other, and PETSc sees them."""
     from petsc4py import PETSc
 
     from pdpetsc.discrete.communicator import mpi_library, total
 
-    library, size = mpi_library(), int(total(comm, 1))
-    started = processes_started()
+    library, size, started = mpi_library(), int(total(comm, 1)), processes_started()
     if started > size:
-        return [
-            Finding(
-                "broken", "MPI", f"{started} processes, each alone ({library})",
-                "build mpi4py and petsc4py with the MPI whose mpirun starts them, or start them with that one's mpirun",
-            )
-        ]  # fmt: skip
-    if PETSc.COMM_WORLD.size != size:
-        return [
-            Finding(
-                "broken", "MPI", f"{size} ranks, of which PETSc sees {PETSc.COMM_WORLD.size}",
-                "build mpi4py and petsc4py with the same MPI",
-            )
-        ]  # fmt: skip
-    if size == 1:
-        return [Finding("ok", "MPI", f"1 rank, {library}; mpirun -n 2 python -m pdpetsc doctor looks at more")]
-    spent = _around(comm)
-    if spent is None:
-        return [
-            Finding(
-                "broken", "MPI", f"a message of {MESSAGE // 2**20} MiB has not come in {PATIENCE:.0f} s ({library})",
-                "in a container set OMPI_MCA_btl_vader_single_copy_mechanism=none; between nodes ask for the network "
-                "that MPI should take",
-            )
-        ]  # fmt: skip
-    speed = MESSAGE / spent / 2**30
-    return [Finding("ok", "MPI", f"{size} ranks that hear each other at {speed:.2g} GiB/s, {library}")]
+        advice = "build mpi4py and petsc4py with the MPI whose mpirun starts them, or start them with that one's mpirun"
+        yield Finding("broken", "MPI", f"{started} processes, each alone ({library})", advice)
+    elif PETSc.COMM_WORLD.size != size:
+        advice = "build mpi4py and petsc4py with the same MPI"
+        yield Finding("broken", "MPI", f"{size} ranks, of which PETSc sees {PETSc.COMM_WORLD.size}", advice)
+    elif size == 1:
+        yield Finding("ok", "MPI", f"1 rank, {library}; mpirun -n 2 python -m pdpetsc doctor looks at more")
+    elif (spent := _around(comm)) is None:
+        found = f"a message of {MESSAGE // 2**20} MiB has not come in {PATIENCE:.0f} s ({library})"
+        advice = (
+            "in a container set OMPI_MCA_btl_vader_single_copy_mechanism=none; between nodes ask for the network that "
+            "MPI should take"
+        )
+        yield Finding("broken", "MPI", found, advice)
+    else:
+        speed = MESSAGE / spent / 2**30
+        yield Finding("ok", "MPI", f"{size} ranks that hear each other at {speed:.2g} GiB/s, {library}")
 
 
 def _around(comm: Comm) -> float | None:
@@ -161,28 +142,31 @@ def _around(comm: Comm) -> float | None:
     return spent if bool(np.all(got == float(behind))) else None
 
 
-def petsc(comm: Comm) -> list[Finding]:
-    """Return how PETSc was built, and whether its direct solver factors a matrix."""
+def petsc(comm: Comm) -> Iterator[Finding]:
+    """Yield how PETSc was built, and whether its direct solver factors a matrix."""
     from petsc4py import PETSc
 
     bits, version = 8 * np.dtype(PETSc.IntType).itemsize, PETSc.Sys.getVersion()
     words = f"{'.'.join(str(n) for n in version)}, {bits}-bit indices"
     if version[:2] < OLDEST_PETSC:
-        return [Finding("broken", "PETSc", words, "install PETSc and petsc4py 3.18 or later")]
-    found = [Finding("ok", "PETSc", words)]
+        yield Finding("broken", "PETSc", words, "install PETSc and petsc4py 3.18 or later")
+        return
     if PETSc.ScalarType is not np.float64:
-        kind = np.dtype(PETSc.ScalarType).name
-        return [
-            Finding("broken", "PETSc", f"numbers are {kind}", "install a PETSc of real numbers in double precision")
-        ]
+        found = f"numbers are {np.dtype(PETSc.ScalarType).name}"
+        yield Finding("broken", "PETSc", found, "install a PETSc of real numbers in double precision")
+        return
+    yield Finding("ok", "PETSc", words)
     try:
         apart = _factored(comm)
     except Exception as error:
         advice = "build PETSc with --download-mumps --download-scalapack, or take -pc_type gamg for all solves"
-        return [*found, Finding("look", "MUMPS", str(described(error)), advice)]
-    verdict: Literal["ok", "broken"] = "ok" if apart < 1e-10 else "broken"
-    advice = "" if verdict == "ok" else "install another build of MUMPS and PETSc: its solutions are wrong"
-    return [*found, Finding(verdict, "MUMPS", f"solves to {apart:.0e}", advice)]
+        yield Finding("look", "MUMPS", str(described(error)), advice)
+        return
+    if apart < 1e-10:
+        yield Finding("ok", "MUMPS", f"solves to {apart:.0e}")
+    else:
+        advice = "install another build of MUMPS and PETSc: its solutions are wrong"
+        yield Finding("broken", "MUMPS", f"solves to {apart:.0e}", advice)
 
 
 def _factored(comm: Comm) -> float:
@@ -213,61 +197,68 @@ def _factored(comm: Comm) -> float:
     return apart
 
 
-def blas(comm: Comm) -> list[Finding]:
-    """Return how fast PETSc multiplies matrices, which is what its direct solver does all the time.
+def blas(comm: Comm) -> Iterator[Finding]:
+    """Yield how fast PETSc multiplies matrices, which is what its direct solver does all the time.
 
     numpy may have a BLAS of its own, as the one from PyPI does; it tells nothing of that of PETSc.
     """
     from petsc4py import PETSc
 
-    values = np.ones((SIDE, SIDE))
-    A = PETSc.Mat().createDense((SIDE, SIDE), array=values, comm=PETSc.COMM_SELF)
+    A = PETSc.Mat().createDense((SIDE, SIDE), array=np.ones((SIDE, SIDE)), comm=PETSc.COMM_SELF)
     A.assemble()
-    C, spent = None, []
-    for _ in range(4):
+    C, spent = A.matMult(A), []
+    for _ in range(3):
         before = time.perf_counter()
-        C = A.matMult(A, C)
+        A.matMult(A, C)
         spent.append(time.perf_counter() - before)
-    A.destroy()
-    if C is not None:
-        C.destroy()
-    speed, threads = 2.0 * SIDE**3 / min(spent), os.environ.get("OMP_NUM_THREADS", "as many as it likes")
-    found = f"PETSc multiplies matrices at {speed / 1e9:.0f} GFlop/s, OMP_NUM_THREADS {threads}"
+    for one in (A, C):
+        one.destroy()
+    speed, set_threads = 2.0 * SIDE**3 / min(spent), os.environ.get("OMP_NUM_THREADS", "as many as it likes")
+    found = f"PETSc multiplies matrices at {speed / 1e9:.0f} GFlop/s, OMP_NUM_THREADS {set_threads}"
     if speed < SLOW_BLAS:
         advice = (
             "install OpenBLAS in the place of the reference BLAS, on which MUMPS is 4 to 6 times as slow: on Debian "
             "apt-get install libopenblas0-serial; or nothing, where other programs keep the cores busy now"
         )
-        return [Finding("look", "BLAS", found, advice)]
-    return [Finding("ok", "BLAS", found)]
+        yield Finding("look", "BLAS", found, advice)
+    else:
+        yield Finding("ok", "BLAS", found)
 
 
-def cores(comm: Comm) -> list[Finding]:
-    """Return whether every rank on this machine has a core of its own."""
-    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    there = os.cpu_count() or 1
-    beside = comm.allgather(platform.node()).count(platform.node())
-    text = os.environ.get("OMP_NUM_THREADS", "1")
-    threads = whole_number(text) or 1
-    found = f"{there} for {beside} ranks x {threads} threads" if comm.size > 1 else f"{there}, {here} for this process"
-    if beside * threads > there:
-        return [Finding("look", "cores", found, "start fewer ranks, or set OMP_NUM_THREADS=1")]
-    return [Finding("ok", "cores", found)]
+def core_counts(comm: Comm) -> Iterator[Finding]:
+    """Yield whether every rank on this machine has a core of its own."""
+    there, beside = os.cpu_count() or 1, comm.allgather(platform.node()).count(platform.node())
+    if comm.size > 1:
+        found = f"{there} for {beside} ranks x {threads()} threads"
+    else:
+        found = f"{there}, {cores()} for this process"
+    if beside * threads() > there:
+        yield Finding("look", "cores", found, "start fewer ranks, or set OMP_NUM_THREADS=1")
+    else:
+        yield Finding("ok", "cores", found)
 
 
-def hdf5(comm: Comm) -> list[Finding]:
-    """Return whether several ranks write one file together."""
+def hdf5(comm: Comm) -> Iterator[Finding]:
+    """Yield whether several ranks write one file together."""
     import h5py
 
     version = h5py.version.hdf5_version
     if not h5py.get_config().mpi:
-        return [
-            Finding("ok", "HDF5", f"{version}, serial here: rank 0 writes for all"),
-        ]
-    if comm.size == 1:
-        return [Finding("ok", "HDF5", f"{version}, parallel")]
-    path = comm.bcast(str(Path.cwd() / f".pdpetsc-doctor-{os.getpid()}.h5"))
-    wrong = ""
+        yield Finding("ok", "HDF5", f"{version}, serial here: rank 0 writes for all")
+    elif comm.size == 1:
+        yield Finding("ok", "HDF5", f"{version}, parallel")
+    elif wrong := _written_together(comm):
+        advice = "give runs a folder on a file system that all ranks reach with -o, or install a serial h5py"
+        yield Finding("look", "HDF5", f"{version}, parallel, but not in {Path.cwd()}: {wrong}", advice)
+    else:
+        yield Finding("ok", "HDF5", f"{version}, parallel: {comm.size} ranks wrote one file")
+
+
+def _written_together(comm: Comm) -> str:
+    """Return what is wrong with a file that all ranks write; empty if nothing is (collective)."""
+    import h5py
+
+    path, wrong = comm.bcast(str(Path.cwd() / f".pdpetsc-doctor-{os.getpid()}.h5")), ""
     try:
         with h5py.File(path, "w", driver="mpio", comm=comm) as file:
             data = file.create_dataset("rank", (comm.size,), dtype="i8")
@@ -280,47 +271,37 @@ def hdf5(comm: Comm) -> list[Finding]:
     wrong = next(filter(None, comm.allgather(wrong)), "")
     if comm.rank == 0:
         Path(path).unlink(missing_ok=True)
-    if wrong:
-        advice = "give runs a folder on a file system that all ranks reach with -o, or install a serial h5py"
-        return [Finding("look", "HDF5", f"{version}, parallel, but not in {Path.cwd()}: {wrong}", advice)]
-    return [Finding("ok", "HDF5", f"{version}, parallel: {comm.size} ranks wrote one file")]
+    return wrong
 
 
-def kernels(comm: Comm) -> list[Finding]:
-    """Return whether compiled kernels are kept for the next run."""
+def kernels(comm: Comm) -> Iterator[Finding]:
+    """Yield whether compiled kernels are kept for the next run."""
     from pdpetsc.kernels.compile import cache_trouble
     from pdpetsc.kernels.gradient import determinant_kernel
 
     before = time.perf_counter()
     determinant_kernel(2)(np.eye(2)[None])
-    spent, trouble = time.perf_counter() - before, cache_trouble()
-    if trouble:
+    spent = time.perf_counter() - before
+    if trouble := cache_trouble():
         advice = "set NUMBA_CACHE_DIR to a folder that can be written to: every run compiles its kernels otherwise"
-        return [Finding("look", "compiled kernels", trouble, advice)]
-    return [Finding("ok", "compiled kernels", f"kept on disk; the first one came in {spent:.2f} s")]
+        yield Finding("look", "compiled kernels", trouble, advice)
+    else:
+        yield Finding("ok", "compiled kernels", f"kept on disk; the first one came in {spent:.2f} s")
 
 
-def disk(comm: Comm) -> list[Finding]:
-    """Return the room for results here."""
+def disk(comm: Comm) -> Iterator[Finding]:
+    """Yield the room for results here."""
     free, here = shutil.disk_usage(Path.cwd()).free, Path.cwd()
     if not os.access(here, os.W_OK):
-        return [Finding("look", "disk", f"{here} cannot be written to", "give runs a folder with -o")]
-    advice = "give runs another folder with -o" if free < LITTLE else ""
-    return [Finding("look" if advice else "ok", "disk", f"{free / 2**30:.1f} GiB free here", advice)]
+        yield Finding("look", "disk", f"{here} cannot be written to", "give runs a folder with -o")
+    elif free < LITTLE:
+        yield Finding("look", "disk", f"{free / 2**30:.1f} GiB free here", "give runs another folder with -o")
+    else:
+        yield Finding("ok", "disk", f"{free / 2**30:.1f} GiB free here")
 
 
-CHECKS: tuple[Callable[[Comm], list[Finding]], ...] = (versions, ranks, petsc, blas, cores, hdf5, kernels, disk)
-
-
-def examine(comm: Comm) -> list[Finding]:
-    """Return what all checks find; one that fails itself is a finding too (collective)."""
-    found: list[Finding] = []
-    for check in CHECKS:
-        try:
-            found += check(comm)
-        except Exception as error:
-            found.append(Finding("broken", check.__name__, str(described(error)), "install it anew"))
-    return found
+Check: TypeAlias = "Callable[[Comm], Iterable[Finding]]"
+CHECKS: tuple[Check, ...] = (versions, ranks, petsc, blas, core_counts, hdf5, kernels, disk)
 
 
 def doctor(comm: Comm) -> int:
@@ -332,36 +313,39 @@ def doctor(comm: Comm) -> int:
     """
     from pdpetsc.discrete.communicator import is_root
 
-    found = examine(comm)
+    found: list[Finding] = []
+    for check in CHECKS:
+        try:
+            found += check(comm)
+        except Exception as error:
+            found.append(Finding("broken", check.__name__, str(described(error)), "install it anew"))
     broken = comm.allgather([one for one in found if one.verdict == "broken"])
     if is_root(comm):
-        told = [*found]
         for rank, others in enumerate(broken[1:], 1):
-            told += [one._replace(what=f"{one.what} on rank {rank}") for one in others]
-        tell(told)
+            found += [one._replace(what=f"{one.what} on rank {rank}") for one in others]
+        tell(found)
     return 1 if any(broken) else 0
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the command ``doctor``; return its exit status."""
-    if argv:
-        print(USAGE)
-        return 0 if argv[0] in ("-h", "--help") and len(argv) == 1 else 2
-    # Without MPI or PETSc there is nothing to start; saying so is what this is for.
-    if told := unloadable():
-        tell(told)
+def run(path: None, arguments: Arguments) -> int:
+    """Carry out the command; return 1 if pdpetsc cannot work."""
+    try:
+        start_petsc()
+    except RunError as error:
+        # Without MPI or PETSc there is no more to see; saying so is what this is for.
+        what, _, advice = error.what.partition("; ")
+        tell([*versions(None), Finding("broken", "petsc4py", what, advice)])
         return 1
-    start_petsc()
     take_signals()
     from pdpetsc.discrete.communicator import world
 
     return doctor(world())
 
 
-def tell(told: list[Finding]) -> None:
+def tell(found: Sequence[Finding]) -> None:
     """Print findings, a line each, with what to do below."""
-    width = max(len(one.what) for one in told)
-    for one in told:
+    width = max(len(one.what) for one in found)
+    for one in found:
         print(f"{one.verdict:6}  {one.what:{width}}  {one.found}")
         if one.advice:
             print(f"        -> {one.advice}")

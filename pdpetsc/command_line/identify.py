@@ -68,7 +68,7 @@ def _answer(
     version: Mapping[str, Any],
 ) -> dict[str, Any]:
     from pdpetsc.output.fingerprint import fingerprint
-    from pdpetsc.studies.input_files import contents
+    from pdpetsc.studies.run_identity import contents
 
     try:
         values = arguments_of(function, given)
@@ -89,7 +89,7 @@ def _answer(
 
 
 def _short(value: Any, text: str) -> str:
-    """Return the same text for a number in any notation: 1, 1.0 and 1e0."""
+    """Return the canonical text of a number: equal for 1, 1.0 and 1e0."""
     from pdpetsc.studies.sets import text_of
 
     return text_of(value) if isinstance(value, bool | int | float) else text

@@ -1,21 +1,6 @@
-"""``python -m pdpetsc import DECK``: a deck of Peridigm or PeriLab becomes a case file."""
+"""Write the case file of a deck of Peridigm or PeriLab.
 
-from __future__ import annotations
-
-import contextlib
-import os
-import tempfile
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
-
-from pdpetsc.command_line.case_file import load_case
-from pdpetsc.decks import peridigm, perilab
-from pdpetsc.decks.script import Deck, Notes, Script, plain
-from pdpetsc.decks.sections import Section, read
-from pdpetsc.errors import CaseError
-
-USAGE = """usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...] [--static] [--overwrite]
+usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...] [--static] [--overwrite]
 
   DECK           a deck of Peridigm (YAML, or XML of parameter lists) or PeriLab (YAML)
   -o CASE.py     the case file to write (default: the name of the deck, in this folder)
@@ -25,7 +10,23 @@ USAGE = """usage: python -m pdpetsc import DECK [-o CASE.py] [--ignore NAME ...]
   --overwrite    write over a file that is there
 
 Everything that the deck says is translated, listed as a comment where it only says what is written or tunes a solver,
-or refused by name. Meshes are read from where they are. What differs is said at the head of the written file."""
+or refused by name. Meshes are read from where they are. What differs is said at the head of the written file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pdpetsc.command_line.arguments import Arguments
+from pdpetsc.command_line.case_file import load_case
+from pdpetsc.decks import peridigm, perilab
+from pdpetsc.decks.script import Deck, Notes, Script, plain
+from pdpetsc.decks.sections import Section, read
+from pdpetsc.errors import CaseError
 
 Translate = Callable[[Deck], Script]
 
@@ -125,29 +126,11 @@ def described(path: Path, said: Sequence[str]) -> str:
     return "\n".join([str(path), *(f"  {plain(line)}" for line in said)])
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the command ``import``; return its exit status."""
-    words, options = list(argv), dict[str, Any](ignore=[])
-    if "-h" in words or "--help" in words or not words:
-        print(USAGE)
-        return 0 if words else 2
-    while words:
-        word = words.pop(0)
-        if word in ("-o", "--ignore"):
-            if not words:
-                raise CaseError(f"{word} needs a {'path' if word == '-o' else 'name'} after it.")
-            value = words.pop(0)
-            if word == "--ignore":
-                options["ignore"].append(value)
-            else:
-                options["output"] = Path(value)
-        elif word in ("--static", "--overwrite"):
-            options[word[2:]] = True
-        elif word.startswith("-") or "deck" in options:
-            raise CaseError(f"import does not know {word!r}; python -m pdpetsc import -h shows the usage.")
-        else:
-            options["deck"] = Path(word)
-    if "deck" not in options:
-        raise CaseError("No deck is given; python -m pdpetsc import -h shows the usage.")
-    print(described(*import_deck(**options)))
+def run(path: Path, arguments: Arguments) -> int:
+    """Carry out the command."""
+    written, said = import_deck(
+        path, arguments.output, arguments.values.get("--ignore", ()), "--static" in arguments.flags,
+        "--overwrite" in arguments.flags,
+    )  # fmt: skip
+    print(described(written, said))
     return 0

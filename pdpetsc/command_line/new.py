@@ -1,15 +1,16 @@
-"""``python -m pdpetsc new FILE.py``: a commented case to begin with."""
+"""Write a commented case to begin with.
+
+usage: python -m pdpetsc new FILE.py
+
+Writes a case with comments, a bar that is pulled, to be changed into yours. It runs as it is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
+from pdpetsc.command_line.arguments import Arguments
 from pdpetsc.errors import CaseError
-
-USAGE = """usage: python -m pdpetsc new FILE.py
-
-Writes a case with comments, a bar that is pulled, to be changed into yours. It runs as it is."""
 
 CASE = '''"""A bar that is pulled, to begin with.
 
@@ -76,12 +77,7 @@ def new(path: Path) -> Path:
     return path
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the command ``new``; return its exit status."""
-    if "-h" in argv or "--help" in argv or not argv:
-        print(USAGE)
-        return 0 if argv else 2
-    if len(argv) > 1:
-        raise CaseError("new takes one file name; python -m pdpetsc new -h shows the usage.")
-    print(new(Path(argv[0])))
+def run(path: Path, arguments: Arguments) -> int:
+    """Carry out the command."""
+    print(new(path))
     return 0

@@ -1,26 +1,28 @@
-"""``python -m pdpetsc plot DIR``: pictures of a finished or stopped run."""
+"""Draw pictures of a finished or stopped run.
+
+usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME] [--animate]
+
+  field, component, scale, step   what colours the deformed body, and how much its displacements are enlarged
+  x, y                            columns of history.csv against each other; by default all of them against t
+  --animate                       a film of all steps besides: deformed.gif, or deformed.mp4 with format=mp4
+Writes deformed.png, history.png and newton.png into DIR, and curve.png where the history has a force and a length.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pdpetsc.command_line.arguments import split
+from pdpetsc.command_line.arguments import Arguments
+from pdpetsc.declared import refuse_unknown
 from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.curves import curve_figure, history_figure, newton_figure
 from pdpetsc.output.files import replacing
 from pdpetsc.output.labels import Labels
 from pdpetsc.output.picture import MARK, draw_field, draw_film
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
-
-USAGE = """usage: python -m pdpetsc plot DIR [field=NAME] [component=xx] [scale=1] [step=N] [x=t] [y=NAME] [--animate]
-
-  field, component, scale, step   what colours the deformed body, and how much its displacements are enlarged
-  x, y                            columns of history.csv against each other; by default all of them against t
-  --animate                       a film of all steps besides: deformed.gif, or deformed.mp4 with format=mp4
-Writes deformed.png, history.png and newton.png into DIR, and curve.png where the history has a force and a length."""
 
 COMPONENTS = {"displacement": "x", "stress": "xx", "first_piola_stress": "xx", "deformation_gradient": "xx"}
 
@@ -42,10 +44,6 @@ def plot(folder: Path, given: Mapping[str, str], animate: bool = False) -> list[
     CaseError
         The folder holds no run, or a word is wrong.
     """
-    known = ("field", "component", "scale", "step", "x", "y", "format")
-    for name in given:
-        if name not in known:
-            raise CaseError(f"plot has no parameter {name!r}; it has {', '.join(known)}.")
     try:
         return _drawn(folder, given, animate)
     except PdpetscError:
@@ -78,7 +76,7 @@ def _drawn(folder: Path, given: Mapping[str, str], animate: bool) -> list[Path]:
     elif animate:
         raise CaseError(f"{folder} holds no fields to make a film of.")
     drawn += _history(folder, summary, given.get("x", "t"), given.get("y"))
-    drawn.append(_newton(folder, summary))
+    drawn.append(save(newton_figure(summary), folder / "newton.png"))
     return drawn
 
 
@@ -96,40 +94,24 @@ def _number(given: Mapping[str, str], name: str, default: float) -> float:
     return number
 
 
-def _history(folder: Path, summary: Mapping[str, Any], x: str, y: str | None) -> list[Path]:
-    columns, labels = read_history(folder), Labels.of(summary)
-    for name in (x, *([y] if y else [])):
-        if name not in columns:
-            raise CaseError(f"history.csv has no column {name!r}; it has {', '.join(columns)}.")
-    drawn = [folder / "history.png"]
-    with replacing(drawn[0]) as aside:
-        history_figure(columns, labels, x, y).savefig(aside, dpi=130, format="png", metadata=MARK)
-    figure = curve_figure(columns, labels)
-    if figure is not None:
-        drawn.append(folder / "curve.png")
-        with replacing(drawn[1]) as aside:
-            figure.savefig(aside, dpi=130, format="png", metadata=MARK)
-    return drawn
-
-
-def _newton(folder: Path, summary: Mapping[str, Any]) -> Path:
-    path = folder / "newton.png"
-    with replacing(path) as aside:
-        newton_figure(summary).savefig(aside, dpi=130, format="png", metadata=MARK)
+def save(figure: Any, path: Path) -> Path:
+    """Write a figure as a PNG that only a loss of power can leave half written; raises OutputError."""
+    with replacing(path, wait=False) as aside:
+        figure.savefig(aside, dpi=130, format="png", metadata=MARK)
     return path
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the command ``plot``; return its exit status."""
-    animate = "--animate" in argv
-    arguments = split([word for word in argv if word != "--animate"])
-    if "--help" in arguments.flags or not argv:
-        print(USAGE)
-        return 0 if argv else 2
-    if arguments.path is None:
-        raise CaseError("No folder is given; python -m pdpetsc plot -h shows the usage.")
-    if arguments.petsc or arguments.output or arguments.restart or arguments.solver or "--check" in arguments.flags:
-        raise CaseError("plot takes a folder and NAME=VALUE only; python -m pdpetsc plot -h shows the usage.")
-    for path in plot(arguments.path, arguments.parameters, animate):
-        print(path)
+def _history(folder: Path, summary: Mapping[str, Any], x: str, y: str | None) -> list[Path]:
+    columns, labels = read_history(folder), Labels.of(summary)
+    refuse_unknown([x, *([y] if y else [])], columns, "history.csv has no column")
+    drawn = [save(history_figure(columns, labels, x, y), folder / "history.png")]
+    if (figure := curve_figure(columns, labels)) is not None:
+        drawn.append(save(figure, folder / "curve.png"))
+    return drawn
+
+
+def run(path: Path, arguments: Arguments) -> int:
+    """Carry out the command."""
+    for picture in plot(path, arguments.parameters, "--animate" in arguments.flags):
+        print(picture)
     return 0

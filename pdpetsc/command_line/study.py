@@ -1,30 +1,6 @@
-"""``python -m pdpetsc study CASE.py name=a,b,c ...``: many runs, one table that resumes."""
+"""Run a case with many parameter sets, and write one table that resumes.
 
-from __future__ import annotations
-
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
-
-from pdpetsc.bounds import whole_number
-from pdpetsc.command_line.arguments import Arguments, split
-from pdpetsc.declared import shown
-from pdpetsc.errors import CaseError, Interrupted
-from pdpetsc.studies.jobs import too_many
-from pdpetsc.studies.picture import draw
-from pdpetsc.studies.run_identity import Question
-from pdpetsc.studies.run_store import Outcome, named
-from pdpetsc.studies.sets import combined, grid, read_sets, values_in
-from pdpetsc.studies.study import Progress, Refinement, Study, refuse_failed, study
-from pdpetsc.studies.table import of_orders, on_terminal
-
-USAGE = """usage: python -m pdpetsc study CASE.py [NAME=A,B,C ...] [--sets FILE] [-o DIR] [--ranks N] [--jobs N]
+usage: python -m pdpetsc study CASE.py [NAME=A,B,C ...] [--sets FILE] [-o DIR] [--ranks N] [--jobs N]
                                [--retry] [--order NAME] [--exact RESULT=VALUE,...] [--picture] [-PETSC_OPTION [VALUE]]
 
   NAME=A,B,C       values of a parameter of the case; all combinations are run
@@ -41,47 +17,31 @@ USAGE = """usage: python -m pdpetsc study CASE.py [NAME=A,B,C ...] [--sets FILE]
   --launcher TEXT  what starts ranks, with {ranks} where their number goes (default: "mpirun -n {ranks}")
   --solver NAME    the solver of every run
 Other -options go to PETSc in every run. What DIR already holds is not run again as long as case, parameters, options,
-ranks and pdpetsc are the same: a study that was stopped goes on with the same command."""
+ranks and pdpetsc are the same: a study that was stopped goes on with the same command.
+"""
 
-# Options that take a word after them, and those that do not.
-WITH_VALUE = ("--sets", "--ranks", "--jobs", "--order", "--exact", "--launcher")
-FLAGS = ("--retry", "--expected", "--picture")
+from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
-@dataclass
-class Asked:
-    """What a command line asks of a study, and the words that are left."""
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 
-    options: dict[str, str] = field(default_factory=dict)
-    flags: set[str] = field(default_factory=set)
-    words: list[str] = field(default_factory=list)
-
-
-def taken(argv: Sequence[str], with_value: Sequence[str] = WITH_VALUE, flags: Sequence[str] = FLAGS) -> Asked:
-    """Take the options of a study out of a command line; raises CaseError where one has no value or is there twice."""
-    asked, words = Asked(), list(argv)
-    while words:
-        word = words.pop(0)
-        if word in with_value:
-            if not words:
-                raise CaseError(f"{word} needs a value after it.")
-            if word in asked.options:
-                raise CaseError(f"{word} is given twice.")
-            asked.options[word] = words.pop(0)
-        elif word in flags:
-            asked.flags.add(word)
-        else:
-            asked.words.append(word)
-    return asked
-
-
-def count(asked: Asked, name: str, otherwise: int = 1) -> int:
-    """Return the positive number after an option, or what it is otherwise; raises CaseError."""
-    text = asked.options.get(name, str(otherwise))
-    found = whole_number(text)
-    if not found:
-        raise CaseError(f"{name} takes a positive number, not {shown(text)}.")
-    return found
+from pdpetsc.bounds import real_number
+from pdpetsc.command_line.arguments import Arguments
+from pdpetsc.command_line.plot import save
+from pdpetsc.errors import CaseError, Interrupted, SolveError
+from pdpetsc.running.comparison import results_figure
+from pdpetsc.studies.jobs import too_many
+from pdpetsc.studies.run_identity import PlannedRun
+from pdpetsc.studies.run_store import Outcome, named
+from pdpetsc.studies.sets import combined, grid, read_sets, values_in
+from pdpetsc.studies.study import Progress, Refinement, study
+from pdpetsc.studies.table import of_orders, of_runs
 
 
 def numbers_of(text: str, option: str) -> dict[str, float]:
@@ -96,10 +56,33 @@ def numbers_of(text: str, option: str) -> dict[str, float]:
     return found
 
 
-def run(
-    case: Path, parameters: Mapping[str, str], output: Path | None, options: Sequence[str], asked: Asked,
-    name: str = "study",
-) -> Study:  # fmt: skip
+@contextlib.contextmanager
+def watched(arguments: Arguments, folder: Path, title: str, console: Console) -> Iterator[dict[str, Any]]:
+    """Yield the keywords on how to run that ``study`` and ``fit`` share, and show meanwhile how the runs go on.
+
+    Raises
+    ------
+    CaseError
+        A number of ranks or jobs is none.
+    Interrupted
+        A signal stopped the body.
+    """
+    ranks, jobs, solver = arguments.count("--ranks"), arguments.count("--jobs"), arguments.value("--solver")
+    if warning := too_many(jobs, ranks):
+        console.print(f"pdpetsc: {warning}")
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    try:
+        with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            yield {
+                "folder": folder, "ranks": ranks, "jobs": jobs, "launcher": arguments.value("--launcher"),
+                "options": [*arguments.petsc, *([] if solver is None else ["--solver", solver])],
+                "retry": "--retry" in arguments.flags, "progress": RunLog(bar, title),
+            }  # fmt: skip
+    except KeyboardInterrupt:
+        raise Interrupted(f"Stopped; the same command goes on with what {folder} holds.") from None
+
+
+def run_study(case: Path, arguments: Arguments, name: str) -> None:
     """Run a study as its command line asks, and print its table.
 
     Raises
@@ -111,34 +94,20 @@ def run(
     Interrupted
         It was stopped.
     """
-    sets = grid({key: values_in(text) for key, text in parameters.items()})
-    if "--sets" in asked.options:
-        sets = combined(sets, read_sets(Path(asked.options["--sets"])))
-    ranks, jobs = count(asked, "--ranks"), count(asked, "--jobs")
-    refine = None
-    if "--order" in asked.options:
-        exact = numbers_of(asked.options.get("--exact", ""), "--exact")
-        refine = Refinement(asked.options["--order"], exact, "--expected" in asked.flags)
-    elif "--exact" in asked.options or "--expected" in asked.flags:
+    sets = grid({key: values_in(text) for key, text in arguments.parameters.items()})
+    if (file := arguments.value("--sets")) is not None:
+        sets = combined(sets, read_sets(Path(file)))
+    order, exact = arguments.value("--order"), arguments.value("--exact")
+    expected = "--expected" in arguments.flags
+    if order is None and (exact is not None or expected):
         raise CaseError("--exact and --expected are for --order NAME, which says along which parameter.")
-    folder = output if output is not None else Path("out") / f"{name}_{case.stem}"
+    refine = None if order is None else Refinement(order, numbers_of(exact or "", "--exact"), expected)
+    folder = arguments.output or Path("out") / f"{name}_{case.stem}"
     console = Console(soft_wrap=True, highlight=False, markup=False)
-    if warning := too_many(jobs, ranks):
-        console.print(f"pdpetsc: {warning}")
 
-    @contextlib.contextmanager
-    def shown(questions: Sequence[Question]) -> Iterator[Progress]:
-        with Shown(console, case.stem) as progress:
-            yield progress
-
-    try:
-        done = study(
-            case, sets, folder, ranks=ranks, jobs=jobs, options=options, retry="--retry" in asked.flags,
-            launcher=asked.options.get("--launcher"), refine=refine, progress=shown, name=name,
-        )  # fmt: skip
-    except KeyboardInterrupt:
-        raise Interrupted(f"Stopped; the same command goes on with what {folder} holds.") from None
-    console.print(on_terminal(done.outcomes))
+    with watched(arguments, folder, case.stem, console) as how:
+        done = study(case, sets, **how, refine=refine, name=name)
+    console.print(of_runs(done.outcomes))
     if done.convergence:
         console.print(of_orders(done.convergence))
         for one in done.convergence:
@@ -147,87 +116,60 @@ def run(
     for outcome in done.failed:
         console.print(f"{outcome.name}: exit status {outcome.exit_status}: {outcome.said}")
     console.print(f"table in {folder / f'{name}.csv'}")
-    if "--picture" in asked.flags:
-        draw(folder / f"{name}.png", case.stem, done.outcomes)
-        console.print(f"picture in {folder / f'{name}.png'}")
-    refuse_failed(done, name)
-    return done
+    if "--picture" in arguments.flags:
+        numbers = [key for key in arguments.parameters if _varies(key, done.outcomes)]
+        figure = results_figure(done.outcomes, numbers[-1] if numbers else None, case.stem)
+        console.print(f"picture in {save(figure, folder / f'{name}.png')}")
+    if done.failed:
+        first = done.failed[0]
+        raise SolveError(
+            f"{len(done.failed)} of {len(done.outcomes)} runs failed, the first one, {first.name}, with exit status "
+            f"{first.exit_status}: {first.said.rstrip('.')}; all are in {folder / f'{name}.csv'}, and --retry runs "
+            f"them again."
+        )
 
 
-class Shown(Progress):
-    """Shows on a terminal how a study goes on: a line for each run that ends, and a bar; a context manager."""
+def _varies(name: str, outcomes: Sequence[Outcome]) -> bool:
+    """Return True if a parameter takes several values, which are all numbers."""
+    values = {outcome.parameters.get(name, "") for outcome in outcomes}
+    return len(values) > 1 and None not in map(real_number, values)
 
-    def __init__(self, console: Console, title: str) -> None:
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        self._console = console
-        self._bar = Bar(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task: TaskID = self._bar.add_task(title, total=None)
-        self._kept = 0
 
-    def __enter__(self) -> Shown:
-        self._bar.start()
-        return self
+class RunLog(Progress):
+    """Prints a line for each run that ends, and moves a bar on a terminal."""
 
-    def __exit__(self, *error: Any) -> None:
-        self._bar.stop()
+    def __init__(self, bar: Bar, title: str) -> None:
+        self._bar, self._task = bar, bar.add_task(title, total=0)
+        self._earlier = self._total = 0
 
     def asked(self, count: int) -> None:
-        """Set the length of the bar."""
-        self._bar.update(self._task, total=count)
+        """Make the bar longer."""
+        self._total += count
+        self._bar.update(self._task, total=self._total)
 
-    def again(self, question: Question, why: str) -> None:
+    def again(self, run: PlannedRun, why: str) -> None:
         """Say why a run is run again."""
-        self._console.print(f"{named(question.parameters) or 'the case'} is run again: {why}")
+        self._bar.console.print(f"{named(run.parameters) or 'the case'} is run again: {why}")
 
-    def started(self, question: Question) -> None:
-        """Say how many were there."""
-        if self._kept:
-            self._console.print(f"{self._kept} runs are there from before")
-            self._kept = 0
+    def started(self, run: PlannedRun) -> None:
+        """Say how many earlier runs there are."""
+        if self._earlier:
+            self._bar.console.print(f"{self._earlier} runs are there from before")
+            self._earlier = 0
 
     def kept(self, outcome: Outcome) -> None:
         """Move the bar, and count the run."""
         self._bar.advance(self._task)
-        self._kept += 1
+        self._earlier += 1
 
     def ended(self, outcome: Outcome) -> None:
         """Move the bar, and say how the run ended."""
         self._bar.advance(self._task)
         how = "finished" if outcome.finished else f"FAILED, exit status {outcome.exit_status}: {outcome.said}"
-        self._console.print(f"{outcome.name}: {how}")
+        self._bar.console.print(f"{outcome.name}: {how}")
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the command ``study``; return its exit status or raise what ends it."""
-    asked = taken(argv)
-    arguments = split(asked.words)
-    case = case_of(arguments, "study", USAGE)
-    if case is not None:
-        run(case, arguments.parameters, arguments.output, options_of(arguments), asked)
+def run(path: Path, arguments: Arguments) -> int:
+    """Carry out the command."""
+    run_study(path, arguments, "study")
     return 0
-
-
-def case_of(arguments: Arguments, name: str, usage: str) -> Path | None:
-    """Return the case file, or None after the usage has been printed.
-
-    Raises
-    ------
-    CaseError
-        There is no case file, or an option is one of a single run.
-    """
-    if "--help" in arguments.flags:
-        print(usage)
-        return None
-    if arguments.path is None:
-        raise CaseError(f"No case file is given; python -m pdpetsc {name} -h shows the usage.")
-    if arguments.restart is not None or "--restart-anyway" in arguments.flags:
-        raise CaseError(f"{name} takes no --restart; every run starts from the beginning.")
-    for word in ("check", "quiet", "version"):
-        if f"--{word}" in arguments.flags:
-            raise CaseError(f"{name} takes no --{word}; python -m pdpetsc {name} -h shows what it takes.")
-    return arguments.path
-
-
-def options_of(arguments: Arguments) -> list[str]:
-    """Return the words that go to every run."""
-    return [*arguments.petsc, *(["--solver", arguments.solver] if arguments.solver is not None else [])]

@@ -134,7 +134,7 @@ def fill(
     sparsity : Sparsity
         Where its blocks are.
     kernel : callable
-        Row-wise loop with the arguments of ``kernels.assembly.assemble_kernel``.
+        Row-wise loop, as ``Entries.add`` takes it.
     stencils : (point_ptr, members)
         What the matrix couples.
     data

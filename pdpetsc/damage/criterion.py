@@ -205,39 +205,31 @@ class DrivingVariable(ABC):
     """What drives the damage of the bonds of one rank: a number for each bond, 1 where it fails.
 
     It does not depend on the damage itself, and is the same from both ends of a bond, on whichever ranks they are.
+
+    Attributes
+    ----------
+    is_nonlocal : bool
+        Whether its gradient depends on more than the elongation of the bond; the same at every state.
+    limit : (n_bonds,) float64 or None
+        Elongations of failure [length] if the driving variable is ``e / limit``, else None. The event-driven solver
+        takes such driving variables alone.
+    reads_points : bool
+        Whether it reads strain or stress at gradient points, which ``take`` gives it before it is used.
+    reads_flow : bool
+        Whether it reads how materials flow, which needs deformation gradients and a material with history.
+    timed : bool
+        Whether it depends on time, for which step times must stand.
     """
+
+    is_nonlocal: bool = False
+    limit: Float | None = None
+    reads_points: bool = False
+    reads_flow: bool = False
+    timed: bool = False
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         accept_old_methods(cls, {"reaches": "is_nonlocal"})
-
-    @property
-    def is_nonlocal(self) -> bool:
-        """Return True if its gradient depends on more than the elongation of the bond; the same at every state."""
-        return False
-
-    @property
-    def limit(self) -> Float | None:
-        """Return the elongations of failure (n_bonds,) [length] where the drive is ``e / limit``; None elsewhere.
-
-        The event-driven solver takes such drives alone.
-        """
-        return None
-
-    @property
-    def reads_points(self) -> bool:
-        """Return whether it reads strain or stress at gradient points, which ``take`` gives it before it is used."""
-        return False
-
-    @property
-    def reads_flow(self) -> bool:
-        """Return whether it reads how materials flow, which needs deformation gradients and a material with history."""
-        return False
-
-    @property
-    def timed(self) -> bool:
-        """Return whether it depends on time, for which step times must stand."""
-        return False
 
     def take(self, solid: Solid) -> None:  # noqa: B027
         """Read the gradient points of a body from now on (not collective)."""
@@ -344,28 +336,23 @@ class LinearDrivingVariable(LocalDrivingVariable):
 
     def __init__(self, bonds: DamageableBonds, limit: Float) -> None:
         super().__init__(bonds)
-        self._limit = limit
-
-    @property
-    def limit(self) -> Float:
-        """Return the elongations of failure."""
-        return self._limit
+        self.limit: Float = limit
 
     def of(self, e: Float) -> Float:
         """Return ``e / limit``."""
-        return np.asarray(e / self._limit)
+        return np.asarray(e / self.limit)
 
     def along(self, e: Float, bonds: GlobalIndex, by: Float) -> Float:
         """Return ``by / limit``."""
-        return np.asarray(by / self._limit[bonds])
+        return np.asarray(by / self.limit[bonds])
 
     def mean_gradient(self, state: Displaced, bonds: GlobalIndex, count: float) -> Gradient:
         """Return ``1 / (limit count)``, rounded once."""
-        return Gradient(bonds, np.asarray(1.0 / (self._limit[bonds] * count)))
+        return Gradient(bonds, np.asarray(1.0 / (self.limit[bonds] * count)))
 
     def elastic_energy(self, bonds: GlobalIndex, k: Float) -> tuple[Float, float]:
         """Return ``1/2 k limit^2``, and 2."""
-        return np.asarray(0.5 * k * self._limit[bonds] ** 2), 2.0
+        return np.asarray(0.5 * k * self.limit[bonds] ** 2), 2.0
 
 
 class Criterion(Declared, ABC):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,8 +11,8 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.damage.criterion import Criterion, DamageableBonds, LinearDrivingVariable
-from pdpetsc.damage.energy import plane_weights, refuse_share
-from pdpetsc.declared import numbers_from
+from pdpetsc.damage.energy import plane_weights
+from pdpetsc.declared import NonNegative, Positive, numbers_from
 from pdpetsc.discrete.communicator import largest, smallest, total
 from pdpetsc.errors import CaseError
 
@@ -59,14 +58,9 @@ class ConstantCritical(CriticalStretch):
     >>> damage = pd.Brittle(pd.ConstantCritical(0.01))
     """
 
-    value: float
+    value: Positive
 
     reads_stiffness: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.value) and self.value > 0.0):
-            raise CaseError(f"A critical stretch must be positive, not {self.value}.")
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return the value for every bond."""
@@ -92,21 +86,16 @@ class LinearCritical(CriticalStretch):
     >>> longer_bonds_fail_first = pd.LinearCritical(start=0.02, end=0.01, length=3.0)
     """
 
-    start: float
-    end: float
-    length: float
+    start: NonNegative
+    end: NonNegative
+    length: Positive
 
     reads_stiffness: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (min(self.start, self.end) >= 0.0 and max(self.start, self.end) > 0.0 and self.length > 0.0) or not (
-            math.isfinite(self.start + self.end + self.length)
-        ):
-            raise CaseError(
-                f"A linear critical stretch needs values that are not negative and a positive length, "
-                f"not {self.start}, {self.end} and {self.length}."
-            )
+        if self.start == self.end == 0.0:
+            raise CaseError("LinearCritical has start 0 and end 0; give one of them a positive value.")
 
     def __call__(self, length: Float, middle: Float) -> Float:
         """Return ``start + (end - start) |xi| / length``."""
@@ -192,14 +181,8 @@ class FractureEnergy(CriticalStretch):
     >>> damage = pd.Brittle(pd.FractureEnergy(Gc=0.05))
     """
 
-    Gc: float
-    share: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.Gc) and self.Gc > 0.0):
-            raise CaseError(f"A fracture energy must be positive, not {self.Gc}.")
-        refuse_share(self.share)
+    Gc: Positive
+    share: Positive | None = None
 
     @property
     def assumes_share(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,15 +10,10 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.damage.criterion import Criterion, DamageableBonds, LinearDrivingVariable, LocalDrivingVariable
+from pdpetsc.declared import Positive
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.interior import interior
 from pdpetsc.errors import CaseError
-
-
-def refuse_share(share: float | None) -> None:
-    """Raise CaseError where the share that a crack takes of a fracture energy is not positive."""
-    if share is not None and not (math.isfinite(share) and share > 0.0):
-        raise CaseError(f"The share of a fracture energy that a crack takes must be positive, not {share}.")
 
 
 def plane_weights(bonds: DamageableBonds) -> Float:
@@ -101,17 +95,15 @@ class BondEnergy(Criterion):
     >>> damage = pd.LinearSoftening(pd.BondEnergy(Gc=0.05), ratio=3.0)
     """
 
-    w: float | None = None
-    Gc: float | None = None
+    w: Positive | None = None
+    Gc: Positive | None = None
     compression: bool = False
-    share: float | None = None
+    share: Positive | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [value for value in (self.w, self.Gc) if value is not None]
-        if len(given) != 1 or not (math.isfinite(given[0]) and given[0] > 0.0):
-            raise CaseError(f"BondEnergy takes a positive w or a positive Gc, not w={self.w} and Gc={self.Gc}.")
-        refuse_share(self.share)
+        if (self.w is None) == (self.Gc is None):
+            raise CaseError(f"BondEnergy takes w or Gc, not w={self.w} and Gc={self.Gc}.")
         if self.w is not None and self.share is not None:
             raise CaseError("BondEnergy takes a share of Gc; leave it out beside w.")
 

@@ -4,22 +4,40 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from scipy.special import roots_legendre
 
-from pdpetsc.arrays import Float
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import Criterion, DamageableBonds
 from pdpetsc.damage.evolution import DamageEvolution, LargestStretch
 from pdpetsc.declare.region import Region
-from pdpetsc.declared import Declared, shown
+from pdpetsc.declared import Bound, Declared, Fraction, Positive, shown
 from pdpetsc.errors import CaseError
 from pdpetsc.renamed import accept_old_methods
 
 # Points of the quadrature of the dissipated energy.
 QUADRATURE = 40
+
+# A driving variable at which a softening bond fails further: above the one at which damage begins.
+AboveOne: TypeAlias = Annotated[
+    float, Bound(("a finite number above 1", "finite numbers above 1"), lambda x: math.isfinite(x) and x > 1.0)
+]
+
+
+# Marks the local particles in a region (n_local,); the text says what of (collective).
+Marking: TypeAlias = Callable[[Region, str], Mask]
+
+
+def bonds_at(region: Region | None, bonds: DamageableBonds, mark: Marking) -> Mask:
+    """Return which bonds have an end in a protected region (n_bonds,), none without a region (collective)."""
+    if region is None:
+        return np.zeros(bonds.families.n_bonds, dtype=bool)
+    marked = mark(region, "what damage is protected from")
+    return np.asarray(marked[bonds.families.centres] | marked[bonds.families.neighbours])
 
 
 @dataclass(frozen=True)
@@ -63,6 +81,11 @@ class BondDamage(Declared, ABC):
                 f"not {shown(self.criterion)}."
             )
         super().__post_init__()
+
+    @property
+    def declared(self) -> list[BondDamage]:
+        """Return the laws of bonds that fail: this one."""
+        return [self]
 
     @property
     def onset(self) -> float:
@@ -118,34 +141,15 @@ class BondDamage(Declared, ABC):
         return float(self.dissipated(0.0 * one, self.final * one, one, degree)[0])
 
     @property
-    def of_one_material(self) -> bool:
-        """Return whether its criterion fits a body of one material only."""
-        return self.criterion.of_one_material
+    def all_laws(self) -> list[BondDamage]:
+        """Return the law itself, as ``DamageOf`` returns its laws."""
+        return [self]
 
-    @property
-    def reads_stiffness(self) -> bool:
-        """Return whether its criterion reads the stiffness of bonds."""
-        return self.criterion.reads_stiffness
-
-    @property
-    def assumes_share(self) -> bool:
-        """Return True if its criterion has a fracture energy without a share."""
-        return self.criterion.assumes_share
-
-    @property
-    def reads_strain(self) -> bool:
-        """Return whether the criterion reads the whole strain of the gradients."""
-        return self.criterion.reads_strain
-
-    @property
-    def reads_temperature(self) -> bool:
-        """Return whether the criterion reads the temperature of the body."""
-        return self.criterion.reads_temperature
-
-    @property
-    def times(self) -> Sequence[float]:
-        """Return the time that the criterion takes the load to last, if it counts [time]."""
-        return self.criterion.times
+    def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
+        """Return the number of the law of each bond (n_bonds,): 0, or -1 for a protected bond (collective)."""
+        of_bond = np.zeros(bonds.families.n_bonds, dtype=np.int64)
+        of_bond[bonds_at(self.protected, bonds, mark)] = -1
+        return of_bond
 
     @property
     def places(self) -> list[tuple[str, Region]]:
@@ -240,11 +244,7 @@ class LinearSoftening(PiecewiseLinear):
     >>> softening = pd.LinearSoftening(pd.ConstantCritical(0.01), ratio=3.0)
     """
 
-    ratio: float = 2.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_ratio(self.ratio)
+    ratio: AboveOne = 2.0
 
     @property
     def final_ratio(self) -> float:
@@ -269,14 +269,8 @@ class ExponentialSoftening(BondDamage):
     >>> softening = pd.ExponentialSoftening(pd.ConstantCritical(0.01), ratio=8.0, rate=0.5)
     """
 
-    ratio: float = 5.0
-    rate: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _refuse_ratio(self.ratio)
-        if not (math.isfinite(self.rate) and self.rate > 0.0):
-            raise CaseError(f"Exponential softening needs a positive rate, not {self.rate}.")
+    ratio: AboveOne = 5.0
+    rate: Positive = 1.0
 
     @property
     def final(self) -> float:
@@ -310,18 +304,14 @@ class BilinearSoftening(BondDamage):
     >>> concrete = pd.BilinearSoftening(pd.FractureEnergy(0.1), kink=2.0, share=0.3, ratio=6.0)
     """
 
-    kink: float = 2.0
-    share: float = 0.3
-    ratio: float = 6.0
+    kink: AboveOne = 2.0
+    share: Fraction = 0.3
+    ratio: AboveOne = 6.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _refuse_ratio(self.ratio)
-        if not (1.0 < self.kink < self.ratio and 0.0 < self.share < 1.0):
-            raise CaseError(
-                f"Bilinear softening needs 1 < kink < ratio and 0 < share < 1, "
-                f"not {self.kink}, {self.ratio} and {self.share}."
-            )
+        if self.kink >= self.ratio:
+            raise CaseError(f"BilinearSoftening needs kink < ratio, not kink={self.kink} and ratio={self.ratio}.")
 
     @property
     def final(self) -> float:
@@ -366,14 +356,9 @@ class SmoothDegradation(BondDamage):
     Hashim, Eq. (48)-(54).
     """
 
-    start: float = 0.75
-    beta: float = 3.0
+    start: Fraction = 0.75
+    beta: Positive = 3.0
     continuous: bool = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (0.0 < self.start < 1.0 and math.isfinite(self.beta) and self.beta > 0.0):
-            raise CaseError(f"Smooth degradation needs 0 < start < 1 and beta > 0, not {self.start} and {self.beta}.")
 
     @property
     def onset(self) -> float:
@@ -397,8 +382,3 @@ class SmoothDegradation(BondDamage):
 
     def _n(self, x: Float) -> Float:
         return self.beta * (self.start + 1.0 - 2.0 * x) / (self.start - 1.0)
-
-
-def _refuse_ratio(ratio: float) -> None:
-    if not (math.isfinite(ratio) and ratio > 1.0):
-        raise CaseError(f"Softening bonds need a ratio of final to critical stretch above 1, not {ratio}.")

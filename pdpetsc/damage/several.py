@@ -18,14 +18,11 @@ from pdpetsc.damage.criterion import (
     Solid,
 )
 from pdpetsc.damage.evolution import DamageEvolution
-from pdpetsc.damage.laws import BondDamage
+from pdpetsc.damage.laws import BondDamage, Marking, bonds_at
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.errors import CaseError
-
-# Marks the local particles in a region (n_local,); the text says what of (collective).
-Marking = Callable[[Region, str], Mask]
 
 
 @dataclass(frozen=True)
@@ -40,14 +37,13 @@ class DamageOf(Declared):
         How bonds fail that have both ends in a region, or one in each of two, in either order; None for those that do
         not. There is one for every name and every pair of names whose particles share a bond.
     protected : Region, optional
-        Bonds with an end in it do not fail.
+        Bonds with an end in it do not fail, besides those that a law protects among its own.
 
     Raises
     ------
     CaseError
-        A name is not one of the regions, laws are missing, have regions of their own that are protected, or different
-        effects, or one lets cracks close and another does not; in a case, particles are in no region or several, or
-        two share a bond for which there is no law.
+        A name is not one of the regions, laws are missing or have different effects; in a case, particles are in no
+        region or several, or two share a bond for which there is no law.
 
     Notes
     -----
@@ -84,60 +80,30 @@ class DamageOf(Declared):
         missing = [name for name in self.regions if frozenset([name]) not in seen]
         if missing:
             raise CaseError(f"DamageOf needs a law of {missing[0]!r}, or None where its bonds do not fail.")
-        if not self._declared:
+        if not self.all_laws:
             raise CaseError("DamageOf needs a law; leave it out where no bond fails.")
-        if any(law.protected is not None for law in self._declared):
-            raise CaseError("A law in DamageOf protects no region of its own; give DamageOf the protected one.")
-        if any(law.effect != self.effect or law.closes != self.closes for law in self._declared):
-            raise CaseError("All laws in DamageOf need the same effect, and cracks that close or do not.")
+        if any(law.effect != self.effect for law in self.all_laws):
+            raise CaseError("All laws in DamageOf need the same effect.")
 
     @property
-    def _declared(self) -> list[BondDamage]:
+    def all_laws(self) -> list[BondDamage]:
+        """Return the laws, without the bonds that do not fail."""
         return [law for law in self.laws.values() if law is not None]
 
     @property
     def effect(self) -> DamageEvolution:
         """Return the effect of the laws."""
-        return self._declared[0].effect
-
-    @property
-    def closes(self) -> bool:
-        """Return whether cracks that close carry compression."""
-        return self._declared[0].closes
-
-    @property
-    def of_one_material(self) -> bool:
-        """Return whether a criterion fits a body of one material only."""
-        return any(law.of_one_material for law in self._declared)
-
-    @property
-    def reads_stiffness(self) -> bool:
-        """Return whether a criterion reads the stiffness of bonds."""
-        return any(law.reads_stiffness for law in self._declared)
-
-    @property
-    def reads_strain(self) -> bool:
-        """Return whether a criterion reads the whole strain of the gradients."""
-        return any(law.reads_strain for law in self._declared)
-
-    @property
-    def reads_temperature(self) -> bool:
-        """Return whether a criterion reads the temperature of the body."""
-        return any(law.reads_temperature for law in self._declared)
-
-    @property
-    def times(self) -> Sequence[float]:
-        """Return the times that criteria take the load to last [time]."""
-        return [time for law in self._declared for time in law.times]
+        return self.all_laws[0].effect
 
     @property
     def places(self) -> list[tuple[str, Region]]:
         """Return its regions with what they are."""
         found = [(f"Region {name!r} of DamageOf", region) for name, region in self.regions.items()]
-        return found + ([] if self.protected is None else [("What damage is protected from", self.protected)])
+        found += [] if self.protected is None else [("What damage is protected from", self.protected)]
+        return found + [place for law in self.all_laws for place in law.places]
 
-    def assigned(self, bonds: DamageableBonds, mark: Marking) -> AssignedLaws:
-        """Return the laws with the bonds that obey them (collective)."""
+    def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
+        """Return the number in ``all_laws`` of the law of each bond (n_bonds,), -1 for none (collective)."""
         cloud, families = bonds.cloud, bonds.families
         part, count = np.full(cloud.n_local, -1, dtype=np.int64), np.zeros(cloud.n_local, dtype=np.int64)
         for number, (name, region) in enumerate(self.regions.items()):
@@ -146,20 +112,19 @@ class DamageOf(Declared):
             count += marked
         names = list(self.regions)
         table = np.full((len(names), len(names)), -2, dtype=np.int64)
-        laws: list[BondDamage] = []
+        count_laws = 0
         for key, law in self.laws.items():
             pair = sorted(_pair(key))
             one, other = names.index(pair[0]), names.index(pair[-1])
-            table[one, other] = table[other, one] = -1 if law is None else len(laws)
-            if law is not None:
-                laws.append(law)
+            table[one, other] = table[other, one] = -1 if law is None else count_laws
+            count_laws += law is not None
         with agreed(cloud.comm):
             wrong = np.flatnonzero(count[: cloud.n_owned] != 1)
             if len(wrong):
                 gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
                 raise CaseError(f"Particle {gid} is in {times} regions of DamageOf; let these cover it once.")
             first, second = part[families.centres], part[families.neighbours]
-            of_bond = table[first, second]
+            of_bond: GlobalIndex = table[first, second]
             lacking = np.flatnonzero(of_bond == -2)
             if len(lacking):
                 pair = sorted({names[first[lacking[0]]], names[second[lacking[0]]]})
@@ -167,7 +132,10 @@ class DamageOf(Declared):
                     f"{_named(frozenset(pair)).capitalize()} share bonds, and DamageOf has no law for these; give one, "
                     f"or None where they do not fail."
                 )
-        return AssignedLaws(laws, of_bond)
+        for number, law in enumerate(self.all_laws):
+            of_bond[(of_bond == number) & bonds_at(law.protected, bonds, mark)] = -1
+        of_bond[bonds_at(self.protected, bonds, mark)] = -1
+        return of_bond
 
 
 def _pair(key: str | tuple[str, str]) -> frozenset[str]:
@@ -186,25 +154,17 @@ class AssignedLaws:
     ----------
     laws : sequence of BondDamage
         All of them.
-    of_bond : (n_bonds,) int64 or None
-        The law of each bond, -1 for one that does not fail; None where all have the only one.
+    of_bond : (n_bonds,) int64
+        The law of each bond, -1 for one that does not fail.
     """
 
     laws: Sequence[BondDamage]
-    of_bond: GlobalIndex | None = None
-
-    def resolved(self, bonds: DamageableBonds) -> AssignedLaws:
-        """Return the laws whose criteria know the bonds of the body (collective)."""
-        return AssignedLaws([law.resolved(bonds) for law in self.laws], self.of_bond)
-
-    def shown_as(self, declared: BondDamage | DamageOf) -> BondDamage | DamageOf:
-        """Return what is declared; the law with what has been resolved where it is the only one."""
-        return self.laws[0] if self.of_bond is None else declared
+    of_bond: GlobalIndex
 
     def build(self, bonds: DamageableBonds) -> DrivingVariable:
         """Return what drives the bonds (not collective)."""
         drives = [law.criterion.build(bonds) for law in self.laws]
-        return drives[0] if self.of_bond is None else SeveralDrivingVariables(drives, self.of_bond)
+        return drives[0] if len(drives) == 1 else SeveralDrivingVariables(drives, self.of_bond)
 
     @property
     def softens(self) -> bool:
@@ -217,17 +177,18 @@ class AssignedLaws:
         return any(law.final == law.onset for law in self.laws)
 
     @property
-    def immune(self) -> GlobalIndex:
-        """Return the bonds without a law."""
-        return np.empty(0, dtype=np.int64) if self.of_bond is None else np.flatnonzero(self.of_bond < 0)
+    def closing(self) -> Mask | None:
+        """Return the bonds that carry compression when they are broken (n_bonds,), None if no law lets any."""
+        closes = [law.closes for law in self.laws]
+        return np.array([*closes, False])[self.of_bond] if any(closes) else None
 
-    def onset(self) -> Float | float:
-        """Return where the degradation factor of each bond begins to fall, one number where all have one law."""
-        return self._each([law.onset for law in self.laws])
+    def onset(self) -> Float:
+        """Return where the degradation factor of each bond begins to fall (n_bonds,), infinite without a law."""
+        return np.array([*(law.onset for law in self.laws), np.inf])[self.of_bond]
 
-    def final(self) -> Float | float:
-        """Return where each bond breaks, one number where all have one law."""
-        return self._each([law.final for law in self.laws])
+    def final(self) -> Float:
+        """Return where each bond breaks (n_bonds,), infinite without a law."""
+        return np.array([*(law.final for law in self.laws), np.inf])[self.of_bond]
 
     def phi(self, x: Float, bonds: GlobalIndex) -> Float:
         """Return the degradation factor of some bonds at their drives (n,)."""
@@ -241,23 +202,13 @@ class AssignedLaws:
         """Return what some linear bonds have dissipated (n,) [energy]."""
         return self._by_law(lambda law, at: law.dissipated(phi[at], x[at], energy[at], degree), bonds)
 
-    def _each(self, values: Sequence[float]) -> Float | float:
-        return values[0] if self.of_bond is None else np.array([*values, np.inf])[self.of_bond]
-
-    def _by_law(self, function: Callable[[BondDamage, GlobalIndex | slice], Float], bonds: GlobalIndex) -> Float:
-        if self.of_bond is None:
-            return function(self.laws[0], slice(None))
+    def _by_law(self, function: Callable[[BondDamage, GlobalIndex], Float], bonds: GlobalIndex) -> Float:
         found, of = np.zeros(len(bonds)), self.of_bond[bonds]
         for number, law in enumerate(self.laws):
             at = np.flatnonzero(of == number)
             if len(at):
                 found[at] = function(law, at)
         return found
-
-
-def assigned(declared: BondDamage | DamageOf, bonds: DamageableBonds, mark: Marking) -> AssignedLaws:
-    """Return the laws of what a case declares with the bonds that obey them (collective)."""
-    return AssignedLaws([declared]) if isinstance(declared, BondDamage) else declared.assigned(bonds, mark)
 
 
 class SeveralDrivingVariables(DrivingVariable):
@@ -273,34 +224,15 @@ class SeveralDrivingVariables(DrivingVariable):
 
     def __init__(self, driving_variables: Sequence[DrivingVariable], of_bond: GlobalIndex) -> None:
         self._driving_variables, self._of_bond = driving_variables, of_bond
-
-    @property
-    def is_nonlocal(self) -> bool:
-        """Return whether any gradient has a part beyond the own elongation."""
-        return any(driving_variable.is_nonlocal for driving_variable in self._driving_variables)
-
-    @property
-    def limit(self) -> Float | None:
-        """Return the elongations of failure where all drives have one, infinite for bonds without a law."""
-        limits = [driving_variable.limit for driving_variable in self._driving_variables]
-        if any(limit is None for limit in limits):
-            return None
-        return self._chosen([limit for limit in limits if limit is not None], np.inf)
-
-    @property
-    def reads_points(self) -> bool:
-        """Return whether any reads gradient points."""
-        return any(driving_variable.reads_points for driving_variable in self._driving_variables)
-
-    @property
-    def reads_flow(self) -> bool:
-        """Return whether any reads how materials flow."""
-        return any(driving_variable.reads_flow for driving_variable in self._driving_variables)
-
-    @property
-    def timed(self) -> bool:
-        """Return whether any depends on time."""
-        return any(driving_variable.timed for driving_variable in self._driving_variables)
+        self.is_nonlocal = any(driving_variable.is_nonlocal for driving_variable in driving_variables)
+        self.reads_points = any(driving_variable.reads_points for driving_variable in driving_variables)
+        self.reads_flow = any(driving_variable.reads_flow for driving_variable in driving_variables)
+        self.timed = any(driving_variable.timed for driving_variable in driving_variables)
+        limits = [
+            driving_variable.limit for driving_variable in driving_variables if driving_variable.limit is not None
+        ]
+        if len(limits) == len(driving_variables):
+            self.limit = self._chosen(limits, np.inf)
 
     def take(self, solid: Solid) -> None:
         """Let all read these gradient points."""

@@ -30,8 +30,6 @@ class FailingBonds:
         The bonds.
     laws : AssignedLaws
         How they fail.
-    protected : (n_local,) bool or None
-        Particles whose bonds do not fail.
     law : BondDamage or DamageOf
         What is declared, its criterion resolved where there is one.
 
@@ -52,24 +50,18 @@ class FailingBonds:
         As of ``DamageableBonds``.
     """
 
-    def __init__(
-        self, bonds: DamageableBonds, laws: AssignedLaws, protected: Mask | None, law: BondDamage | DamageOf
-    ) -> None:
+    def __init__(self, bonds: DamageableBonds, laws: AssignedLaws, law: BondDamage | DamageOf) -> None:
         self.law = law
         self.laws = laws
         self._onset, self._final = laws.onset(), laws.final()
         self._comm = bonds.cloud.comm
         self.length, self.middle, self.keys = bonds.length, bonds.middle, bonds.keys
-        centres, neighbours = bonds.families.centres, bonds.families.neighbours
-        self.protected: GlobalIndex = np.empty(0, dtype=np.int64)
-        if protected is not None:
-            self.protected = np.flatnonzero(protected[centres] | protected[neighbours])
-        self.protected = np.union1d(self.protected, laws.immune)
+        self.protected: GlobalIndex = np.flatnonzero(laws.of_bond < 0)
         # Bonds to the own mirror image, which has the other end, and those of ends that do not reach back: what is
         # counted from both ends counts them twice.
         own = self.keys[:, 0] == self.keys[:, 1]
         alone = ~reached_back(bonds.cloud, bonds.families, bonds.length)
-        self._first: Mask = alone | (bonds.cloud.gid[centres] == self.keys[:, 0])
+        self._first: Mask = alone | (bonds.cloud.gid[bonds.families.centres] == self.keys[:, 0])
         self._twice: Mask = alone | (own & (bonds.cloud.places.opposite(self.keys[:, 2]) == self.keys[:, 2]))
         self.phi: Float = np.ones(len(self.length))
         self.kappa: Float = np.zeros(len(self.length))
@@ -84,7 +76,7 @@ class FailingBonds:
 
     @property
     def softens(self) -> bool:
-        """Return whether the degradation factor follows the displacement now."""
+        """Return True if the degradation factor follows the displacement now."""
         return self.laws.softens and not self.frozen
 
     def commit(self) -> None:
@@ -110,10 +102,10 @@ class FailingBonds:
         laws, final = self.laws, self._final
         present = np.ones_like(x)
         # No bond breaks while equilibrium is sought: past its final drive it keeps what is left of it there.
-        fading = np.flatnonzero((x > self._onset) & self.intact)
-        present[fading] = np.maximum(laws.phi(np.minimum(x, final)[fading], fading), 0.0)
+        past_onset = np.flatnonzero((x > self._onset) & self.intact)
+        present[past_onset] = np.maximum(laws.phi(np.minimum(x, final)[past_onset], past_onset), 0.0)
         follows = self.law.effect.follows(present, self.phi + self.slack) & self.intact
-        softening = fading[follows[fading] & (x < final)[fading]]
+        softening = past_onset[follows[past_onset] & (x < final)[past_onset]]
         return np.where(follows, present, self.phi), softening, laws.slope(x[softening], softening)
 
     def most_driven(self, x: Float, band: float) -> tuple[GlobalIndex, float, float]:
@@ -267,6 +259,5 @@ class FailingBonds:
         degree : float
             With which power of the drive it grows [-].
         """
-        final = self._final if isinstance(self._final, float) else self._final[lost]
-        x = np.where(self.phi[lost] > 0.0, self.kappa[lost], np.maximum(self.kappa[lost], final))
+        x = np.where(self.phi[lost] > 0.0, self.kappa[lost], np.maximum(self.kappa[lost], self._final[lost]))
         return self.laws.dissipated(self.phi[lost], x, energy, degree, lost)

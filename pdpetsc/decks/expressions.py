@@ -1,4 +1,4 @@
-"""Expressions of decks, such as ``0.001*y*t``: parsed by a grammar of their own, never evaluated as code.
+"""Expressions of decks, such as ``0.001*y*t``: parsed as Python's, checked part by part, never evaluated as code.
 
 either = both {("|" | "||" | "or") both}
 both = compared {("&" | "&&" | "and") compared}
@@ -23,10 +23,12 @@ block = "{" statement "}"
 
 from __future__ import annotations
 
+import ast
+import functools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -49,79 +51,50 @@ FUNCTIONS: dict[str, tuple[str, int]] = {
 }  # fmt: skip
 # Those that Peridigm's expressions do not have.
 _NOT_PERIDIGM = ("abs", "min", "max", "ifelse")
-_BINDING = {"|": 1, "&": 2, "<": 3, "<=": 3, ">": 3, ">=": 3, "==": 3, "!=": 3, "+": 4, "-": 4, "*": 5, "/": 5, "**": 7}
-_COMPARE = ("<", "<=", ">", ">=", "==", "!=")
-# Levels of brackets, and words: a chain of sums is as deep as it has terms.
+# Operations as Python writes them; numpy's "and" and "or" are & and |.
+_IN_PYTHON = {"^": "**", "&": "and", "&&": "and", "|": "or", "||": "or"}
+_ELEMENTWISE = {ast.And: ast.BitAnd, ast.Or: ast.BitOr}
+_OPERATIONS: dict[type[ast.AST], np.ufunc] = {
+    ast.UAdd: np.positive, ast.USub: np.negative, ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply,
+    ast.Div: np.divide, ast.Pow: np.power, ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater,
+    ast.GtE: np.greater_equal, ast.Eq: np.equal, ast.NotEq: np.not_equal, ast.BitAnd: np.logical_and,
+    ast.BitOr: np.logical_or,
+}  # fmt: skip
+# Brackets, signs and powers in each other, and words: a chain of sums is as deep as it has terms.
 _DEEPEST, _LONGEST = 60, 400
 
 
 @dataclass(frozen=True)
-class Node:
-    """A number, a name, an operation or a call, with what it acts on."""
+class Expression:
+    """An expression of a deck.
 
-    kind: str
-    word: str
-    parts: tuple[Node, ...] = ()
+    Attributes
+    ----------
+    code : str
+        The expression as Python with numpy, with the variables of the deck.
+    tree : ast.expr
+        Its tree.
+    """
+
+    code: str
+    tree: ast.expr = field(compare=False, repr=False)
 
     @property
     def names(self) -> set[str]:
         """Return the variables in it."""
-        own = {self.word} if self.kind == "name" else set()
-        return own.union(*(part.names for part in self.parts))
-
-    @property
-    def logical(self) -> bool:
-        """Return whether it is true or false."""
-        return self.kind == "operation" and self.word in (*_COMPARE, "&", "|")
+        return _names(self.tree)
 
     def python(self, names: Mapping[str, str]) -> str:
         """Return it as Python with numpy, with the variables called as ``names`` says."""
-        return self._python(names)[0]
+        return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda word: names.get(word[0], word[0]), self.code)
 
-    def _python(self, names: Mapping[str, str]) -> tuple[str, int]:
-        """Return the text and how strongly its outermost operation binds."""
-        if self.kind == "number":
-            return self.word, 9
-        if self.kind == "name":
-            return names[self.word], 9
-        if self.kind == "call" and self.word != "pow":
-            return f"{FUNCTIONS[self.word][0]}({', '.join(part.python(names) for part in self.parts)})", 9
-        if self.kind == "sign":
-            text, binds = self.parts[0]._python(names)
-            return f"{self.word}{text}" if binds >= 6 else f"{self.word}({text})", 6
-        word = "**" if self.kind == "call" else self.word
-        own = _BINDING[word]
-        (left, before), (right, after) = (part._python(names) for part in self.parts)
-        # Numpy's & and | bind more tightly than comparisons do.
-        if word in "&|":
-            own = 2
-            return f"({left}) {word} ({right})", own
-        left = left if before > own or (before == own and word != "**" and word not in _COMPARE) else f"({left})"
-        right = right if after > own else f"({right})"
-        return f"{left} {word} {right}", own
-
-    def value(self, at: Mapping[str, float]) -> float:
-        """Return the number that it is where the variables have these values."""
-        if self.kind == "number":
-            return float(self.word)
-        if self.kind == "name":
-            return float(np.pi) if self.word == "pi" else at[self.word]
-        found = [part.value(at) for part in self.parts]
+    def value(self, at: Mapping[str, Any]) -> Any:
+        """Return the number that it is where the variables have these values, or an array of them for arrays."""
         with np.errstate(all="ignore"):
-            if self.kind == "sign":
-                return -found[0] if self.word == "-" else found[0]
-            if self.kind == "call" and self.word != "pow":
-                return float(getattr(np, FUNCTIONS[self.word][0][3:])(*found))
-            a, b = np.float64(found[0]), np.float64(found[1])
-            operations: dict[str, Callable[..., Any]] = {
-                "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power, "pow": np.power,
-                "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal,
-                "!=": np.not_equal, "&": np.logical_and, "|": np.logical_or,
-            }  # fmt: skip
-            return float(operations[self.word](a, b))
+            return _value(self.tree, {"pi": np.pi, **at})
 
 
-def parse(text: str, where: str, allowed: set[str]) -> Node:
+def parse(text: str, where: str, allowed: set[str]) -> Expression:
     """Parse a number of PeriLab.
 
     Parameters
@@ -141,35 +114,68 @@ def parse(text: str, where: str, allowed: set[str]) -> Node:
     return _Parser(text, where, allowed).number()
 
 
-def parse_condition(text: str, where: str, allowed: set[str]) -> Node:
+def parse_condition(text: str, where: str, allowed: set[str]) -> Expression:
     """Parse an expression of PeriLab that is true or false; arguments and errors as of ``parse``."""
     return _Parser(text, where, allowed).condition()
 
 
-def parse_peridigm(text: str, where: str, allowed: set[str]) -> Node:
+def parse_peridigm(text: str, where: str, allowed: set[str]) -> Expression:
     """Parse a number of Peridigm, which may be an ``if``; arguments and errors as of ``parse``."""
     return _PeridigmParser(text, where, allowed).number()
 
 
+def _names(tree: ast.AST) -> set[str]:
+    """Return the variables in a tree, whose functions are names of numpy."""
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and not node.id.startswith("np.")}
+
+
+def _value(node: ast.expr, at: Mapping[str, Any]) -> Any:
+    """Return what a checked tree is where the variables have these values."""
+    match node:
+        case ast.Name(id=name):
+            return at[name]
+        case ast.UnaryOp(op=operation, operand=operand):
+            return _OPERATIONS[type(operation)](_value(operand, at))
+        case (
+            ast.BinOp(left=left, op=operation, right=right)
+            | ast.Compare(left=left, ops=[operation], comparators=[right])
+        ):
+            return _OPERATIONS[type(operation)](_value(left, at), _value(right, at))
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            return getattr(np, name.removeprefix("np."))(*(_value(argument, at) for argument in arguments))
+    return np.float64(ast.literal_eval(node))
+
+
+def _is_logical(node: ast.expr) -> bool:
+    """Return whether a checked tree is true or false."""
+    return isinstance(node, ast.Compare) or (
+        isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
+    )
+
+
 class _Parser:
+    """Turns the words of an expression into Python's, and checks the tree that Python makes of them."""
+
     functions: ClassVar[Sequence[str]] = list(FUNCTIONS)
+    power: ClassVar[Sequence[str]] = ("^", "**")
 
     def __init__(self, text: str, where: str, allowed: set[str]) -> None:
         plain = re.sub(r"\\([{}])", r"\1", text).strip()
         # Julia's operations on every member of a list are the same as those on one.
         plain = re.sub(r"\.(?=[*/+^-])|(?<=[a-z])\.(?=\()", " ", re.sub(r"(\d)\.(?=[*/+^-])", r"\1.0", plain))
         self._shown, self._where, self._allowed, self._depth = text, where, allowed | {"pi"}, 0
-        self._tokens: list[tuple[str, str]] = []
+        self._words: list[str] = []
         at = 0
         while at < len(plain):
             found = _TOKEN.match(plain, at)
             if found is None:
-                if not plain[at:].strip():
-                    break
                 raise self._wrong(f"{plain[at:].strip()[:12]!r} is not understood")
-            kind = str(found.lastgroup)
-            self._tokens.append((kind, found[kind]))
-            if len(self._tokens) > _LONGEST:
+            word = found[str(found.lastgroup)]
+            if found["number"] and not math.isfinite(float(word)):
+                raise self._wrong(f"{word[:12]} is no finite number")
+            # Python reads no whole numbers that begin with zeros.
+            self._words.append(word.lstrip("0") or "0" if word.isdecimal() else word)
+            if len(self._words) > _LONGEST:
                 raise self._wrong(f"it has more than {_LONGEST} words")
             at = found.end()
         self._at = 0
@@ -180,198 +186,165 @@ class _Parser:
             f"it with numbers, {', '.join(sorted(self._allowed))}, + - * / ^ and {', '.join(self.functions)}."
         )
 
-    def _next(self) -> str:
-        return self._tokens[self._at][1] if self._at < len(self._tokens) else ""
-
-    def _take(self, *words: str) -> str:
-        word = self._next()
-        if word in words and word:
-            self._at += 1
-            return word
-        return ""
-
-    def number(self) -> Node:
+    def number(self) -> Expression:
         """Parse all of the text; raises CaseError unless it is a number."""
-        found = self._whole()
-        if found.logical:
-            raise CaseError(f"{self._where} of the deck, {self._shown!r}, is true or false.")
-        return found
+        return self._whole(self._number)
 
-    def condition(self) -> Node:
+    def condition(self) -> Expression:
         """Parse all of the text; raises CaseError unless it is true or false."""
-        found = self._whole()
-        if not found.logical:
-            raise CaseError(f"{self._where} of the deck, {self._shown!r}, is a number.")
-        return found
+        return self._whole(self._condition)
 
-    def _whole(self) -> Node:
-        found = self._statement()
-        if self._at < len(self._tokens):
+    def _whole(self, checked: Callable[[ast.expr], ast.expr]) -> Expression:
+        source = self._statement()
+        if self._next():
             raise self._wrong(f"{self._next()!r} stands where nothing can")
-        return found
+        try:
+            tree = checked(self._bound(ast.parse(source, mode="eval").body))
+            return Expression(ast.unparse(tree), tree)
+        except SyntaxError as error:
+            raise self._wrong(error.msg) from None
+        except (RecursionError, MemoryError):
+            raise self._wrong("it is nested too deeply") from None
 
-    def _statement(self) -> Node:
-        self._enter()
-        if self._next() == "value":
-            self._at += 1
-            self._need("=")
-        found = self._either()
-        self._take(";")
-        self._depth -= 1
+    # --- words to Python
+
+    def _next(self) -> str:
+        return self._words[self._at] if self._at < len(self._words) else ""
+
+    def _take(self, word: str) -> bool:
+        found = self._next() == word
+        self._at += found
         return found
 
     def _need(self, word: str) -> None:
         if not self._take(word):
             raise self._wrong(f"{word!r} is missing before {self._next() or 'its end'!r}")
 
-    def _enter(self) -> None:
-        self._depth += 1
+    def _statement(self) -> str:
+        """Return the next statement as Python."""
+        if self._take("value"):
+            self._need("=")
+        found = self._expression()
+        self._take(";")
+        return found
+
+    def _expression(self) -> str:
+        """Return the words up to a semicolon, a brace, or a bracket that was opened before, as Python."""
+        words, depth = list[str](), 0
+        while (word := self._next()) and word not in (";", "{", "}") and (word != ")" or depth):
+            self._at += 1
+            depth += (word == "(") - (word == ")")
+            called = self._next() == "("
+            if word == "=" or (word in ("^", "**") and word not in self.power):
+                raise self._wrong(f"{word!r} stands where nothing can")
+            if word == "(" and (not words or words[-1] not in self.functions):
+                # A call of no effect, so that the tree tells -(x^2) from -x^2.
+                words.append("_")
+            elif word.isidentifier() and word not in (*self._allowed, "and", "or", *(self.functions if called else ())):
+                raise self._wrong(f"{word}{'()' if called else ''} is not known")
+            if depth >= _DEEPEST:
+                raise self._wrong("it is nested too deeply")
+            words.append(_IN_PYTHON.get(word, word))
+        return " ".join(words)
+
+    # --- the tree
+
+    def _bound(self, tree: ast.expr) -> ast.expr:
+        """Return a tree of Python with operations bound as the program of the deck binds them."""
+        return tree
+
+    def _checked(self, node: ast.expr) -> ast.expr:
+        """Return a tree with functions of numpy; refuse everything else that Python has."""
+        match node:
+            case ast.Constant() | ast.Name():
+                # The words have no other names, and no constants but numbers.
+                return node
+            case ast.Call(func=ast.Name(id="_"), args=[inner], keywords=[]):
+                return self._checked(inner)
+            case ast.Compare(left=left, ops=[operation], comparators=[right]):
+                return ast.Compare(self._number(left), [operation], [self._number(right)])
+            case ast.Compare():
+                raise self._wrong("two comparisons stand in a row; join them with &")
+            case ast.BoolOp(op=operation, values=values):
+                joined = _ELEMENTWISE[type(operation)]()
+                return functools.reduce(lambda one, other: ast.BinOp(one, joined, other), map(self._condition, values))
+            case ast.UnaryOp(op=operation, operand=operand):
+                return ast.UnaryOp(operation, self._number(operand))
+            case ast.BinOp(left=left, op=operation, right=right):
+                # A chain of sums is no deeper than its terms.
+                return self._finite(ast.BinOp(self._number(left, deeper=0), operation, self._number(right)))
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self._finite(self._called(name, arguments))
+        raise self._wrong("a number is missing")
+
+    def _called(self, name: str, arguments: Sequence[ast.expr]) -> ast.expr:
+        word, count = FUNCTIONS[name]
+        if len(arguments) != count:
+            raise self._wrong(f"{name}() takes {count} numbers, not {len(arguments)}")
+        if name == "pow":
+            return ast.BinOp(self._number(arguments[0]), ast.Pow(), self._number(arguments[1]))
+        conditions = 1 if name == "ifelse" else 0
+        found = [*map(self._condition, arguments[:conditions]), *map(self._number, arguments[conditions:])]
+        return ast.Call(ast.Name(word), found, [])
+
+    def _number(self, node: ast.expr, deeper: int = 1) -> ast.expr:
+        self._depth += deeper
         if self._depth > _DEEPEST:
             raise self._wrong("it is nested too deeply")
-
-    def _either(self) -> Node:
-        self._enter()
-        found = self._both()
-        while self._take("|", "||", "or"):
-            found = self._joined("|", found, self._both())
-        self._depth -= 1
+        found = self._checked(node)
+        self._depth -= deeper
+        if _is_logical(found):
+            raise self._wrong("a comparison stands where a number must")
         return found
 
-    def _both(self) -> Node:
-        found = self._compared()
-        while self._take("&", "&&", "and"):
-            found = self._joined("&", found, self._compared())
+    def _condition(self, node: ast.expr) -> ast.expr:
+        found = self._checked(node)
+        if not _is_logical(found):
+            raise self._wrong("what an if, & or | takes must be a comparison")
         return found
 
-    def _joined(self, word: str, one: Node, other: Node) -> Node:
-        if not (one.logical and other.logical):
-            raise self._wrong(f"both sides of {word} must be comparisons")
-        return Node("operation", word, (one, other))
-
-    def _compared(self) -> Node:
-        found = self._sum()
-        word = self._take(*_COMPARE)
-        if not word:
-            return found
-        found = Node("operation", word, (found, self._sum()))
-        if self._next() in _COMPARE:
-            raise self._wrong("two comparisons stand in a row; join them with &")
-        return found
-
-    def _sum(self) -> Node:
-        found = self._product()
-        while word := self._take("+", "-"):
-            found = self._finite(Node("operation", word, (self._number(found), self._number(self._product()))))
-        return found
-
-    def _product(self) -> Node:
-        found = self._factor()
-        while word := self._take("*", "/"):
-            found = self._finite(Node("operation", word, (self._number(found), self._number(self._factor()))))
-        return found
-
-    def _factor(self) -> Node:
-        return self._signed()
-
-    def _signed(self) -> Node:
-        self._enter()
-        word = self._take("+", "-")
-        found = self._signed() if word else self._unsigned()
-        self._depth -= 1
-        return Node("sign", "-", (self._number(found),)) if word == "-" else found
-
-    def _unsigned(self) -> Node:
-        return self._power()
-
-    def _power(self) -> Node:
-        return self._raised(self._atom, self._signed, "^", "**")
-
-    def _raised(self, base: Callable[[], Node], exponent: Callable[[], Node], *words: str) -> Node:
-        self._enter()
-        found = base()
-        if self._take(*words):
-            found = self._finite(Node("operation", "**", (self._number(found), self._number(exponent()))))
-        self._depth -= 1
-        return found
-
-    def _finite(self, node: Node) -> Node:
+    def _finite(self, node: ast.expr) -> ast.expr:
         """Return a node; refuse constants that are not finite, which Python may compute without end."""
-        if node.names <= {"pi"} and not math.isfinite(node.value({})):
+        if _names(node) <= {"pi"} and not np.isfinite(Expression("", node).value({})):
             raise self._wrong("a part of it is no finite number")
         return node
-
-    def _number(self, node: Node) -> Node:
-        if node.logical:
-            raise self._wrong("a comparison stands where a number must")
-        return node
-
-    def _atom(self) -> Node:
-        if self._at == len(self._tokens):
-            raise self._wrong("it ends too early")
-        kind, word = self._tokens[self._at]
-        self._at += 1
-        if kind == "number":
-            # Python reads no whole numbers that begin with zeros.
-            return self._finite(Node("number", word.lstrip("0") or "0" if word.isdecimal() else word))
-        if kind == "name" and self._next() == "(":
-            return self._call(word)
-        if kind == "name":
-            if word not in self._allowed:
-                raise self._wrong(f"{word} is not known")
-            return Node("name", word)
-        if word == "(":
-            found = self._either()
-            self._need(")")
-            return found
-        raise self._wrong(f"{word!r} stands where a number must")
-
-    def _call(self, word: str) -> Node:
-        if word not in self.functions:
-            raise self._wrong(f"{word}() is not known")
-        self._at += 1
-        parts = [self._either()]
-        while self._take(","):
-            parts.append(self._either())
-        self._need(")")
-        if len(parts) != FUNCTIONS[word][1]:
-            raise self._wrong(f"{word}() takes {FUNCTIONS[word][1]} numbers, not {len(parts)}")
-        if any(part.logical != (word == "ifelse" and place == 0) for place, part in enumerate(parts)):
-            raise self._wrong(f"{word}() has a comparison where a number must stand, or the other way round")
-        return self._finite(Node("call", word, tuple(parts)))
 
 
 class _PeridigmParser(_Parser):
     """A sign binds more tightly than a power, and an expression may be an ``if``."""
 
     functions: ClassVar[Sequence[str]] = [name for name in FUNCTIONS if name not in _NOT_PERIDIGM]
+    power: ClassVar[Sequence[str]] = ("^",)
 
-    def _statement(self) -> Node:
+    def _statement(self) -> str:
         if not self._take("if"):
             return super()._statement()
-        self._enter()
         self._need("(")
-        condition = self._either()
+        condition = self._expression()
         self._need(")")
-        if not condition.logical:
-            raise self._wrong("what follows an if must be a comparison")
         value = self._block()
         if not self._take("else"):
             raise self._wrong("an if needs an else")
         other = self._statement() if self._next() == "if" else self._block()
-        self._depth -= 1
-        return Node("call", "ifelse", (condition, value, other))
+        return f"ifelse({condition}, {value}, {other})"
 
-    def _block(self) -> Node:
+    def _block(self) -> str:
         self._need("{")
-        found = self._number(self._statement())
+        found = self._statement()
         self._need("}")
         return found
 
-    def _factor(self) -> Node:
-        return self._power()
+    def _bound(self, tree: ast.expr) -> ast.expr:
+        return _SignsFirst().visit(tree)  # type: ignore[no-any-return]
 
-    def _unsigned(self) -> Node:
-        return self._atom()
 
-    def _power(self) -> Node:
-        return self._raised(self._signed, self._power, "^")
+class _SignsFirst(ast.NodeTransformer):
+    """Moves a sign before a power to the base of the power."""
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
+        """Return -x^2 as the square of -x."""
+        self.generic_visit(node)
+        power = node.operand
+        if isinstance(power, ast.BinOp) and isinstance(power.op, ast.Pow):
+            return ast.BinOp(ast.UnaryOp(node.op, power.left), power.op, power.right)
+        return node

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.decks.expressions import Node
+from pdpetsc.decks.expressions import parse
 from pdpetsc.decks.script import Given, Script, Where, table_of
 from pdpetsc.errors import CaseError
 
@@ -51,7 +51,13 @@ def hold_free_motions(script: Script) -> None:
         mask: Mask = np.arange(len(body.x)) == particle
         where = Where(f"pd.region.Nearest({tuple(body.x[particle].tolist())!r})", mask)
         script.given.append(
-            Given("Displacement", "xyz"[axis], where, Node("number", "0.0"), "Free in the deck, held without force")
+            Given(
+                "Displacement",
+                "xyz"[axis],
+                where,
+                parse("0.0", "a support", set()),
+                "Free in the deck, held without force",
+            )
         )
     script.notes.differs(
         f"The deck leaves {count} of {modes.shape[2]} rigid motions free, which equilibrium does not determine; they "

@@ -41,7 +41,7 @@ def exodus_body(path: Path, folder: Path, nodes: str, blocks: str) -> Body:
     return Body(code, [], whole.x, dict(whole.sets), called, of_nodes=of_nodes, volume=whole.volume)
 
 
-def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: int) -> Body:
+def text_body(path: Path, folder: Path, sets: dict[str, Path | list[int]], dim: Literal[2, 3]) -> Body:
     """Return the particles of a text file with sets of the deck by file or numbers."""
     whole = TextFile(path, sets, dim=dim).chunk(0, 1)
     codes = {name: relative(given, folder) if isinstance(given, Path) else repr(given) for name, given in sets.items()}

@@ -16,27 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from pdpetsc.bounds import MOST_STEPS, real_number, whole_number
+from pdpetsc.decks import parts
 from pdpetsc.decks.expressions import parse_peridigm
 from pdpetsc.decks.free_motions import hold_free_motions
-from pdpetsc.decks.parts import (
-    Law,
-    damage_by_block,
-    elastic_constants,
-    exodus_body,
-    histories,
-    horizon_of,
-    note_ties,
-    own_influence,
-    put_cracks,
-    put_gradients,
-    reads_influence,
-    refuse_same_names,
-    refuse_steps,
-    refuse_unknown,
-    single_horizon,
-    text_body,
-    words,
-)
 from pdpetsc.decks.quick_grid import families_code, grid_body
 from pdpetsc.decks.script import STATIC_STEPS, Body, Deck, Given, Script, Times, Where, quoted, tidy
 from pdpetsc.decks.sections import Section
@@ -71,19 +53,19 @@ def translate(deck: Deck) -> Script:
     body = _body(root.section("Discretization"), root.sections.get("Boundary Conditions"), deck)
     script = Script(deck.path, PROGRAM, body, times, notes)
     _blocks(script, root)
-    note_ties(script)
-    put_cracks(script, root.section("Discretization"))
+    parts.note_ties(script)
+    parts.put_cracks(script, root.section("Discretization"))
     if "Contact" in root.sections:
         raise CaseError(f"{root.sections['Contact'].place} of the deck is contact, which this program does not have.")
     if "Boundary Conditions" in root.sections:
         _conditions(script, root.section("Boundary Conditions"), deck)
     if not script.given:
         raise CaseError("The deck prescribes nothing, and a static answer needs supports and loads.")
-    histories(script, root, "Force", "Displacement")
+    parts.histories(script, root, "Force", "Displacement")
     for name in root.sections:
         if re.fullmatch(r"Output\d*", name):
             notes.leave_out_all(root.sections[name])
-    refuse_unknown(root)
+    parts.refuse_unknown(root)
     hold_free_motions(script)
     return script
 
@@ -109,9 +91,9 @@ def _body(section: Section, conditions: Section | None, deck: Deck) -> Body:
             raise CaseError(
                 f"The deck gives node set {next(iter(sets))!r} by numbers beside an Exodus mesh; put it into the mesh."
             )
-        return exodus_body(path, deck.folder, "nodelist", "block")
+        return parts.exodus_body(path, deck.folder, "nodelist", "block")
     if kind == "Text File":
-        return text_body(path, deck.folder, sets, dim=3)
+        return parts.text_body(path, deck.folder, sets, dim=3)
     raise CaseError(
         f"{section.entries['Type'].place} of the deck is {kind!r}; known are Exodus, Text File, PdQuickGrid."
     )
@@ -125,9 +107,9 @@ def _number_sets(conditions: Section | None, beside: Path) -> dict[str, Path | l
             continue
         assert conditions is not None
         text = conditions.text(name)
-        numbers = [whole_number(word) for word in words(text)]
+        numbers = [whole_number(word) for word in parts.words(text)]
         found[name] = [number for number in numbers if number is not None] if None not in numbers else beside / text
-    refuse_same_names(found)
+    parts.refuse_same_names(found)
     return found
 
 
@@ -141,24 +123,24 @@ def _blocks(script: Script, root: Section) -> None:
     groups = list(root.section("Blocks").sections.values())
     # The default block is what the others leave.
     groups.sort(key=lambda group: group.text("Block Names").lower() == "default")
-    laws, used, horizons = list[Law](), set[str](), list[float]()
+    laws, used, horizons = list[parts.Law](), set[str](), list[float]()
     damages = list[tuple[Where, str, Section]]()
     for group in groups:
-        names = words(group.text("Block Names"))
+        names = parts.words(group.text("Block Names"))
         if [name.lower() for name in names] == ["default"]:
             blocks = [name for name in script.body.sets if _is_block(name) and (script.body.sets[name] & left).any()]
-            parts = [Where(f"pd.region.Named({quoted(name)})", np.asarray(script.body.sets[name])) for name in blocks]
+            wheres = [Where(f"pd.region.Named({quoted(name)})", np.asarray(script.body.sets[name])) for name in blocks]
         else:
-            parts = [script.body.block(name, group.place) for name in names]
-        if not parts:
+            wheres = [script.body.block(name, group.place) for name in names]
+        if not wheres:
             group.text("Material")
             group.text("Horizon")
             continue
-        where = functools.reduce(operator.or_, parts)
+        where = functools.reduce(operator.or_, wheres)
         if not (where.mask <= left).all():
             raise CaseError(f"{group.place} of the deck has blocks that another group has too.")
         left &= ~where.mask
-        horizon = horizon_of(group)
+        horizon = parts.horizon_of(group)
         horizons.append(horizon)
         radius = _radius(script, horizon)
         script.horizon.append((where, radius))
@@ -172,7 +154,7 @@ def _blocks(script: Script, root: Section) -> None:
     for name, section in materials.sections.items():
         if name not in used:
             script.notes.leave_out_all(section)
-    put_gradients(script, laws)
+    parts.put_gradients(script, laws)
     _influence(script, root, horizons)
     _damage(script, models, damages)
 
@@ -202,23 +184,23 @@ def _influence(script: Script, root: Section, horizons: Sequence[float]) -> None
     """Put the influence function into the script; ``horizons`` are those of the deck, block by block [length]."""
     section = root.section("Discretization")
     text = section.text("Influence Function", "One")
-    if text == "One" or not reads_influence(script, section):
+    if text == "One" or not parts.reads_influence(script, section):
         return
     # Only families of a grid, which has one block, have another radius than their horizon.
     widened = script.horizon[0][1] / horizons[0]
     if text == "Parabolic Decay":
-        own_influence(script, "np.where(z < 0.5, 1.0, np.maximum(4.0 * z * (1.0 - z), 0.0))", "z", widened)
+        parts.own_influence(script, "np.where(z < 0.5, 1.0, np.maximum(4.0 * z * (1.0 - z), 0.0))", "z", widened)
     elif text == "Gaussian":
         script.arguments["influence"] = f"pd.influence.Gaussian({0.4 / widened!r})"
     else:
         place = section.entries["Influence Function"].place
-        horizon = single_horizon(set(horizons), place)
+        horizon = parts.single_horizon(set(horizons), place)
         node = parse_peridigm(text, place, {"zeta", "horizon"})
         body = node.python({"zeta": "zeta", "horizon": repr(horizon), "pi": "np.pi"})
-        own_influence(script, body, "zeta", script.horizon[0][1])
+        parts.own_influence(script, body, "zeta", script.horizon[0][1])
 
 
-def _material(section: Section, script: Script, widened: float) -> Law:
+def _material(section: Section, script: Script, widened: float) -> parts.Law:
     """Translate a material.
 
     ``widened`` is the radius of families over the horizon of the deck: micromoduli fall with its fourth power [-].
@@ -265,7 +247,7 @@ def _material(section: Section, script: Script, widened: float) -> Law:
             if of_gradients
             else "A bond expands by the temperature of both of its ends; in Peridigm by that of each."
         )
-    return Law(found, "gradients" if of_gradients else "bonds", control)
+    return parts.Law(found, "gradients" if of_gradients else "bonds", control)
 
 
 def _law(model: str, section: Section, script: Script, widened: float) -> str | None:
@@ -279,7 +261,7 @@ def _law(model: str, section: Section, script: Script, widened: float) -> str | 
         "Elastic Plastic Correspondence", "Isotropic Hardening Correspondence",
     ):  # fmt: skip
         return None
-    E, nu = elastic_constants(section)
+    E, nu = parts.elastic_constants(section)
     if model == "Linear LPS Partial Volume":
         return f"pd.LinearSolid(E={E!r}, nu={nu!r})"
     if model in ("Elastic", "Elastic Partial Volume"):
@@ -320,7 +302,7 @@ def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where
         return section.number("Critical Stretch")
 
     by_name = [(where, "" if name == "None" else name) for where, name, _ in blocks]
-    damage_by_block(script, models, by_name, "materials that are not correspondence materials", critical)
+    parts.damage_by_block(script, models, by_name, "materials that are not correspondence materials", critical)
 
 
 # --- conditions
@@ -399,8 +381,8 @@ def _times_of(solver: Section, deck: Deck) -> list[float]:
         )
     notes.leave_out(section, *_TUNING)
     if "Time Steps" in section.entries:
-        times = [number for number in map(real_number, words(section.text("Time Steps"))) if number is not None]
-        if len(times) < len(words(section.text("Time Steps"))) or not all(map(math.isfinite, times)):
+        times = [number for number in map(real_number, parts.words(section.text("Time Steps"))) if number is not None]
+        if len(times) < len(parts.words(section.text("Time Steps"))) or not all(map(math.isfinite, times)):
             raise CaseError(f"{section.entries['Time Steps'].place} of the deck are not times.")
         notes.leave_out(solver, "Initial Time", "Final Time")
         if len(times) < 2:
@@ -408,7 +390,7 @@ def _times_of(solver: Section, deck: Deck) -> list[float]:
         return times
     first, last = solver.number("Initial Time", 0.0), solver.number("Final Time")
     count = section.whole("Number of Load Steps")
-    refuse_steps(solver, count, first, last)
+    parts.refuse_steps(solver, count, first, last)
     return Times.even(first, last, count).values
 
 

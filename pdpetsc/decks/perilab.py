@@ -11,31 +11,15 @@ import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from pdpetsc.arrays import Mask
 from pdpetsc.bounds import MOST_STEPS, whole_number
+from pdpetsc.decks import parts
 from pdpetsc.decks.expressions import parse, parse_condition
 from pdpetsc.decks.free_motions import hold_free_motions
-from pdpetsc.decks.parts import (
-    Law,
-    damage_by_block,
-    elastic_constants,
-    histories,
-    horizon_of,
-    note_ties,
-    own_influence,
-    put_cracks,
-    put_gradients,
-    reads_influence,
-    refuse_same_names,
-    refuse_steps,
-    refuse_unknown,
-    single_horizon,
-    text_body,
-    words,
-)
 from pdpetsc.decks.script import STATIC_STEPS, Body, Deck, Given, Script, Times, Where, tidy
 from pdpetsc.decks.sections import Section
 from pdpetsc.declare.text_file import TextFile
@@ -73,8 +57,8 @@ def translate(deck: Deck) -> Script:
         if name in root.sections:
             raise CaseError(f"{root.sections[name].place} of the deck {_NO_PART}.")
     warm = _blocks(script, root, on)
-    note_ties(script)
-    put_cracks(script, root.section("Discretization"))
+    parts.note_ties(script)
+    parts.put_cracks(script, root.section("Discretization"))
     _conditions(script, root.section("Boundary Conditions"))
     for given in script.given:
         warm &= ~given.where.mask if given.kind == "Temperature" else True
@@ -83,9 +67,9 @@ def translate(deck: Deck) -> Script:
             f"The deck prescribes no temperature of {np.count_nonzero(warm)} particles whose reference temperature is "
             f"not zero; PeriLab gives them zero, and this program the reference temperature: prescribe it."
         )
-    histories(script, root, "Forces", "Displacements")
+    parts.histories(script, root, "Forces", "Displacements")
     notes.leave_out(root, "Outputs")
-    refuse_unknown(root)
+    parts.refuse_unknown(root)
     hold_free_motions(script)
     return script
 
@@ -125,7 +109,7 @@ def _body(section: Section, deck: Deck) -> Body:
     files: dict[str, Path | list[int]] = {}
     regions: dict[str, str] = {}
     # Whether z is there says whether the body is plane.
-    dim = 3 if TextFile(path).has("z") else 2
+    dim: Literal[2, 3] = 3 if TextFile(path).has("z") else 2
     places = TextFile(path, dim=dim).chunk(0, 1).x
     chosen: dict[str, Mask] = {}
     for name in () if given is None else given.entries:
@@ -141,11 +125,9 @@ def _body(section: Section, deck: Deck) -> Body:
             node = parse_condition(text, given.entries[name].place, set("xyz"[:dim]))
             code = node.python({axis: f"x[:, {k}]" for k, axis in enumerate("xyz")} | {"pi": "np.pi"})
             regions[name] = f"pd.region.Where(lambda x: {code})"
-            chosen[name] = np.array(
-                [node.value(dict(zip("xyz", map(float, x), strict=False))) != 0.0 for x in places], dtype=bool
-            )
-    body = text_body(path, deck.folder, files, dim)
-    refuse_same_names([*body.sets, *chosen])
+            chosen[name] = np.broadcast_to(node.value(dict(zip("xyz", places.T, strict=False))), len(places))
+    body = parts.text_body(path, deck.folder, files, dim)
+    parts.refuse_same_names([*body.sets, *chosen])
     sets = {**body.sets, **chosen}
     called = {**body.called, **{tidy(name): name for name in chosen}}
     return replace(body, sets=sets, called=called, regions=regions)
@@ -158,7 +140,7 @@ def _numbers(place: str, text: str, count: int) -> list[int] | None:
         if not 1 <= bounds[0] <= bounds[1] <= count:
             raise CaseError(f"{place} of the deck is {text!r}, not numbers of particles from 1 to {count}.")
         return list(range(bounds[0], bounds[1] + 1))
-    numbers = [whole_number(word) for word in words(text)]
+    numbers = [whole_number(word) for word in parts.words(text)]
     return None if None in numbers else [number for number in numbers if number is not None]
 
 
@@ -181,7 +163,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
     materials = models.section("Material Models")
     thermals, damages = models.sections.get("Thermal Models"), models.sections.get("Damage Models")
     left = np.ones(len(script.body.x), dtype=bool)
-    laws, used = list[Law](), set[str]()
+    laws, used = list[parts.Law](), set[str]()
     broken = list[tuple[Where, str]]()
     for block in root.section("Blocks").sections.values():
         number = block.whole("Block ID")
@@ -191,7 +173,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
             continue
         where = script.body.block(f"block_{number}", block.place)
         left &= ~where.mask
-        script.horizon.append((where, horizon_of(block)))
+        script.horizon.append((where, parts.horizon_of(block)))
         script.notes.leave_out(block, "Density", "Specific Heat Capacity")
         name = block.text("Material Model")
         law = _material(materials.section(name), script, solver)
@@ -216,7 +198,7 @@ def _blocks(script: Script, root: Section, on: dict[str, bool]) -> Mask:
         for name, section in held.sections.items() if held is not None else ():
             if name not in used and (held is not damages or name not in {model for _, model in broken}):
                 script.notes.leave_out_all(section)
-    put_gradients(script, laws)
+    parts.put_gradients(script, laws)
     _influence(script, root.section("Discretization"))
     _damage(script, damages, broken)
     return warm
@@ -250,7 +232,7 @@ def _plane(section: Section, script: Script) -> str:
     raise CaseError(f"{section.place} of the deck has a plane body, and neither plane stress nor plane strain.")
 
 
-def _material(section: Section, script: Script, solver: Section) -> Law:
+def _material(section: Section, script: Script, solver: Section) -> parts.Law:
     model = section.text("Material Model")
     plane = _plane(section, script)
     if section.flag("Bond Associated"):
@@ -258,17 +240,17 @@ def _material(section: Section, script: Script, solver: Section) -> Law:
     if model == "Bond-based Elastic":
         script.notes.leave_out(section, "Zero Energy Control")
         E = _bond_based_modulus(section, script)
-        return Law(f'pd.BondBased(E={E!r}{plane}, kinematics="finite")', "bonds")
+        return parts.Law(f'pd.BondBased(E={E!r}{plane}, kinematics="finite")', "bonds")
     if model == "PD Solid Elastic":
         script.notes.leave_out(section, "Zero Energy Control")
-        E, nu = elastic_constants(section)
-        return Law(f'pd.LinearSolid(E={E!r}, nu={nu!r}{plane}, kinematics="finite")', "bonds")
+        E, nu = parts.elastic_constants(section)
+        return parts.Law(f'pd.LinearSolid(E={E!r}, nu={nu!r}{plane}, kinematics="finite")', "bonds")
     if model != "Correspondence Elastic":
         raise CaseError(
             f"{section.entries['Material Model'].place} of the deck is {model!r}, which {_NO_PART}; known are "
             f"Correspondence Elastic, PD Solid Elastic and Bond-based Elastic."
         )
-    E, nu = elastic_constants(section)
+    E, nu = parts.elastic_constants(section)
     control = None
     if "Zero Energy Control" in section.entries:
         if section.text("Zero Energy Control") != "Global":
@@ -280,12 +262,12 @@ def _material(section: Section, script: Script, solver: Section) -> Law:
             "Elastic, whose stiffness of 2 G it multiplies by the engineering strain."
         )
     if _LINEAR in solver.sections or section.flag("Linear Strain"):
-        return Law(f"pd.LinearElastic(E={E!r}, nu={nu!r}{plane})", "gradients", control)
+        return parts.Law(f"pd.LinearElastic(E={E!r}, nu={nu!r}{plane})", "gradients", control)
     script.notes.differs(
         "Stress is the second Piola-Kirchhoff one of Green's strain; PeriLab takes it for Cauchy's and divides by F, "
         "which is the same at small strain."
     )
-    return Law(f"pd.SaintVenantKirchhoff(E={E!r}, nu={nu!r}{plane})", "gradients", control)
+    return parts.Law(f"pd.SaintVenantKirchhoff(E={E!r}, nu={nu!r}{plane})", "gradients", control)
 
 
 def _bond_based_modulus(section: Section, script: Script) -> float:
@@ -314,7 +296,7 @@ def _bond_based_modulus(section: Section, script: Script) -> float:
     raise CaseError(f"{section.place} of the deck has no modulus.")
 
 
-def _thermal(section: Section, law: Law, script: Script) -> str:
+def _thermal(section: Section, law: parts.Law, script: Script) -> str:
     model = section.text("Thermal Model")
     if model != "Thermal Expansion":
         raise CaseError(
@@ -335,14 +317,14 @@ def _thermal(section: Section, law: Law, script: Script) -> str:
 
 def _influence(script: Script, section: Section) -> None:
     text = section.text("Influence Function", "1")
-    if text == "1" or not reads_influence(script, section):
+    if text == "1" or not parts.reads_influence(script, section):
         return
     place = section.entries["Influence Function"].place
     if "control" in script.arguments:
         raise CaseError(f"{place} of the deck: zero-energy control with an influence function {_NO_PART}.")
     node = parse(text, place, {"xi"})
-    horizon = single_horizon({length for _, length in script.horizon}, place)
-    own_influence(script, node.python({"xi": "xi", "pi": "np.pi"}), "xi", horizon)
+    horizon = parts.single_horizon({length for _, length in script.horizon}, place)
+    parts.own_influence(script, node.python({"xi": "xi", "pi": "np.pi"}), "xi", horizon)
 
 
 def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where, str]]) -> None:
@@ -358,7 +340,7 @@ def _damage(script: Script, models: Section | None, blocks: Sequence[tuple[Where
             )
         return section.number("Critical Value")
 
-    damage_by_block(script, models, blocks, "PD Solid Elastic and Bond-based Elastic", critical)
+    parts.damage_by_block(script, models, blocks, "PD Solid Elastic and Bond-based Elastic", critical)
 
 
 # --- conditions
@@ -380,8 +362,8 @@ def _conditions(script: Script, section: Section) -> None:
             raise CaseError(f"{one.place} of the deck has coordinate {axis!r} of a {script.body.dim}D body.")
         if not axis and "Coordinate" in one.entries:
             one.text("Coordinate")
-        parts = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
-        where = functools.reduce(operator.or_, parts)
+        named = [_where(script.body, name.strip(), one.place) for name in one.text("Node Set").split("+")]
+        where = functools.reduce(operator.or_, named)
         value = parse(one.text("Value"), one.entries["Value"].place, {"x", "y", "z", "t"})
         script.given.append(Given(found, axis, where, value, one.place))
     for first, second in itertools.combinations(script.given, 2):
@@ -425,5 +407,5 @@ def _times(solver: Section, deck: Deck) -> Times:
         deck.notes.leave_out(section, *_TUNING)
     for name in ("Calculation", "Calculate Cauchy", "Calculate von Mises stress", "Calculate Strain"):
         deck.notes.leave_out(solver, name)
-    refuse_steps(solver, count, first, last)
+    parts.refuse_steps(solver, count, first, last)
     return Times.even(first, last, count)

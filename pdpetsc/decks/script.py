@@ -9,11 +9,12 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
-from pdpetsc.decks.expressions import Node
+from pdpetsc.decks.expressions import Expression
 from pdpetsc.decks.sections import Entry, Section
 from pdpetsc.errors import CaseError
 
@@ -57,7 +58,7 @@ class Given:
         Its component, or nothing.
     where : Where
         Of which particles.
-    value : Node
+    value : Expression
         What it is, of x, y, z and the time t of the deck.
     place : str
         Where it is in the deck.
@@ -68,7 +69,7 @@ class Given:
     kind: str
     axis: str
     where: Where
-    value: Node
+    value: Expression
     place: str
     since: float | None = None
 
@@ -378,7 +379,7 @@ class Script:
         comment = f"# {plain(given.place)}"
         component = f"{given.axis}=" if given.axis else ""
         if not names:
-            value = given.value.value({})
+            value = float(given.value.value({}))
             if not math.isfinite(value):
                 raise CaseError(f"{given.place} of the deck is not a number.")
             # The deck jumps to a value that does not change; a number of a case would grow with the step time.
@@ -427,15 +428,6 @@ class Script:
         return _listed([f"({where.code}, {code})," for where, code in self.material])
 
 
-def _values(given: Given, body: Body, t: float) -> list[float]:
-    """Return what a condition is at each of its particles at a time of the deck."""
-    found = []
-    for x in body.x[given.where.mask]:
-        at = {axis: float(x[k]) if k < len(x) else 0.0 for k, axis in enumerate("xyz")}
-        found.append(given.value.value({**at, "t": t}))
-    return found
-
-
 def table_of(given: Given, body: Body, times: Sequence[float]) -> Float:
     """Return what a condition is at times of the deck and at each of its particles (n_times, n).
 
@@ -447,7 +439,9 @@ def table_of(given: Given, body: Body, times: Sequence[float]) -> Float:
     beyond = sorted((given.value.names & set("xyz")) - set("xyz"[: body.dim]))
     if beyond:
         raise CaseError(f"{given.place} of the deck has {beyond[0]} of a body of {body.dim} dimensions.")
-    found = np.array([_values(given, body, t) for t in times])
+    at: dict[str, Any] = {axis: body.x[given.where.mask, k] for k, axis in enumerate("xyz"[: body.dim])}
+    count = np.count_nonzero(given.where.mask)
+    found = np.array([np.broadcast_to(given.value.value({**at, "t": t}), count) for t in times])
     for t, values in zip(times, found, strict=True):
         if not np.isfinite(values).all():
             raise CaseError(f"{given.place} of the deck is not a number at time {t:g}.")

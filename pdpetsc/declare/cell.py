@@ -12,6 +12,14 @@ from pdpetsc.declared import Declared
 from pdpetsc.errors import CaseError
 
 
+def corners(name: str, low: float | Sequence[float], high: float | Sequence[float]) -> tuple[Float, Float]:
+    """Return two corners (dim,) each [length]; raises CaseError unless both have the same 1, 2 or 3 coordinates."""
+    first, last = np.atleast_1d(np.asarray(low, dtype=float)), np.atleast_1d(np.asarray(high, dtype=float))
+    if first.shape != last.shape or first.ndim != 1 or not 1 <= len(first) <= 3:
+        raise CaseError(f"The corners low and high of a {name} need the same 1, 2 or 3 coordinates.")
+    return first, last
+
+
 @dataclass(frozen=True)
 class Cell(Declared):
     """A cell that repeats in some directions.
@@ -40,8 +48,6 @@ class Cell(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         low, high = self._corners()
-        if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
-            raise CaseError("The corners low and high of a Cell need the same 1, 2 or 3 coordinates.")
         letters = "xyz"[: len(low)]
         if self.axes is not None and (not self.axes or sorted(set(self.axes) & set(letters)) != sorted(self.axes)):
             raise CaseError(f"The axes of this Cell are letters of {letters!r}, not {self.axes!r}.")
@@ -78,4 +84,4 @@ class Cell(Declared):
         return [(a, b) for a in self.periodic for b in self.periodic if a <= b]
 
     def _corners(self) -> tuple[Float, Float]:
-        return np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        return corners("Cell", self.low, self.high)

@@ -13,12 +13,12 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declare.region import Region
 from pdpetsc.declare.schedule import Hold, Ramp, Schedule
-from pdpetsc.declared import Declared, Positive, name_of, numbers_from
+from pdpetsc.declared import Declared, Finite, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError, SolveError
 
 # A number, which is multiplied by the schedule, or a function of positions (n, dim) and step time that returns (n,)
 # values, which are multiplied by the schedule where one is given.
-Value: TypeAlias = float | Callable[[Float, float], Float]
+Value: TypeAlias = Finite | Callable[[Float, float], Float]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Vector(Condition):
         Raises
         ------
         CaseError
-            None is declared, one lies outside the dimension, or a number is not finite.
+            None is declared, or one lies outside the dimension.
         """
         given = [(axis, value) for axis, value in enumerate((self.x, self.y, self.z)) if value is not None]
         name = type(self).__name__
@@ -55,9 +55,6 @@ class _Vector(Condition):
             raise CaseError(f"A {name} condition needs at least one of its components x, y, z.")
         if given[-1][0] >= dim:
             raise CaseError(f"A {name} condition gives component {'xyz'[given[-1][0]]} of a {dim}-dimensional body.")
-        for axis, value in given:
-            if not callable(value) and not math.isfinite(value):
-                raise CaseError(f"Component {'xyz'[axis]} of a {name} condition is {value}.")
         return given
 
     def value(self, component: Value, x: Float, t: float) -> Float:
@@ -317,12 +314,12 @@ def Pressure(
 
 @dataclass(frozen=True)
 class _Tensor(Condition):
-    xx: float | None = None
-    yy: float | None = None
-    zz: float | None = None
-    xy: float | None = None
-    yz: float | None = None
-    xz: float | None = None
+    xx: Finite | None = None
+    yy: Finite | None = None
+    zz: Finite | None = None
+    xy: Finite | None = None
+    yz: Finite | None = None
+    xz: Finite | None = None
     schedule: Schedule = field(default_factory=Ramp)
 
     def components(self, available: Sequence[tuple[int, int]]) -> list[tuple[int, float]]:
@@ -331,7 +328,7 @@ class _Tensor(Condition):
         Raises
         ------
         CaseError
-            None is declared, the cell lacks one, or a number is not finite.
+            None is declared, or the cell lacks one.
         """
         name = type(self).__name__
         letters = ["xyz"[a] + "xyz"[b] for a, b in available]
@@ -339,11 +336,9 @@ class _Tensor(Condition):
         given = {key: value for key, value in declared.items() if value is not None}
         if not given:
             raise CaseError(f"A {name} condition needs at least one of the components {', '.join(letters)}.")
-        for key, value in given.items():
+        for key in given:
             if key not in letters:
                 raise CaseError(f"A {name} condition gives {key}; the periodic cell has {', '.join(letters)}.")
-            if not math.isfinite(value):
-                raise CaseError(f"Component {key} of a {name} condition is {value}.")
         return [(letters.index(key), value) for key, value in given.items()]
 
 

@@ -107,14 +107,6 @@ class Mesh(Particles):
         whole = self.chunk(0, 1)
         return Arrays(whole.x, whole.volume, thickness=self.thickness).irregular
 
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return the area of the free facets of each cell of the part, projected along the normal, as ``Particles``."""
-        count, found = _whole_surface(self, stamp_of(self.path))
-        _, area, particle, _ = found.arrays
-        rows = slice(part * count // parts, (part + 1) * count // parts)
-        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
-        return np.bincount(particle, along, count).astype(float)[rows]
-
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets of the cells of a part that belong to one cell only, or that a crack frees.
 

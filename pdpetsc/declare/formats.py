@@ -7,6 +7,7 @@ never end.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import signal
 import threading
@@ -218,33 +219,16 @@ def block_of(kind: str, nodes: Any) -> Block:
 def _read_gmsh(path: Path) -> MeshData:
     if gmsh.is_read(path):
         return gmsh.read(path)
-    import meshio
-
-    return _of_meshio(meshio.gmsh.read(path))
+    return _by_meshio("gmsh")(path)
 
 
-def _read_vtk(path: Path) -> MeshData:
-    import meshio
+def _by_meshio(name: str) -> Callable[[Path], MeshData]:
+    """Return the reader of one format of meshio."""
 
-    return _of_meshio(meshio.vtk.read(path))
+    def read(path: Path) -> MeshData:
+        return _of_meshio(importlib.import_module(f"meshio.{name}").read(path))
 
-
-def _read_vtu(path: Path) -> MeshData:
-    import meshio
-
-    return _of_meshio(meshio.vtu.read(path))
-
-
-def _read_xdmf(path: Path) -> MeshData:
-    import meshio
-
-    return _of_meshio(meshio.xdmf.read(path))
-
-
-def _read_med(path: Path) -> MeshData:
-    import meshio
-
-    return _of_meshio(meshio.med.read(path))
+    return read
 
 
 def _read_nastran(path: Path) -> MeshData:
@@ -266,11 +250,11 @@ FORMATS: dict[str, tuple[Sequence[str], Callable[[Path], MeshData]]] = {
     "gmsh": ((".msh",), _read_gmsh),
     "abaqus": ((".inp",), abaqus.read),
     "exodus": ((".e", ".exo", ".ex2", ".g", ".gen"), exodus.read),
-    "vtk": ((".vtk",), _read_vtk),
-    "vtu": ((".vtu",), _read_vtu),
+    "vtk": ((".vtk",), _by_meshio("vtk")),
+    "vtu": ((".vtu",), _by_meshio("vtu")),
     "nastran": ((".bdf", ".nas", ".fem"), _read_nastran),
-    "xdmf": ((".xdmf", ".xmf"), _read_xdmf),
-    "med": ((".med",), _read_med),
+    "xdmf": ((".xdmf", ".xmf"), _by_meshio("xdmf")),
+    "med": ((".med",), _by_meshio("med")),
 }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declare.cell import corners
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.region import Region, View
 from pdpetsc.declare.surface import Facets
@@ -22,6 +23,8 @@ from pdpetsc.errors import CaseError
 WHOLE_CELLS = 1e-6
 # Numbers of a lattice that differ by less, relatively, are the same.
 ALONG = 1e-6
+# A facet does not look along a normal that its own one has less of than this share.
+ACROSS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class Particles(Declared, ABC):
         raise CaseError(
             f"Particles of {type(self).__name__} have no known surface, which conforming weights and tractions on a "
             f"surface need; take a Lattice or a Mesh, give Arrays(..., facets=pd.Facets(...)), or take pd.Standard() "
-            f"weights and tractions with a normal and an area."
+            f"weights and give the Traction a normal and the area of its face."
         )
 
     def stairs(self, part: int, parts: int) -> int:
@@ -134,9 +137,10 @@ class Particles(Declared, ABC):
         CaseError
             The area of the free faces does not follow from the particles.
         """
-        raise CaseError(
-            f"Particles of {type(self).__name__} do not know their faces; give the Traction the area of its face."
-        )
+        _, area, particle, _ = self.surface(part, parts).arrays
+        along = area @ np.asarray(normal, dtype=float)
+        along[along <= ACROSS * np.linalg.norm(area, axis=1)] = 0.0
+        return np.bincount(particle, along, len(self.chunk(part, parts).x)).astype(float)
 
 
 @dataclass(frozen=True)
@@ -178,9 +182,7 @@ class Lattice(Particles):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
-        if low.shape != high.shape or low.ndim != 1 or not 1 <= len(low) <= 3:
-            raise CaseError("The corners low and high of a Lattice need the same 1, 2 or 3 coordinates.")
+        low, high = self._box
         for axis, cells in zip("xyz", (high - low) / self.spacing, strict=False):
             if not (math.isfinite(cells) and cells > 0.5 and abs(cells - round(cells)) < WHOLE_CELLS * max(cells, 1.0)):
                 raise CaseError(
@@ -196,7 +198,11 @@ class Lattice(Particles):
     @property
     def dim(self) -> int:
         """Return the number of coordinates."""
-        return len(np.atleast_1d(np.asarray(self.low, float)))
+        return len(self._box[0])
+
+    @property
+    def _box(self) -> tuple[Float, Float]:
+        return corners("Lattice", self.low, self.high)
 
     @property
     def fills_boxes(self) -> bool:
@@ -205,7 +211,7 @@ class Lattice(Particles):
 
     def estimate(self) -> int:
         """Return the number of cells, cut out or not."""
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        low, high = self._box
         real = ((high - low) / self.spacing).tolist()
         return math.prod(
             round(n) + self._layers("-" + axis) + self._layers("+" + axis) for axis, n in zip("xyz", real, strict=False)
@@ -213,7 +219,7 @@ class Lattice(Particles):
 
     def chunk(self, part: int, parts: int) -> Chunk:
         """Return the ``part``-th of ``parts`` contiguous parts in lattice order, the last axis fastest."""
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        low, high = self._box
         real = np.round((high - low) / self.spacing).astype(np.int64)
         before = np.array([self._layers("-" + axis) for axis in "xyz"[: self.dim]])
         after = np.array([self._layers("+" + axis) for axis in "xyz"[: self.dim]])
@@ -227,11 +233,6 @@ class Lattice(Particles):
         volume = np.full(len(x), self.spacing**self.dim * (self.thickness if self.dim < 3 else 1.0))
         spacing = np.full(np.count_nonzero(kept), float(self.spacing))
         return Chunk(x[kept], volume[kept], {name: flags[kept] for name, flags in sets.items()}, spacing)
-
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return the free face of each particle of a part, seen along a normal: cells without a neighbour there."""
-        x = self.chunk(part, parts).x
-        return _lattice_faces(x, np.full(self.dim, self.spacing), self.thickness, self._has, normal)
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the faces of the cells of a part without a neighbour, or with a crack before it.
@@ -250,7 +251,7 @@ class Lattice(Particles):
 
     def _has(self, x: Float) -> Mask:
         """Return which places (n, dim) are centres of cells with a particle."""
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        low, high = self._box
         first = low - [self._layers("-" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         last = high + [self._layers("+" + axis) * self.spacing for axis in "xyz"[: self.dim]]
         inside = np.all((x > first) & (x < last), axis=1)
@@ -271,7 +272,7 @@ class Lattice(Particles):
     def _sets(self, x: Float, real: Mask) -> dict[str, Mask]:
         """Return the named sets of cells at ``x``, of which some are ``real``."""
         sets = {"real": real, "fictitious": ~real}
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        low, high = self._box
         for side in self.fictitious:
             axis = "xyz".index(side[1])
             sets[f"fictitious {side}"] = x[:, axis] < low[axis] if side[0] == "-" else x[:, axis] > high[axis]
@@ -336,12 +337,6 @@ class LatticeNodes(Particles):
         cell = self.spacing**cells.dim * (self.thickness if cells.dim < 3 else 1.0)
         return Chunk(x, filled.mean(axis=1) * cell, {}, np.full(len(x), float(self.spacing)))
 
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return the free faces of each particle of a part, seen along a normal."""
-        _, area, particle, _ = self.surface(part, parts).arrays
-        along = np.maximum(area @ np.asarray(normal, dtype=float), 0.0)
-        return np.bincount(particle, along, len(self._corners(part, parts)[0])).astype(float)
-
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the shares that particles of a part have of the free faces of the cells, with tags ``-x``, ``+x``, ...
 
@@ -391,7 +386,7 @@ class LatticeNodes(Particles):
 
     @property
     def _counts(self) -> list[int]:
-        low, high = np.atleast_1d(np.asarray(self.low, float)), np.atleast_1d(np.asarray(self.high, float))
+        low, high = self._cells._box
         return [round(n) + 1 for n in ((high - low) / self.spacing).tolist()]
 
     def _corners(self, part: int, parts: int) -> tuple[Float, Float, Mask]:
@@ -402,7 +397,7 @@ class LatticeNodes(Particles):
         cells, counts = self._cells, self._counts
         total = math.prod(counts)
         index = np.arange(part * total // parts, (part + 1) * total // parts)
-        low = np.atleast_1d(np.asarray(self.low, float))
+        low, _ = cells._box
         node = np.stack(np.unravel_index(index, counts), axis=1)
         offsets = np.array(list(itertools.product((-1.0, 1.0), repeat=cells.dim)))
         # The same numbers from every corner, so that all agree on a cell at the edge of a region.
@@ -462,11 +457,7 @@ class Arrays(Particles):
     @property
     def irregular(self) -> bool:
         """Return whether the particles do not fill the cells of a lattice."""
-        try:
-            self._lattice()
-        except CaseError:
-            return True
-        return False
+        return self._lattice() is None
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return the facets that were given, or those of the lattice whose cells the particles fill.
@@ -485,31 +476,28 @@ class Arrays(Particles):
                     "Lattice or a Mesh."
                 )
             return self.facets.of_particles(first, last)
-        try:
-            sizes, has = self._lattice()
-        except CaseError:
+        lattice = self._lattice()
+        if lattice is None:
             return super().surface(part, parts, cracks)
+        sizes, has = lattice
         return _lattice_facets(x[first:last], sizes, self.thickness, has, cracks)
 
     def stairs(self, part: int, parts: int) -> int:
         """Return how many facets of a part are steps of a staircase; 0 for particles that fill no lattice."""
         x = np.asarray(self.x, dtype=float)
-        try:
-            sizes, has = self._lattice()
-        except CaseError:
-            return 0
-        return _stairs(x[part * len(x) // parts : (part + 1) * len(x) // parts], sizes, has)
+        lattice = self._lattice()
+        return 0 if lattice is None else _stairs(x[part * len(x) // parts : (part + 1) * len(x) // parts], *lattice)
 
-    def _lattice(self) -> tuple[Float, Callable[[Float], Mask]]:
+    def _lattice(self) -> tuple[Float, Callable[[Float], Mask]] | None:
         """Return the sizes of the cells (dim,) [length], and what tells which places (n, dim) are centres of them.
 
-        Raises
-        ------
-        CaseError
-            The positions or the volumes are not those of equal cells.
+        None if the positions or the volumes are not those of equal cells.
         """
         x = np.asarray(self.x, dtype=float)
-        cell, sizes = lattice_cells(x, np.broadcast_to(np.asarray(self.volume, dtype=float), len(x)), self.thickness)
+        found = lattice_cells(x, np.broadcast_to(np.asarray(self.volume, dtype=float), len(x)), self.thickness)
+        if found is None:
+            return None
+        cell, sizes = found
         # One number for each cell, with room for a neighbour on every side.
         width = cell.max(axis=0) + 3
         weights = np.concatenate([[1], np.cumprod(width[:-1])])
@@ -534,19 +522,6 @@ class Arrays(Particles):
         volume = np.broadcast_to(np.asarray(self.volume, dtype=float), len(x))
         return Chunk(x[rows], np.array(volume[rows]), sets)
 
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return the free face of each particle of a part, seen along a normal, where they fill the cells of a lattice.
-
-        Raises
-        ------
-        CaseError
-            The positions or the volumes are not those of equal cells.
-        """
-        x = np.asarray(self.x, dtype=float)
-        rows = slice(part * len(x) // parts, (part + 1) * len(x) // parts)
-        sizes, has = self._lattice()
-        return _lattice_faces(x[rows], sizes, self.thickness, has, normal)
-
 
 def _numbers(what: str, values: ArrayLike) -> Float:
     """Return what a case gives as an array of numbers."""
@@ -566,16 +541,6 @@ def _refuse_members(name: str, members: ArrayLike, n: int) -> None:
         raise CaseError(f"Set {name!r} of Arrays is ({n},) bool or a list of indices, not {shown(members)}.")
     if found.size and not (found.min() >= 0 and found.max() < n):
         raise CaseError(f"Set {name!r} of Arrays has indices from {found.min()} to {found.max()} of {n} particles.")
-
-
-def _lattice_faces(x: Float, sizes: Float, thickness: float, has: Callable[[Float], Mask], normal: Float) -> Float:
-    """Return the free faces of box cells of equal sizes (dim,) with centres ``x``, seen along a normal (n,) [area]."""
-    side = _cell_sides(sizes, thickness)
-    area = np.zeros(len(x))
-    for axis in np.flatnonzero(np.abs(normal) > ALONG):
-        beyond = x + np.sign(normal[axis]) * sizes * np.eye(len(sizes))[axis]
-        area += np.where(has(beyond), 0.0, abs(normal[axis]) * side[axis])
-    return area
 
 
 def _lattice_facets(
@@ -626,13 +591,10 @@ def _cell_sides(sizes: Float, thickness: float) -> Float:
     return np.asarray(whole / sizes)
 
 
-def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np.int64], Float]:
+def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np.int64], Float] | None:
     """Return the cell of each particle (n, dim) and the sizes of the equal cells (dim,) [length] of a lattice.
 
-    Raises
-    ------
-    CaseError
-        The particles are not a lattice.
+    None if the particles are not a lattice.
     """
     n, dim = x.shape
     cell, sizes = np.zeros((n, dim), dtype=np.int64), np.full(dim, np.nan)
@@ -651,10 +613,7 @@ def lattice_cells(x: Float, volume: Float, thickness: float) -> tuple[NDArray[np
     if len(flat) == 1:  # one layer of cells, whose depth follows from their volume
         sizes[flat] = whole / np.nanprod(sizes)
     if not regular or len(flat) > 1 or abs(np.prod(sizes) - whole) > ALONG * whole:
-        raise CaseError(
-            "The particles do not fill the cells of a lattice, so the area of their faces is not known; give the "
-            "Traction the area of its face."
-        )
+        return None
     return cell, sizes
 
 

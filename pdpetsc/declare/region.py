@@ -57,12 +57,9 @@ class Region(Declared, ABC):
 
 
 @dataclass(frozen=True)
-class _Union(Region):
+class _Pair(Region, ABC):
     one: Region
     other: Region
-
-    def mask(self, view: View) -> Mask:
-        return self.one.mask(view) | self.other.mask(view)
 
     def check(self, dim: int) -> None:
         self.one.check(dim)
@@ -70,16 +67,15 @@ class _Union(Region):
 
 
 @dataclass(frozen=True)
-class _Intersection(Region):
-    one: Region
-    other: Region
+class _Union(_Pair):
+    def mask(self, view: View) -> Mask:
+        return self.one.mask(view) | self.other.mask(view)
 
+
+@dataclass(frozen=True)
+class _Intersection(_Pair):
     def mask(self, view: View) -> Mask:
         return self.one.mask(view) & self.other.mask(view)
-
-    def check(self, dim: int) -> None:
-        self.one.check(dim)
-        self.other.check(dim)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Declared, Finite
 from pdpetsc.errors import CaseError
 
 Schedule: TypeAlias = Callable[[float], float]
@@ -64,13 +64,11 @@ class Table(Declared):
     0.5
     """
 
-    times: Sequence[float]
-    factors: Sequence[float]
+    times: Sequence[Finite]
+    factors: Sequence[Finite]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not np.isfinite([*self.times, *self.factors]).all():
-            raise CaseError(f"A schedule Table takes finite numbers, not {list(self.times)} and {list(self.factors)}.")
         if len(self.times) != len(self.factors) or len(self.times) < 2 or np.any(np.diff(self.times) <= 0.0):
             raise CaseError("A schedule Table needs at least two ascending times and as many factors.")
 

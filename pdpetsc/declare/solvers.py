@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
@@ -172,7 +171,8 @@ class Opening(Declared):
     against : Region, optional
         The region whose mean displacement is subtracted; nothing is where absent.
     step, end : float
-        Largest growth in a step, and the value at which the run ends [length].
+        Largest growth in a step, and the value at which the run ends [length]; both are positive: exchange the
+        regions if they close.
 
     Examples
     --------
@@ -185,12 +185,7 @@ class Opening(Declared):
     region: Region
     against: Region | None = field(default=None, kw_only=True)
     step: Positive = field(kw_only=True)
-    end: float = field(kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.end) and self.end > 0.0):
-            raise CaseError(f"An Opening ends at a positive value, not {self.end}; exchange the two regions.")
+    end: Positive = field(kw_only=True)
 
     def check(self, dim: int) -> None:
         """Raise CaseError where a body of ``dim`` dimensions has no such component or cannot select its regions."""

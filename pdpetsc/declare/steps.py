@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from pdpetsc.declared import Count, Declared, shown
+from pdpetsc.declared import Count, Declared, Positive, shown
 from pdpetsc.errors import CaseError
 
 Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
@@ -14,12 +14,6 @@ Unstable: TypeAlias = Literal["warn", "shorten", "refuse"]
 MOST_STEPS = 99_999
 # A shorter step is lost in the rounding of the step time.
 LEAST_STEP = 1e-8
-
-
-def refuse_growth(plastic_growth: float | None) -> None:
-    """Raise CaseError unless the largest growth of plastic strain in a step is positive."""
-    if plastic_growth is not None and not plastic_growth > 0.0:
-        raise CaseError(f"plastic_growth is a positive plastic strain, not {plastic_growth}.")
 
 
 def checked_times(name: str, times: Sequence[float]) -> tuple[float, ...]:
@@ -56,7 +50,8 @@ class Steps(Declared):
         What becomes of an equilibrium whose tangent has negative pivots, as of a column loaded past its critical force;
         only the factorisation of a direct linear solver shows that. ``warn`` says so and goes on. ``shorten`` takes it
         as a step that failed, so that the run ends within the smallest step of the critical load; ``refuse`` ends the
-        run there.
+        run there. Both end a run in which nothing counts pivots: the solver is iterative, the tangent not symmetric, or
+        damage was held during a jump.
     plastic_growth : float, optional
         Largest growth of the accumulated plastic strain at any point in a step [-]: a step with more is taken as one
         that failed, and a step grows only as far as the growth of the last one allows.
@@ -77,7 +72,7 @@ class Steps(Declared):
     smallest: float | None = None
     bonds_at_once: Count | None = None
     unstable: Unstable = "warn"
-    plastic_growth: float | None = None
+    plastic_growth: Positive | None = None
     times: Sequence[float] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -92,7 +87,6 @@ class Steps(Declared):
                 f"The smallest of {len(self.stops())} steps must lie between {LEAST_STEP:g} and the shortest of them, "
                 f"{self._shortest:.6g}, not {self.smallest}."
             )
-        refuse_growth(self.plastic_growth)
 
     @property
     def _shortest(self) -> float:
@@ -143,7 +137,7 @@ class AdaptiveSteps(Declared):
     largest: float = 0.25
     bonds_at_once: Count | None = None
     unstable: Unstable = "warn"
-    plastic_growth: float | None = None
+    plastic_growth: Positive | None = None
     times: Sequence[float] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -156,7 +150,6 @@ class AdaptiveSteps(Declared):
             )
         if self.largest < 1.0 / MOST_STEPS:
             raise CaseError(f"AdaptiveSteps needs a largest step of at least 1/{MOST_STEPS}, not {self.largest}.")
-        refuse_growth(self.plastic_growth)
 
     @property
     def least(self) -> float:

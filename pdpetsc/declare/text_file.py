@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -59,12 +59,7 @@ class TextFile(Particles):
     path: str | Path
     node_sets: Mapping[str, str | Path | Sequence[int]] = field(default_factory=dict)
     thickness: Positive = 1.0
-    dim: int | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.dim is not None and self.dim not in (1, 2, 3):
-            raise CaseError(f"A TextFile has dim 1, 2 or 3, not {self.dim}.")
+    dim: Literal[1, 2, 3] | None = None
 
     def input_files(self) -> list[Path]:
         """Return the file of the particles and the files of their sets."""
@@ -78,10 +73,6 @@ class TextFile(Particles):
     def irregular(self) -> bool:
         """Return whether the particles do not fill the cells of a lattice."""
         return self._arrays().irregular
-
-    def faces(self, part: int, parts: int, normal: Float) -> Float:
-        """Return what Arrays of the same particles return."""
-        return self._arrays().faces(part, parts, normal)
 
     def surface(self, part: int = 0, parts: int = 1, cracks: Sequence[Crack] = ()) -> Facets:
         """Return what Arrays of the same particles return."""
@@ -186,7 +177,7 @@ class Column:
 
     path: str | Path
     name: str
-    dim: int | None = None
+    dim: Literal[1, 2, 3] | None = None
 
     def __post_init__(self) -> None:
         self._cloud.column(self.name)

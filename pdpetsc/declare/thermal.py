@@ -119,7 +119,7 @@ class Eigenstrain(Declared):
     Raises
     ------
     CaseError
-        No component is given or one is not finite.
+        No component is given.
 
     Examples
     --------
@@ -128,19 +128,18 @@ class Eigenstrain(Declared):
     """
 
     region: Region
-    xx: float = 0.0
-    yy: float = 0.0
-    zz: float = 0.0
-    xy: float = 0.0
-    yz: float = 0.0
-    xz: float = 0.0
+    xx: Finite = 0.0
+    yy: Finite = 0.0
+    zz: Finite = 0.0
+    xy: Finite = 0.0
+    yz: Finite = 0.0
+    xz: Finite = 0.0
     schedule: Schedule = Ramp()  # noqa: RUF009 (frozen)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = self.tensor
-        if not np.isfinite(given).all() or not given.any():
-            raise CaseError("An Eigenstrain takes finite components, at least one of them not zero.")
+        if not self.tensor.any():
+            raise CaseError("An Eigenstrain takes at least one component that is not zero.")
 
     def put(self, onto: Any, name: str) -> None:
         """Hand it to ``onto`` (``terms.conditions.Applied``), which calls it ``name`` in messages (collective)."""
@@ -299,7 +298,7 @@ class HeatConduction(Declared):
         Whether the temperature of a step is found before its equilibrium, or both together in one Newton's method,
         whose linear systems PETSc's PCFIELDSPLIT takes apart (options ``-fieldsplit_temperature_...`` and
         ``-fieldsplit_displacement_...``). As flow of heat does not depend on the displacement, both find the same; the
-        second takes bodies of deformation gradients whose bonds stay, and ``Newton``.
+        second needs ``Newton``.
 
     Examples
     --------

@@ -17,6 +17,7 @@ from pdpetsc.discrete.sparsity import Sparsity
 from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.kernels.assembly import assemble_kernel
 from pdpetsc.kernels.rank_one import rank_one_blocks_kernel, rank_one_rows_kernel, rank_one_times_kernel
+from pdpetsc.kernels.rows import RowLayout
 
 # Adds forces for a displacement, both with ghosts (n_local, dim), of the stencils of some own particles.
 Loop: TypeAlias = Callable[[Float, Float, LocalIndex], None]
@@ -58,22 +59,22 @@ class Entries:
         Parameters
         ----------
         kernel : callable
-            Adds rows, with the arguments of ``kernels.assembly.assemble_kernel``.
+            Adds rows, with a ``RowLayout``, the data, and the values in own and in other columns for arguments.
         stencils : StencilMembers
             What the kernel runs over.
         data
-            What it reads after ``entry_point``.
+            What it reads after the layout.
         """
         sparsity = self.sparsity
         by_particle = stencils.by_particle(sparsity.cloud.n_local)
-        *locals_of_columns, signs = sparsity.locals_of_columns
+        local_ptr, locals_of, behind, signs = sparsity.locals_of_columns
         if self.component is not None:
             signs = np.ascontiguousarray(signs[:, [self.component]])
         for rows, own in ((sparsity.owned, self.diag), (sparsity.ghost, self.ghost)):
-            kernel(
-                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, *locals_of_columns, signs, *by_particle,
-                *data, own, self.off,
-            )  # fmt: skip
+            layout = RowLayout(
+                rows.first, rows.diag_ptr, rows.off_ptr, rows.columns, local_ptr, locals_of, behind, signs, *by_particle
+            )
+            kernel(layout, *data, own, self.off)
 
 
 class Product:
@@ -85,7 +86,7 @@ class Product:
 
     @property
     def blocks(self) -> Float | None:
-        """Return what couples each own particle to itself (n_owned, dim, dim) [force / length], or None."""
+        """Return the blocks that couple each own particle to itself (n_owned, dim, dim) [force / length], or None."""
         return None
 
     def add_product(self, du: Float, f: Float, particles: LocalIndex) -> None:
@@ -124,7 +125,7 @@ class Product:
         return None
 
     def shared_gradient(self, operator: GradientOperator) -> SameGradient | None:
-        """Return what its forces need in the loop over ``operator`` if it is a control on that gradient, else None."""
+        """Return data of its forces for the loop over ``operator``, None unless it is a control on that gradient."""
         return None
 
 

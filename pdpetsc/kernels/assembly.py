@@ -1,8 +1,4 @@
-"""Row-wise (Gustavson) assembly of ``K = G^T (W A) G`` into the value arrays of a block matrix.
-
-The value arrays have the layout of a scalar CSR matrix: row ``i`` of block row ``a`` holds, for each of its ``n``
-blocks in turn, ``dim`` consecutive values, so block ``q`` starts at ``dim * dim * ptr[a] + i * dim * n + dim * q``.
-"""
+"""Row-wise (Gustavson) assembly of ``K = G^T (W A) G`` into the value arrays of a block matrix."""
 
 from __future__ import annotations
 
@@ -13,49 +9,36 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.rows import blocks_of_row, find_slots, widest_row
 
 
 @lru_cache
 def assemble_kernel(dim: int) -> Callable[..., Any]:
-    """Return the kernel that adds to the values of rows ``first_row <= a < first_row + n_rows`` of K.
+    """Return ``assemble(layout, point_ptr, members, h, g, volume, A, diag, off)``, which adds to rows of K.
 
     ``K_ab = sum_p W_p h_pa . A_p . g_pb``, with ``(K_ab)_ik = sum_mn W_p h_pa,m A_p,imkn g_pb,n``; ``h`` is ``g`` but
     where damage scales forces.
-
-    The blocks of a row stand first in ``diag`` (columns this rank owns), then in ``off``. The local
-    particles of a column, none where only other ranks add to it, are ``locals_of[local_ptr[c] : local_ptr[c + 1]]``.
-    Rows and columns of a particle behind mirror planes are multiplied with ``signs[behind[a]]``.
     """
     size = dim * dim
 
     @compiled
-    def assemble(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
-        point_ptr, members, h, g, volume, A, diag, off,
-    ):  # fmt: skip
+    def assemble(layout, point_ptr, members, h, g, volume, A, diag, off):  # type: ignore[no-untyped-def]
+        behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int32)
-        widest = 0
-        n_rows = diag_ptr.size - 1
-        for row in range(n_rows):
-            widest = max(widest, diag_ptr[row + 1] - diag_ptr[row] + off_ptr[row + 1] - off_ptr[row])
         # Columns behind different mirror planes are summed apart, and multiplied with their signs at the end.
         n_mirrors = signs.shape[0]
+        widest = widest_row(layout)
         blocks = np.empty(n_mirrors * widest * size)
         left = np.empty(size * dim)
-        for row in range(n_rows):
-            begin = diag_ptr[row] + off_ptr[row]
-            n_diag = diag_ptr[row + 1] - diag_ptr[row]
-            n_off = off_ptr[row + 1] - off_ptr[row]
-            for q in range(n_diag + n_off):
-                column = columns[begin + q]
-                for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = behind[locals_of[c]] * (n_diag + n_off) + q
-            for v in range(n_mirrors * (n_diag + n_off) * size):
-                blocks[v] = 0.0
-            a = first_row + row
+        for row in range(layout.diag_ptr.size - 1):
+            n_blocks = find_slots(layout, row, slot, widest)
+            for mirror in range(n_mirrors):
+                for v in range(mirror * widest * size, (mirror * widest + n_blocks) * size):
+                    blocks[v] = 0.0
+            a = layout.first + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
-                t = entries[e]
-                p = entry_point[e]
+                t = layout.entries[e]
+                p = layout.entry_point[e]
                 for n in range(dim):
                     for i in range(dim):
                         for k in range(dim):
@@ -70,20 +53,22 @@ def assemble_kernel(dim: int) -> Callable[..., Any]:
                         for n in range(dim):
                             value += left[n * size + v] * g[s, n]
                         blocks[base + v] = value
+            # As ``add_row``, but with dimensions that the compiler knows, and with signs: this is the loop that counts.
+            n_diag, n_off = blocks_of_row(layout, row)
             for mirror in range(n_mirrors):
-                base = mirror * (n_diag + n_off)
+                base = mirror * widest * size
                 for i in range(dim):
                     row_sign = signs[behind[a], i]
-                    start = size * diag_ptr[row] + i * dim * n_diag
+                    start = size * layout.diag_ptr[row] + i * dim * n_diag
                     for q in range(n_diag):
                         for k in range(dim):
-                            sign = row_sign * signs[mirror, k]
-                            diag[start + dim * q + k] += sign * blocks[(base + q) * size + i * dim + k]
-                    start = size * off_ptr[row] + i * dim * n_off
+                            value = row_sign * signs[mirror, k] * blocks[base + q * size + i * dim + k]
+                            diag[start + dim * q + k] += value
+                    start = size * layout.off_ptr[row] + i * dim * n_off
                     for q in range(n_off):
                         for k in range(dim):
-                            sign = row_sign * signs[mirror, k]
-                            off[start + dim * q + k] += sign * blocks[(base + n_diag + q) * size + i * dim + k]
+                            value = row_sign * signs[mirror, k] * blocks[base + (n_diag + q) * size + i * dim + k]
+                            off[start + dim * q + k] += value
 
     return assemble
 

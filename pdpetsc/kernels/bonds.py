@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
 @compiled
@@ -87,29 +88,20 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
     """Return the kernel that adds the tangent of bonds to rows of K.
 
     The block of bond ``ij`` is ``k n n + finite t / |xi + eta| (I - n n)``; it goes to ``ii`` and ``jj``, its opposite
-    to ``ij`` and ``ji``. Arguments up to ``entry_point`` are those of ``kernels.assembly.assemble_kernel`` with bonds
-    for points and ``ends``, ``i`` and ``j`` of each bond, for members.
+    to ``ij`` and ``ji``. The stencils of the layout are the bonds, with ``ends``, ``i`` and ``j`` of each, for members.
     """
-    size = dim * dim
 
     @compiled
-    def rows(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
-        ends, x, u, stiffness, tension, diag, off,
-    ):  # fmt: skip
+    def rows(layout, ends, x, u, stiffness, tension, diag, off):  # type: ignore[no-untyped-def]
+        behind, signs, entry_ptr, entries = layout.behind, layout.signs, layout.entry_ptr, layout.entries
         slot = np.zeros(entry_ptr.size, np.int32)
         n = np.empty(dim)
-        for row in range(diag_ptr.size - 1):
-            begin = diag_ptr[row] + off_ptr[row]
-            n_diag = diag_ptr[row + 1] - diag_ptr[row]
-            n_off = off_ptr[row + 1] - off_ptr[row]
-            for q in range(n_diag + n_off):
-                column = columns[begin + q]
-                for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = q
-            a = first_row + row
+        blocks = np.empty((widest_row(layout), dim, dim))
+        for row in range(layout.diag_ptr.size - 1):
+            blocks[: find_slots(layout, row, slot)] = 0.0
+            a = layout.first + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
-                b = entry_point[e]
+                b = layout.entry_point[e]
                 _, current = direction(ends[2 * b], ends[2 * b + 1], x, u, finite, n)
                 turning = finite * tension[b] / current
                 for side in range(2):
@@ -121,11 +113,8 @@ def bond_rows_kernel(dim: int, finite: int) -> Callable[..., Any]:
                             value = sign * (stiffness[b] - turning) * n[i] * n[k]
                             if i == k:
                                 value += sign * turning
-                            value *= signs[behind[a], i] * signs[behind[other], k]
-                            if q < n_diag:
-                                diag[size * diag_ptr[row] + i * dim * n_diag + dim * q + k] += value
-                            else:
-                                off[size * off_ptr[row] + i * dim * n_off + dim * (q - n_diag) + k] += value
+                            blocks[q, i, k] += value * signs[behind[a], i] * signs[behind[other], k]
+            add_row(layout, row, blocks, diag, off)
 
     return rows
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
 @lru_cache
@@ -75,28 +76,17 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
     """
 
     @compiled
-    def matrix(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
-        point_ptr, members, stiffness, weight, K_inverse, x, diag, off,
-    ):  # fmt: skip
+    def matrix(layout, point_ptr, members, stiffness, weight, K_inverse, x, diag, off):  # type: ignore[no-untyped-def]
+        behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int64)
         left = np.empty(dim)
-        for row in range(diag_ptr.size - 1):
-            begin = diag_ptr[row] + off_ptr[row]
-            n_diag = diag_ptr[row + 1] - diag_ptr[row]
-            n_off = off_ptr[row + 1] - off_ptr[row]
-            for q in range(n_diag + n_off):
-                column = columns[begin + q]
-                for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = q
-            for q in range(n_diag):
-                diag[diag_ptr[row] + q] = 0.0
-            for q in range(n_off):
-                off[off_ptr[row] + q] = 0.0
-            a = first_row + row
+        blocks = np.empty((widest_row(layout), 1, 1))
+        for row in range(layout.diag_ptr.size - 1):
+            blocks[: find_slots(layout, row, slot)] = 0.0
+            a = layout.first + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
-                t = entries[e]
-                i = entry_point[e]
+                t = layout.entries[e]
+                i = layout.entry_point[e]
                 first = point_ptr[i]
                 # Row a of M is left . K^-1 w_k xi_k on the neighbours k, plus s on the diagonal and its centre.
                 for m in range(dim):
@@ -124,18 +114,9 @@ def non_uniform_matrix_kernel(dim: int) -> Callable[..., Any]:
                     elif s == t:
                         value += stiffness[s]
                     centre -= value
-                    value *= signs[behind[a], 0] * signs[behind[k], 0]
-                    q = slot[k]
-                    if q < n_diag:
-                        diag[diag_ptr[row] + q] += value
-                    else:
-                        off[off_ptr[row] + q - n_diag] += value
-                centre *= signs[behind[a], 0]
-                q = slot[i]
-                if q < n_diag:
-                    diag[diag_ptr[row] + q] += centre
-                else:
-                    off[off_ptr[row] + q - n_diag] += centre
+                    blocks[slot[k], 0, 0] += value * signs[behind[a], 0] * signs[behind[k], 0]
+                blocks[slot[i], 0, 0] += centre * signs[behind[a], 0]
+            add_row(layout, row, blocks, diag, off)
 
     return matrix
 
@@ -199,33 +180,20 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
     ``T = sum_j S_j (x) xi_j (x) xi_j``; rows and columns of ``i`` follow from the sum of each being zero.
     ``point_ptr`` and ``members`` are the families with the centre first; ``S`` and ``g`` are without it.
     """
-    size = dim * dim
 
     @compiled
-    def matrix(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
-        point_ptr, members, S, g, T, x, diag, off,
-    ):  # fmt: skip
+    def matrix(layout, point_ptr, members, S, g, T, x, diag, off):  # type: ignore[no-untyped-def]
+        behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int64)
-        widest = 0
-        for row in range(diag_ptr.size - 1):
-            widest = max(widest, diag_ptr[row + 1] - diag_ptr[row] + off_ptr[row + 1] - off_ptr[row])
-        blocks = np.empty((widest, dim, dim))
+        blocks = np.empty((widest_row(layout), dim, dim))
         block = np.empty((dim, dim))
         centre = np.empty((dim, dim))
-        for row in range(diag_ptr.size - 1):
-            begin = diag_ptr[row] + off_ptr[row]
-            n_diag = diag_ptr[row + 1] - diag_ptr[row]
-            n_off = off_ptr[row + 1] - off_ptr[row]
-            for q in range(n_diag + n_off):
-                column = columns[begin + q]
-                for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = q
-            blocks[: n_diag + n_off] = 0.0
-            a = first_row + row
+        for row in range(layout.diag_ptr.size - 1):
+            blocks[: find_slots(layout, row, slot)] = 0.0
+            a = layout.first + row
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
-                t = entries[e]
-                i = entry_point[e]
+                t = layout.entries[e]
+                i = layout.entry_point[e]
                 first = point_ptr[i]
                 # A row of the centre is minus the sum of the rows of its neighbours.
                 begin_rows = t
@@ -265,15 +233,7 @@ def directed_matrix_kernel(dim: int) -> Callable[..., Any]:
                     for m in range(dim):
                         for n in range(dim):
                             blocks[q, m, n] += signs[behind[a], m] * centre[m, n]
-            for i in range(dim):
-                start = size * diag_ptr[row] + i * dim * n_diag
-                for q in range(n_diag):
-                    for k in range(dim):
-                        diag[start + dim * q + k] = blocks[q, i, k]
-                start = size * off_ptr[row] + i * dim * n_off
-                for q in range(n_off):
-                    for k in range(dim):
-                        off[start + dim * q + k] = blocks[n_diag + q, i, k]
+            add_row(layout, row, blocks, diag, off)
 
     return matrix
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.kernels.compile import compiled
+from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 
 @lru_cache
@@ -47,39 +48,22 @@ def rank_one_times_kernel(dim: int) -> Callable[..., Any]:
 
 @lru_cache
 def rank_one_rows_kernel(dim: int) -> Callable[..., Any]:
-    """Return the kernel that adds ``K_ac = sum_s b_s h_sa (x) g_sc`` to rows of K.
-
-    Arguments up to ``members`` and the layout are those of ``kernels.assembly.assemble_kernel``.
-    """
-    size = dim * dim
+    """Return ``rows(layout, ptr, members, h, g, b, diag, off)``, which adds ``K_ac = sum_s b_s h_sa (x) g_sc``."""
 
     @compiled
-    def rows(  # type: ignore[no-untyped-def]
-        first_row, diag_ptr, off_ptr, columns, local_ptr, locals_of, behind, signs, entry_ptr, entries, entry_point,
-        ptr, members, h, g, b, diag, off,
-    ):  # fmt: skip
+    def rows(layout, ptr, members, h, g, b, diag, off):  # type: ignore[no-untyped-def]
+        behind, signs, entry_ptr = layout.behind, layout.signs, layout.entry_ptr
         slot = np.zeros(entry_ptr.size, np.int32)
-        widest = 0
-        for row in range(diag_ptr.size - 1):
-            widest = max(widest, diag_ptr[row + 1] - diag_ptr[row] + off_ptr[row + 1] - off_ptr[row])
-        blocks = np.empty(widest * size)
+        blocks = np.empty((widest_row(layout), dim, dim))
         left = np.empty(dim)
-        for row in range(diag_ptr.size - 1):
-            a = first_row + row
+        for row in range(layout.diag_ptr.size - 1):
+            a = layout.first + row
             if entry_ptr[a] == entry_ptr[a + 1]:
                 continue
-            begin = diag_ptr[row] + off_ptr[row]
-            n_diag = diag_ptr[row + 1] - diag_ptr[row]
-            n_off = off_ptr[row + 1] - off_ptr[row]
-            for q in range(n_diag + n_off):
-                column = columns[begin + q]
-                for c in range(local_ptr[column], local_ptr[column + 1]):
-                    slot[locals_of[c]] = q
-            for v in range((n_diag + n_off) * size):
-                blocks[v] = 0.0
+            blocks[: find_slots(layout, row, slot)] = 0.0
             for e in range(entry_ptr[a], entry_ptr[a + 1]):
-                t = entries[e]
-                s = entry_point[e]
+                t = layout.entries[e]
+                s = layout.entry_point[e]
                 pushed = False
                 for i in range(dim):
                     left[i] = b[s] * h[t, i] * signs[behind[a], i]
@@ -88,20 +72,12 @@ def rank_one_rows_kernel(dim: int) -> Callable[..., Any]:
                     continue
                 for o in range(ptr[s], ptr[s + 1]):
                     member = members[o]
-                    base = slot[member] * size
+                    q = slot[member]
                     for k in range(dim):
                         right = g[o, k] * signs[behind[member], k]
                         for i in range(dim):
-                            blocks[base + i * dim + k] += left[i] * right
-            for i in range(dim):
-                start = size * diag_ptr[row] + i * dim * n_diag
-                for q in range(n_diag):
-                    for k in range(dim):
-                        diag[start + dim * q + k] += blocks[q * size + i * dim + k]
-                start = size * off_ptr[row] + i * dim * n_off
-                for q in range(n_off):
-                    for k in range(dim):
-                        off[start + dim * q + k] += blocks[(n_diag + q) * size + i * dim + k]
+                            blocks[q, i, k] += left[i] * right
+            add_row(layout, row, blocks, diag, off)
 
     return rows
 

@@ -31,19 +31,18 @@ def advance(residual, mass, dt, damping, first, u, velocity, moved):  # type: ig
 
 
 @compiled
-def compare(force, external, free, mass, velocity, dt, start, moved, residual, sums):  # type: ignore[no-untyped-def]
-    """Overwrite the residual of before the step with the one after it, ``f_ext - f_int`` where free, and add up sums.
+def compare(unbalanced, external, free, mass, velocity, dt, start, moved, residual, sums):  # type: ignore[no-untyped-def]
+    """Overwrite the residual of before the step with the one after it, ``unbalanced`` where free, and add up sums.
 
     The first of ``sums`` are ``k d^2`` and ``m d^2`` of the distance d from the start, the squares of external forces
     and of reactions, ``r^2`` and ``(r / m)^2``, where ``k = -(r_new - r_old) / (dt v)`` is the stiffness of an unknown
     that two successive residuals show, 0 where it did not move.
     """
     sums[:SUMS] = 0.0
-    for i in range(force.shape[0]):
-        for m in range(force.shape[1]):
-            out_of_balance = external[i, m] - force[i, m]
-            r = out_of_balance if free[i, m] else 0.0
-            reaction = 0.0 if free[i, m] else out_of_balance
+    for i in range(unbalanced.shape[0]):
+        for m in range(unbalanced.shape[1]):
+            r = unbalanced[i, m] if free[i, m] else 0.0
+            reaction = 0.0 if free[i, m] else unbalanced[i, m]
             travelled = moved[i, m] - start[i, m]
             change = dt * velocity[i, m]
             if change != 0.0:

@@ -11,7 +11,6 @@ from pdpetsc.material.base import (
     PointKernels,
 )
 from pdpetsc.material.drucker_prager import DruckerPrager
-from pdpetsc.material.graded import Graded
 from pdpetsc.material.hardening import Hardening
 from pdpetsc.material.hencky import Hencky
 from pdpetsc.material.hyperelastic import Hyperelastic
@@ -25,14 +24,12 @@ from pdpetsc.material.named_laws import HolzapfelGasserOgden, MooneyRivlin, Ogde
 from pdpetsc.material.neo_hookean import NeoHookean
 from pdpetsc.material.rate import RateLaw
 from pdpetsc.material.saint_venant_kirchhoff import SaintVenantKirchhoff
-from pdpetsc.material.thermal import Thermal
 
 __all__ = [
     "J2",
     "AnisotropicElastic",
     "DruckerPrager",
     "ElasticMaterial",
-    "Graded",
     "Hardening",
     "Hencky",
     "HistoryKernels",
@@ -55,7 +52,6 @@ __all__ = [
     "Response",
     "SaintVenantKirchhoff",
     "TensorResponse",
-    "Thermal",
     "Yeoh",
     "hardening",
     "rate",

@@ -6,7 +6,6 @@ import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -14,23 +13,14 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
-from pdpetsc.kernels.compile import compiled
-from pdpetsc.material.base import (
-    LARGEST_MODULUS,
-    LEAST_MODULUS,
-    HistoryKernels,
-    Material,
-    isotropic_moduli,
-    remember_nothing,
-)
+from pdpetsc.material.base import LARGEST_MODULUS, LEAST_MODULUS, HistoryKernels, Material, isotropic_moduli
 from pdpetsc.material.hyperelastic import isotropic_mean
-from pdpetsc.material.symmetric import PLACE, matrix, stiffness
+from pdpetsc.material.linear_elastic import linear_loops
+from pdpetsc.material.symmetric import moduli_of_body, stiffness, stiffness_of_body
 
 # An angle about the third axis [rad], a matrix whose columns are the axes of the material, or a function of positions
 # (n, dim) that gives n of either.
 Orientation: TypeAlias = float | Sequence[Sequence[float]] | Callable[[Float], Float]
-# The strains that bodies of each dimension show.
-SHOWN = {1: [0], 2: [0, 1, 5], 3: [0, 1, 2, 3, 4, 5]}
 # How far axes may be from orthogonal unit vectors, and a stiffness from symmetric or semidefinite over its size.
 NEARLY = 1e-6
 SINGULAR = 1e-12
@@ -52,8 +42,6 @@ class AnisotropicLinear(Material):
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
-        if self.plane not in ("strain", "stress"):
-            raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
         C = self.in_own_axes()
         size = float(np.abs(C).max()) if np.isfinite(C).all() else 0.0
         if not LEAST_MODULUS <= size <= LARGEST_MODULUS:
@@ -121,7 +109,7 @@ class AnisotropicLinear(Material):
 
     def history_kernels(self, dim: int) -> HistoryKernels:
         """Return the compiled loops for dimension ``dim``."""
-        return _kernels(dim)
+        return linear_loops(dim)
 
     def constants(self, dim: int) -> Float:
         """Return the stiffness that the body shows, for points that have none of their own."""
@@ -137,11 +125,11 @@ class AnisotropicLinear(Material):
         """Return the stiffness of the solid, whose orientation is a function of places in the plane."""
         if not callable(self.orientation):
             return np.empty((len(x), 0))
-        return _of_body(self._solids(2, x), 3, self.plane)
+        return stiffness_of_body(self._solids(2, x), 3, self.plane)
 
     def _reduced(self, dim: int, x: Float) -> Float:
         """Return ``C`` (dim^4) and what gives stress or strain across the body (dim^2), one row per position."""
-        return _of_body(self._solids(dim, x), dim, self.plane)
+        return stiffness_of_body(self._solids(dim, x), dim, self.plane)
 
     def _across(self, F: Float, history: Float) -> Float:
         dim = F.shape[-1]
@@ -170,11 +158,11 @@ class AnisotropicLinear(Material):
         """Return the stiffness; its isotropic mean where the orientation is a function of place."""
         if callable(self.orientation):
             return self._mean(dim)
-        return _of_body(self._solids(dim, np.zeros((1, dim))), dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
+        return moduli_of_body(self._solids(dim, np.zeros((1, dim)))[0], dim, self.plane)
 
     def _mean(self, dim: int) -> Float:
         mean = isotropic_moduli(*isotropic_mean(self._solid()), 3)
-        return _of_body(mean[None], dim, self.plane)[0, : dim**4].reshape((dim,) * 4)
+        return moduli_of_body(mean, dim, self.plane)
 
     def bulk_like_modulus(self, dim: int) -> float:
         """Return that of the isotropic mean [stress]: the same however the orientation is given."""
@@ -190,74 +178,6 @@ class AnisotropicLinear(Material):
 
 def _not_turned(x: Float) -> Float:
     return np.zeros(len(x))
-
-
-def _of_body(solids: Float, dim: int, plane: str) -> Float:
-    """Return the stiffness of a body of ``dim`` dimensions, then what gives the answer across it (n, dim^4 + dim^2).
-
-    That is the stress across the plane in plane strain, the strain there in plane stress, and the sum of both lateral
-    strains of a bar. No other strains are free than those that make all hidden stresses vanish.
-    """
-    C = matrix(solids)
-    here = SHOWN[dim]
-    across = np.zeros((len(C), len(here)))
-    reduced = C[:, here][:, :, here]
-    if dim == 2 and plane == "strain":
-        across = C[:, 2, here]
-    elif dim < 3:
-        S = np.linalg.inv(C)
-        reduced = np.linalg.inv(S[:, here][:, :, here])
-        lateral = S[:, 2, here] if dim == 2 else S[:, 1, here] + S[:, 2, here]
-        across = np.einsum("pa,pab->pb", lateral, reduced)
-    # The place in the vector of each entry of a symmetric tensor of the body.
-    flat = np.searchsorted(here, PLACE[:dim, :dim]).ravel()
-    moduli = reduced[:, flat][:, :, flat].reshape(len(C), dim**4)
-    return np.concatenate([moduli, across[:, flat]], axis=1)
-
-
-@lru_cache
-def _kernels(dim: int) -> HistoryKernels:
-    @compiled
-    def stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
-        for row in range(select.size):
-            p = select[row]
-            C = history[row] if history.shape[1] > 0 else constants
-            for i in range(dim):
-                for m in range(dim):
-                    value = 0.0
-                    for k in range(dim):
-                        for n in range(dim):
-                            one = 1.0 if k == n else 0.0
-                            value += C[((i * dim + m) * dim + k) * dim + n] * (F[p, k, n] - one)
-                    P[p, i, m] = value
-
-    @compiled
-    def tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
-        for row in range(select.size):
-            p = select[row]
-            C = history[row] if history.shape[1] > 0 else constants
-            for i in range(dim):
-                for m in range(dim):
-                    for k in range(dim):
-                        for n in range(dim):
-                            A[p, i, m, k, n] = C[((i * dim + m) * dim + k) * dim + n]
-
-    @compiled
-    def energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
-        for row in range(select.size):
-            p = select[row]
-            C = history[row] if history.shape[1] > 0 else constants
-            value = 0.0
-            for i in range(dim):
-                for m in range(dim):
-                    left = F[p, i, m] - (1.0 if i == m else 0.0)
-                    for k in range(dim):
-                        for n in range(dim):
-                            right = F[p, k, n] - (1.0 if k == n else 0.0)
-                            value += 0.5 * C[((i * dim + m) * dim + k) * dim + n] * left * right
-            psi[p] = value
-
-    return HistoryKernels(stress, tangent, energy, remember_nothing)
 
 
 @dataclass(frozen=True)

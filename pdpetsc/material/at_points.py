@@ -156,11 +156,11 @@ class MaterialAtPoints:
         laws = [self._by_temperature.material_at(float(level), self.material) for level in levels]
         for level, law in zip(levels, laws, strict=True):
             kept = law.history_at(self.inside, np.zeros((1, self.inside))).shape[1]
-            alike = law.symmetric == self.material.symmetric and law.timed == self.material.timed
-            if kept != self.history.shape[1] or not alike or law.may_fail != self.material.may_fail:
+            alike = law.symmetric == self.material.symmetric and law.may_fail == self.material.may_fail
+            if kept != self.history.shape[1] or not alike:
                 raise CaseError(
                     f"The law of a Thermal material is of another kind at temperature {level:g} than its material: "
-                    f"what it remembers, its symmetry and whether it depends on time must be the same everywhere."
+                    f"what it remembers and its symmetry must be the same everywhere."
                 )
         return tuple(
             Law.of(law, self.inside, rows if len(laws) > 1 else slice(None))
@@ -169,7 +169,7 @@ class MaterialAtPoints:
 
     @property
     def varies(self) -> bool:
-        """Return whether its law depends on temperature otherwise than by a factor of the moduli."""
+        """Return True if its law depends on temperature otherwise than by a factor of the moduli."""
         return self._by_temperature is not None
 
     def plastic_strain(self) -> Float:
@@ -178,7 +178,7 @@ class MaterialAtPoints:
 
     @property
     def has_history(self) -> bool:
-        """Return whether its stress depends on converged steps."""
+        """Return True if its stress depends on converged steps."""
         return self.material.has_history
 
     def largest_modulus(self, factor: Float | None = None) -> float:
@@ -345,31 +345,6 @@ class MaterialLaw:
         part = self.free.elastic_part(F)
         return self._expansion.energy_by_strain(part, self._first_piola(part), self._energy_density(part, self._laws))
 
-    def stress_along(self, F: Float, strain: Float, factor: Float, temperature: Float | None, step: float) -> Float:
-        """Return the change of P (n, dim, dim) [stress] at its points with temperature, at constant F.
-
-        Parameters
-        ----------
-        F : (n, dim, dim) float64
-            At its points [-].
-        strain : (n, 3, 3) float64
-            Change of the strain without stress.
-        factor : (n,) float64
-            Change of the logarithm of the factor of the moduli.
-        temperature : (n,) float64 or None
-            For a law that depends on it, whose change is a central difference.
-        step : float
-            Step of that difference [temperature].
-        """
-        d, part = self.dim, self.free.elastic_part(F)
-        P, A = self._first_piola(part), np.empty((len(part), *(part.shape[-1],) * 4))
-        self._evaluate("tangent", part, self._rows, A)
-        change = self._expansion.stress_by_strain(part, P, A, strain) + factor[:, None, None] * P
-        if self._varies(F, temperature):
-            up, down = (self._first_piola(part, laws) for laws in self._laws_around(temperature, step))
-            change += (up - down) / (2.0 * step)
-        return np.asarray(change[:, :d, :d])
-
     def energy_by_temperature(self, F: Float, temperature: Float, step: float) -> Float:
         """Return the derivative of the energy density of its law by temperature (n,) at constant F and strain.
 
@@ -387,7 +362,7 @@ class MaterialLaw:
         return np.arange(len(self.points))
 
     def _varies(self, F: Float, temperature: Float | None) -> bool:
-        """Return whether its law depends on temperature otherwise than by a factor, at any points."""
+        """Return True if its law depends on temperature otherwise than by a factor, at any points."""
         return self.of.varies and temperature is not None and len(F) > 0
 
     def _laws_around(self, temperature: Float | None, step: float) -> list[list[Law]]:

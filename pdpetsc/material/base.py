@@ -5,19 +5,24 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.declared import Declared
-from pdpetsc.errors import CaseError
+from pdpetsc.declared import Bound, Declared
 
 # What a body shows of a solid: all, a plane without strain or without stress across it, or a line.
 Kind = Literal["solid", "strain", "stress", "bar"]
 
 # Moduli outside of these bounds overflow in products, and factorisations of such matrices crash [stress].
 LEAST_MODULUS, LARGEST_MODULUS = 1e-100, 1e100
+Modulus: TypeAlias = Annotated[
+    float, Bound(("a modulus from 1e-100 to 1e+100", "such moduli"), lambda x: LEAST_MODULUS <= x <= LARGEST_MODULUS)
+]
+PoissonRatio: TypeAlias = Annotated[
+    float, Bound(("a number above -1 and below 0.5", "numbers above -1 and below 0.5"), lambda x: -1.0 < x < 0.5)
+]
 
 
 class PointKernels(NamedTuple):
@@ -77,8 +82,8 @@ class Material(Declared, ABC):
 
     @property
     def timed(self) -> bool:
-        """Return whether it depends on time: the last of its constants is then the time of the step, which is set."""
-        return False
+        """Return True if it has a ``duration``; the last of its constants is then the time of the step."""
+        return self.duration is not None
 
     @property
     def duration(self) -> float | None:
@@ -184,22 +189,9 @@ class IsotropicMaterial(Material):
         A constant is out of range.
     """
 
-    E: float
-    nu: float = 0.0
+    E: Modulus
+    nu: PoissonRatio = 0.0
     plane: Literal["strain", "stress"] = "strain"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        name = type(self).__name__
-        if not LEAST_MODULUS <= self.E <= LARGEST_MODULUS:
-            raise CaseError(
-                f"{name} needs a positive Young's modulus E, from {LEAST_MODULUS:g} to {LARGEST_MODULUS:g}, "
-                f"not {self.E}."
-            )
-        if not -1.0 < self.nu < 0.5:
-            raise CaseError(f"{name} needs Poisson's ratio -1 < nu < 0.5, not {self.nu}.")
-        if self.plane not in ("strain", "stress"):
-            raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
 
     def constants(self, dim: int) -> Float:
         """Return the constants that the compiled loops read."""
@@ -228,11 +220,6 @@ class IsotropicMaterial(Material):
         """Return ``kappa = lambda + 2 mu / dim`` [stress], the scale of a zero-energy control (E in 1D)."""
         lam, mu = self.lame(dim)
         return lam + 2.0 * mu / dim
-
-    def largest_modulus(self, dim: int) -> float:
-        """Return ``lambda + 2 mu`` [stress]."""
-        lam, mu = self.lame(dim)
-        return lam + 2.0 * mu
 
     @abstractmethod
     def thickness_stretch(self, F: Float) -> Float:

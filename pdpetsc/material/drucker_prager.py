@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.declared import NonNegative, Positive
 from pdpetsc.errors import CaseError
-from pdpetsc.material.hardening import Hardening, law_of, refuse_softening
+from pdpetsc.material.hardening import Hardening, law_of
 from pdpetsc.material.logarithmic import LogarithmicMaterial, Response
 from pdpetsc.material.roots import falling_roots
 
@@ -63,16 +64,14 @@ class DruckerPrager(LogarithmicMaterial):
     False
     """
 
-    cohesion: float = 1.0
+    cohesion: Positive = 1.0
     friction: float = 0.0
     dilatancy: float | None = None
-    hardening: float | Hardening = 0.0
+    hardening: NonNegative | Hardening = 0.0
     fit: Literal["compression", "tension", "plane strain"] = "compression"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.cohesion) and self.cohesion > 0.0):
-            raise CaseError(f"DruckerPrager needs a positive cohesion, not {self.cohesion}.")
         if not 0.0 <= self.friction < 0.5 * math.pi:
             raise CaseError(f"DruckerPrager takes an angle of friction from 0 to below pi / 2, not {self.friction}.")
         if self.dilatancy is not None and not 0.0 <= self.dilatancy <= self.friction:
@@ -80,7 +79,6 @@ class DruckerPrager(LogarithmicMaterial):
                 f"DruckerPrager takes an angle of dilatancy from 0 to that of friction, {self.friction}, not "
                 f"{self.dilatancy}."
             )
-        refuse_softening("DruckerPrager", self.hardening)
 
     @property
     def symmetric(self) -> bool:

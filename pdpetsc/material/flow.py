@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
-from pdpetsc.errors import CaseError
-from pdpetsc.material.hardening import Hardening, law_of, refuse_softening
+from pdpetsc.material.hardening import Hardening, law_of
 from pdpetsc.material.rate import RateLaw
 from pdpetsc.material.roots import falling_roots
 
@@ -96,14 +94,6 @@ class Yields:
 
     # The yield stress does not fall: what is to be found lies between two bounds.
     may_fail: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        base: Any = super()
-        base.__post_init__()
-        name = type(self).__name__
-        if not (math.isfinite(self.yield_stress) and self.yield_stress > 0.0):
-            raise CaseError(f"{name} needs a positive yield stress, not {self.yield_stress}.")
-        refuse_softening(name, self.hardening)
 
     @property
     def flow(self) -> Flow:

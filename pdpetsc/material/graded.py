@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared, shown
-from pdpetsc.errors import CaseError
+from pdpetsc.bond_based import BondMaterial
+from pdpetsc.declared import Declared
 from pdpetsc.material.base import Material
-
-if TYPE_CHECKING:
-    from pdpetsc.bond_based import BondMaterial
 
 
 @dataclass(frozen=True)
@@ -35,13 +31,3 @@ class Graded(Declared):
 
     material: Material | BondMaterial
     factor: Callable[[Float], Float]
-
-    def __post_init__(self) -> None:
-        # ``bond_based`` imports this package, so its type cannot be imported above, and the fields are checked here.
-        from pdpetsc.bond_based import BondMaterial
-
-        super().__post_init__()
-        if not isinstance(self.material, Material | BondMaterial):
-            raise CaseError(f"Graded takes a Material or a BondMaterial as material, not {shown(self.material)}.")
-        if not callable(self.factor) or isinstance(self.factor, type):
-            raise CaseError(f"Graded takes a function as factor, not {shown(self.factor)}.")

@@ -14,8 +14,8 @@ import numpy as np
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.declared import numbers_from, real_numbers, shown
 from pdpetsc.errors import CaseError
-from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Kind, Material, isotropic_moduli
-from pdpetsc.material.symmetric import WEIGHT, matrix
+from pdpetsc.material.base import LARGEST_MODULUS, HistoryKernels, Material, isotropic_moduli
+from pdpetsc.material.symmetric import WEIGHT, matrix, moduli_of_body
 
 if TYPE_CHECKING:
     from pdpetsc.material.energy import Energy
@@ -41,14 +41,13 @@ class EnergyMaterial(Material):
         """Return the text of the energy and its constants."""
 
     def directions(self) -> tuple[Direction, ...]:
-        """Return the directions of its fibres."""
-        return ()
+        """Return the directions of its fibres that are given, in the order of the fields."""
+        given = (getattr(self, name, None) for name in ("fibre", "second_fibre"))
+        return tuple(direction for direction in given if direction is not None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         name = type(self).__name__
-        if self.plane not in ("strain", "stress"):
-            raise CaseError(f'{name} takes plane="strain" or plane="stress", not {self.plane!r}.')
         for constant, value in self.declared_energy()[1].items():
             number = real_numbers(value)
             if number is None or number.ndim or not np.abs(number) <= LARGEST_MODULUS or isinstance(value, bool | str):
@@ -170,12 +169,12 @@ class EnergyMaterial(Material):
             solid = isotropic_moduli(lam, mu, 3)
         else:
             solid = self._solid_moduli([np.append(_unit(one, ""), np.zeros(3))[:3] for one in given])
-        return _condensed(solid, self.kind(dim))
+        return moduli_of_body(solid, dim, self.plane)
 
     def bulk_like_modulus(self, dim: int) -> float:
         """Return that of the isotropic mean [stress]: the same however directions are given."""
         mean = isotropic_moduli(*isotropic_mean(self._solid_moduli([np.eye(3)[0]] * len(self.directions()))), 3)
-        return float(np.einsum("iikk", _condensed(mean, self.kind(dim)))) / dim**2
+        return float(np.einsum("iikk", moduli_of_body(mean, dim, self.plane))) / dim**2
 
     def _solid_moduli(self, directions: Sequence[Float]) -> Float:
         moduli: Float = _undeformed(self._energy, self._values(), tuple(map(tuple, directions)))[1]
@@ -304,19 +303,6 @@ def isotropic_mean(moduli: Float) -> tuple[float, float]:
     return (bulk - 6.0 * mu) / 9.0, mu
 
 
-def _condensed(moduli: Float, kind: Kind) -> Float:
-    """Return the moduli of a body of lower dimension, with strains across it that are free or zero."""
-    dim = {"solid": 3, "strain": 2, "stress": 2, "bar": 1}[kind]
-    inner = moduli[:dim, :dim, :dim, :dim]
-    if kind in ("solid", "strain"):
-        return np.ascontiguousarray(inner)
-    out = np.arange(dim, 3)
-    across = moduli[out, out][:, out, out]
-    mixed = moduli[out, out][:, :dim, :dim]
-    there = moduli[:dim, :dim][:, :, out, out]
-    return np.asarray(inner - np.einsum("imq,qr,rkn->imkn", there, np.linalg.inv(across), mixed))
-
-
 @dataclass(frozen=True, init=False)
 class Hyperelastic(EnergyMaterial):
     """A material from its strain energy density, written in one line.
@@ -391,7 +377,3 @@ class Hyperelastic(EnergyMaterial):
     def declared_energy(self) -> tuple[str, Mapping[str, float]]:
         """Return the text and the constants."""
         return self.energy, self.values
-
-    def directions(self) -> tuple[Direction, ...]:
-        """Return the directions that are given."""
-        return tuple(one for one in (self.fibre, self.second_fibre) if one is not None)

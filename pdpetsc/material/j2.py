@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import NonNegative, Positive
 from pdpetsc.kernels.linear_return import linear_out_of_plane, linear_return_loops
 from pdpetsc.material.base import HistoryKernels
 from pdpetsc.material.flow import Yields
@@ -58,8 +59,8 @@ class J2(Yields, LogarithmicMaterial):
     >>> sheet = pd.J2(E=206.9e3, nu=0.29, plane="stress", yield_stress=450.0, hardening=law)
     """
 
-    yield_stress: float = 1.0
-    hardening: float | Hardening = 0.0
+    yield_stress: Positive = 1.0
+    hardening: NonNegative | Hardening = 0.0
     rate: RateLaw | None = None
 
     def _linear_loops(self, dim: int) -> bool:

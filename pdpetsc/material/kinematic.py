@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.errors import CaseError
+from pdpetsc.declared import NonNegative, Positive
 from pdpetsc.material.flow import Yields
 from pdpetsc.material.hardening import Hardening
 from pdpetsc.material.lagrangian import DEVIATOR, ONE, LagrangianMaterial, TensorResponse
@@ -55,15 +55,10 @@ class KinematicJ2(Yields, LagrangianMaterial):
     >>> steel = pd.KinematicJ2(E=200e3, nu=0.3, yield_stress=250.0, kinematic=5e3, hardening=pd.hardening.Voce(80, 9))
     """
 
-    yield_stress: float = 1.0
-    kinematic: float = 0.0
-    hardening: float | Hardening = 0.0
+    yield_stress: Positive = 1.0
+    kinematic: NonNegative = 0.0
+    hardening: NonNegative | Hardening = 0.0
     rate: RateLaw | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (math.isfinite(self.kinematic) and self.kinematic >= 0.0):
-            raise CaseError(f"KinematicJ2 needs kinematic >= 0, not {self.kinematic}.")
 
     def initial_state(self) -> Float:
         """Return plastic strain, work of flow and alpha."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float
 from pdpetsc.kernels.compile import compiled
-from pdpetsc.material.base import ElasticMaterial, PointKernels
+from pdpetsc.material.base import HistoryKernels, IsotropicMaterial, remember_nothing
 
 
 @dataclass(frozen=True)
-class LinearElastic(ElasticMaterial):
+class LinearElastic(IsotropicMaterial):
     """Linear elastic material at small strain, ``P = lambda tr(eps) I + 2 mu eps``, ``eps = sym(F - I)``.
 
     Its tangent is constant: the matrix of a body of this material alone is assembled and factored once.
@@ -34,13 +34,17 @@ class LinearElastic(ElasticMaterial):
 
     linear: ClassVar[bool] = True
 
-    def kernels(self, dim: int) -> PointKernels:
-        """Return the compiled loops for dimension ``dim``."""
-        return _kernels(dim)
+    def constants(self, dim: int) -> Float:
+        """Return the stiffness (dim^4)."""
+        return self.moduli(dim).ravel()
 
-    def volumetric_strain(self, F: Float) -> Float:
-        """Return ``tr eps``."""
-        return np.asarray(np.einsum("pii->p", F) - F.shape[-1])
+    def history_kernels(self, dim: int) -> HistoryKernels:
+        """Return the compiled loops for dimension ``dim``."""
+        return linear_loops(dim)
+
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
+        """Return ``P_zz = lambda tr(eps)`` (n,) [stress] in plane strain."""
+        return self.lame(2)[0] * np.asarray(np.einsum("pii->p", F) - F.shape[-1])
 
     def thickness_stretch(self, F: Float) -> Float:
         """Return ``1 + eps_lateral``, twice for a bar, to first order."""
@@ -50,49 +54,50 @@ class LinearElastic(ElasticMaterial):
 
 
 @lru_cache
-def _kernels(dim: int) -> PointKernels:
-    @compiled
-    def stress(F, select, constants, P):  # type: ignore[no-untyped-def]
-        lam, mu = constants[0], constants[1]
-        for p in select:
-            trace = -float(dim)
-            for i in range(dim):
-                trace += F[p, i, i]
-            for i in range(dim):
-                for j in range(dim):
-                    P[p, i, j] = mu * (F[p, i, j] + F[p, j, i])
-                P[p, i, i] += lam * trace - 2.0 * mu
+def linear_loops(dim: int) -> HistoryKernels:
+    """Return the compiled loops of ``P = C : (F - I)`` for dimension ``dim``.
+
+    ``C`` (dim^4) is the row of a point in ``history``, or ``constants`` if ``history`` has no columns.
+    """
 
     @compiled
-    def tangent(F, select, constants, A):  # type: ignore[no-untyped-def]
-        lam, mu = constants[0], constants[1]
-        for p in select:
+    def stress(F, select, constants, history, P):  # type: ignore[no-untyped-def]
+        for row in range(select.size):
+            p = select[row]
+            C = history[row] if history.shape[1] > 0 else constants
+            for i in range(dim):
+                for m in range(dim):
+                    value = 0.0
+                    for k in range(dim):
+                        for n in range(dim):
+                            one = 1.0 if k == n else 0.0
+                            value += C[((i * dim + m) * dim + k) * dim + n] * (F[p, k, n] - one)
+                    P[p, i, m] = value
+
+    @compiled
+    def tangent(F, select, constants, history, A):  # type: ignore[no-untyped-def]
+        for row in range(select.size):
+            p = select[row]
+            C = history[row] if history.shape[1] > 0 else constants
             for i in range(dim):
                 for m in range(dim):
                     for k in range(dim):
                         for n in range(dim):
-                            value = 0.0
-                            if i == m and k == n:
-                                value += lam
-                            if i == k and m == n:
-                                value += mu
-                            if i == n and m == k:
-                                value += mu
-                            A[p, i, m, k, n] = value
+                            A[p, i, m, k, n] = C[((i * dim + m) * dim + k) * dim + n]
 
     @compiled
-    def energy(F, select, constants, psi):  # type: ignore[no-untyped-def]
-        lam, mu = constants[0], constants[1]
-        for p in select:
-            trace = -float(dim)
-            square = 0.0
+    def energy(F, select, constants, history, psi):  # type: ignore[no-untyped-def]
+        for row in range(select.size):
+            p = select[row]
+            C = history[row] if history.shape[1] > 0 else constants
+            value = 0.0
             for i in range(dim):
-                trace += F[p, i, i]
-                for j in range(dim):
-                    strain = 0.5 * (F[p, i, j] + F[p, j, i])
-                    if i == j:
-                        strain -= 1.0
-                    square += strain * strain
-            psi[p] = 0.5 * lam * trace * trace + mu * square
+                for m in range(dim):
+                    left = F[p, i, m] - (1.0 if i == m else 0.0)
+                    for k in range(dim):
+                        for n in range(dim):
+                            right = F[p, k, n] - (1.0 if k == n else 0.0)
+                            value += 0.5 * C[((i * dim + m) * dim + k) * dim + n] * left * right
+            psi[p] = value
 
-    return PointKernels(stress, tangent, energy)
+    return HistoryKernels(stress, tangent, energy, remember_nothing)

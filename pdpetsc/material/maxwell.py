@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from pdpetsc.arrays import Float
+from pdpetsc.declared import Positive
 from pdpetsc.errors import CaseError
 from pdpetsc.material.lagrangian import DEVIATOR, ONE, LagrangianMaterial, TensorResponse
 
@@ -59,9 +59,9 @@ class Maxwell(LagrangianMaterial):
     True
     """
 
-    shear: Sequence[float] = (1.0,)
-    times: Sequence[float] = (1.0,)
-    duration: float = 1.0
+    shear: Sequence[Positive] = (1.0,)
+    times: Sequence[Positive] = (1.0,)
+    duration: Positive = 1.0
 
     may_fail: ClassVar[bool] = False
 
@@ -72,9 +72,6 @@ class Maxwell(LagrangianMaterial):
                 f"Maxwell takes a shear modulus and a relaxation time for each branch, not {len(self.shear)} and "
                 f"{len(self.times)}."
             )
-        for value in (*self.shear, *self.times, self.duration):
-            if not (math.isfinite(value) and value > 0.0):
-                raise CaseError(f"Maxwell takes positive moduli, relaxation times and duration, not {value}.")
         object.__setattr__(self, "shear", tuple(float(value) for value in self.shear))
         object.__setattr__(self, "times", tuple(float(value) for value in self.times))
 

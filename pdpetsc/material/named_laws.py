@@ -204,7 +204,3 @@ class HolzapfelGasserOgden(EnergyMaterial):
             text += f" + k1/(2*k2) * (exp(k2 * {strain}**2) - 1)"
         values = {"c": self.c, "k1": self.k1, "k2": self.k2, "dispersion": self.dispersion, "kappa": self.kappa}
         return f"{text} + {VOLUMETRIC}", values
-
-    def directions(self) -> tuple[Direction, ...]:
-        """Return the directions of the families."""
-        return (self.fibre,) if self.second_fibre is None else (self.fibre, self.second_fibre)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -25,11 +24,6 @@ class PointLaws:
     def __init__(self, materials: Sequence[MaterialLaw], dim: int) -> None:
         self.materials = list(materials)
         self.dim = dim
-
-    @cached_property
-    def linear(self) -> bool:
-        """Return whether all laws are linear."""
-        return all(law.material.linear for law in self.materials)
 
     def stress(self, F: Float) -> Float:
         """Return ``P_p`` (n_points, dim, dim) [stress]."""
@@ -78,7 +72,7 @@ class PointLaws:
         return stretch, P, sigma
 
     def defined(self, F: Float, lost: Mask | None = None) -> bool:
-        """Return whether all laws have a stress, but for points that are lost (n_points,)."""
+        """Return True if all laws have a stress, but for points that are lost (n_points,)."""
         return all(law.defined(F, lost) for law in self.materials)
 
     def plastic_growth(self, F: Float) -> Float:

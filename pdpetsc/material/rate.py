@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declared import Declared
+from pdpetsc.declared import Declared, Finite, NonNegative, Positive
 from pdpetsc.errors import CaseError
 
 # Points of the quadrature for the energy of a law whose integral has no closed form.
@@ -32,11 +32,7 @@ class RateLaw(Declared, ABC):
         Time from step time 0 to 1 [time], positive.
     """
 
-    duration: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._positive("duration")
+    duration: Positive
 
     @abstractmethod
     def resistance(self, slow: Float, rate: Float) -> tuple[Float, Float, Float]:
@@ -69,12 +65,6 @@ class RateLaw(Declared, ABC):
         """Return the temperature that it takes the body to have, None where it takes none."""
         return None
 
-    def _positive(self, *names: str) -> None:
-        for name in names:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise CaseError(f"{type(self).__name__} takes a positive {name}, not {value}.")
-
 
 @dataclass(frozen=True)
 class Perzyna(RateLaw):
@@ -102,13 +92,12 @@ class Perzyna(RateLaw):
     >>> steel = pd.J2(E=200e3, nu=0.3, yield_stress=250.0, rate=slow)
     """
 
-    rate_0: float
-    drag: float
-    exponent: float = 1.0
+    rate_0: Positive
+    drag: Positive
+    exponent: Finite = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._positive("rate_0", "drag", "exponent")
         if self.exponent < 1.0:
             raise CaseError(f"Perzyna takes an exponent from 1 on, not {self.exponent}.")
 
@@ -165,18 +154,15 @@ class JohnsonCook(RateLaw):
     ... )
     """
 
-    C: float
-    rate_0: float
+    C: NonNegative
+    rate_0: Positive
     temperature: float = 293.0
     room: float = 293.0
     melting: float = 1800.0
-    m: float = 1.0
+    m: Positive = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._positive("rate_0", "m")
-        if not (math.isfinite(self.C) and self.C >= 0.0):
-            raise CaseError(f"JohnsonCook takes C >= 0, not {self.C}.")
         if not (self.room < self.melting and self.temperature < self.melting and math.isfinite(self.heat)):
             raise CaseError(
                 f"JohnsonCook takes room and body temperatures below that of melting, not {self.room}, "

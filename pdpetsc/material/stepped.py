@@ -83,11 +83,6 @@ class SteppedMaterial(HistoryMaterial):
         """Return the sum of the logarithmic strains that F does not show (n,) [-]."""
 
     @property
-    def timed(self) -> bool:
-        """Return whether it has a duration."""
-        return self.duration is not None
-
-    @property
     def shear_and_bulk(self) -> tuple[float, float]:
         """Return ``mu, K`` of the solid [stress]."""
         return 0.5 * self.E / (1.0 + self.nu), self.E / (3.0 * (1.0 - 2.0 * self.nu))

@@ -138,19 +138,6 @@ class StressFreeStrain(Unexpanded):
         S[:, : self.inside, : self.inside] = -P
         return S
 
-    def stress_by_strain(self, F_e: Float, P: Float, A_e: Float, change: Float) -> Float:
-        """Return the change of P (n, inside, inside) with a change (n, 3, 3) of eps at constant F: ``-A : change``.
-
-        Parameters
-        ----------
-        F_e, P : (n, inside, inside) float64
-            Elastic part of F [-] and stress.
-        A_e : (n, inside, inside, inside, inside) float64
-            Tangent of the law.
-        """
-        shown = change[:, : self.inside, : self.inside]
-        return np.asarray(-np.einsum("pimkn,pkn->pim", self.times(A_e), shown))
-
     def times(self, values: Float) -> Float:
         """Return values of the points times the factor of the moduli."""
         if self.multiplier is None:
@@ -216,13 +203,3 @@ class StressFreeStretch(StressFreeStrain):
         for axis in range(inside, 3):
             S[:, axis, axis] = psi / self._across[:, axis - self.dim]
         return S
-
-    def stress_by_strain(self, F_e: Float, P: Float, A_e: Float, change: Float) -> Float:
-        """Return ``tr(F_theta^-1 d) P - A : (F_e d) - P d F_theta^-T`` (n, inside, inside) for a change d of eps."""
-        inside, A = self.inside, np.empty_like(A_e)
-        pull_back_kernel(inside, inside)(A_e, self._inverse, self.times(self._J), self._rows, A)
-        shown, hidden = change[:, :inside, :inside], change[:, range(inside, 3), range(inside, 3)]
-        grown = np.einsum("pab,pba->p", self._inverse, shown)
-        grown += (hidden / self._across[:, inside - self.dim :]).sum(axis=1) if inside < 3 else 0.0
-        turned = np.einsum("pia,pab,pmb->pim", P, shown, self._inverse)
-        return np.asarray(grown[:, None, None] * P - np.einsum("pimkn,pka,pan->pim", A, F_e, shown) - turned)

@@ -56,7 +56,7 @@ class BrokenBonds(Observer):
         self._append(solution.step, solution.t)
         return {}
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Wait until all rows are on the disk."""
         self.table.flush()
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import math
 import stat
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.declared import Declared, Finite, Natural
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root, largest, total
 from pdpetsc.errors import CaseError, OutputError
@@ -39,7 +40,7 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.solvers.protocol import Converged
 
-FORMAT = 10
+FORMAT = 11
 _OTHER_VERSION = (
     f"is not a checkpoint of this version (format {FORMAT}); continue with the version of pdpetsc that wrote it, or "
     f"run the case from its beginning."
@@ -50,19 +51,45 @@ HEAD = 512
 SEAL = "pdpetsc checkpoint, sha256 of what follows the first 512 bytes: "
 # Damaged bonds that a rank looks at together.
 BLOCK = 100_000
-# Rows that have a checksum together.
-CHUNK = 16_384
-# No run has as many steps.
-MOST_STEPS = 10**9
-# Attributes, and the kind of value of each.
-ATTRIBUTES = {
-    "pdpetsc": "text", "format": "whole", "run": "text", "t": "number", "step": "whole", "work": "number",
-    "resume": "text", "identity": "numbers", "virtual": "numbers",
-    "tangent_virtual": "numbers", "damage": "text", "frozen": "whole",
-    "declared": "text", "checksum": "text",
-}  # fmt: skip
 # Texts: the records of all steps, and the tables of the run.
 STEPS, TABLES = "steps", ("history", "broken_bonds")
+
+
+@dataclass(frozen=True)
+class Head(Declared):
+    """What a checkpoint says beside its tables.
+
+    Attributes
+    ----------
+    run : str
+        Identifies the run.
+    t, step, work
+        As for ``Solution``.
+    resume : mapping of str to float
+        What the solver goes on with.
+    identity : sequence of float
+        Numbers that tell one body from another.
+    virtual, tangent_virtual : sequence of float
+        Virtual rows of a cell, of the unknowns and of the displacement whose tangent the next step begins with.
+    damage : str
+        Name of the damage law.
+    frozen : bool
+        Whether bonds fail no more.
+    declared : mapping of str to str
+        Fingerprints of the parts of the case.
+    """
+
+    run: str
+    t: Finite
+    step: Natural
+    work: Finite
+    resume: Mapping[str, Finite]
+    identity: Sequence[Finite]
+    virtual: Sequence[Finite]
+    tangent_virtual: Sequence[Finite]
+    damage: str
+    frozen: bool
+    declared: Mapping[str, str]
 
 
 class Checkpoints(Observer):
@@ -98,7 +125,7 @@ class Checkpoints(Observer):
             self._write(solution)
         return {}
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Write the checkpoint of the last step, unless it is there or not wanted."""
         if self._every > 0 and self._saved != self.observed.last.step:
             self._write(self.observed.last)
@@ -126,7 +153,7 @@ def write_checkpoint(
     """Write the converged state aside, then rename it over ``path`` (collective).
 
     It holds the unknowns, the bonds that are damaged, and the displacement whose tangent the next step begins with, so
-    that this begins on the same way to the last digit. All have checksums.
+    that this begins on the same way to the last digit. The file has one checksum.
 
     Parameters
     ----------
@@ -173,14 +200,14 @@ def write_checkpoint(
         try:
             with replacing(path) as aside:
                 with writing_hdf5(aside, size + 2**16, libver="latest", userblock_size=HEAD) as file:
-                    _write_attributes(file, solution, run, declared, identity, virtual)
+                    file.attrs["format"] = FORMAT
+                    file.attrs["head"] = json.dumps(asdict(_head(solution, run, declared, identity, virtual)))
                     for name, text in texts.items():
-                        _dataset(file, f"texts/{name}", (len(text),), np.uint8)[:] = np.frombuffer(text, np.uint8)
+                        file.create_dataset(f"texts/{name}", data=np.frombuffer(text, np.uint8))
                     for name, rows, n, parts in streams:
-                        dataset = _dataset(file, name, (n, *rows.shape[1:]), rows.dtype)
+                        dataset = file.create_dataset(name, (n, *rows.shape[1:]), rows.dtype)
                         for place, part in parts:
                             dataset[place] = part
-                    file.attrs["checksum"] = _checksum(file)
                 seal(aside)
         except WRITE_ERRORS as error:
             failure = cannot_write(path, error)
@@ -226,28 +253,17 @@ def _check_seal(path: Path) -> None:
             if not whole(path):
                 raise CaseError(f"Cannot read the checkpoint {path}: it is damaged; restart from another one.")
     except OSError as error:
-        if isinstance(error, CaseError):
-            raise
         raise CaseError(f"Cannot read the checkpoint {path}: {error.strerror or error}.") from None
 
 
-def _write_attributes(
-    file: h5py.File, solution: Solution, run: str, declared: Mapping[str, str], identity: Float,
-    virtual: Sequence[Float],
-) -> None:  # fmt: skip
+def _head(solution: Solution, run: str, declared: Mapping[str, str], identity: Float, virtual: Sequence[Float]) -> Head:
+    """Return what the checkpoint of a solution says beside its tables."""
     damage = solution.problem.damage
     frozen = damage is not None and damage.bonds.frozen
-    file.attrs.update(format=FORMAT, run=run, t=solution.t, step=solution.step, work=solution.work)
-    file.attrs.update(resume=json.dumps(solution.resume), identity=identity)
-    file.attrs.update(virtual=virtual[0], tangent_virtual=virtual[1])
-    file.attrs.update(damage=_law(solution.problem), frozen=int(frozen), declared=json.dumps(dict(declared)))
-
-
-def _dataset(file: h5py.File, name: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
-    chunk = max(1, min(CHUNK, shape[0]))
-    return file.create_dataset(
-        name, shape, dtype, chunks=(chunk, *shape[1:]), maxshape=(None, *shape[1:]), fletcher32=True
-    )
+    return Head(
+        run, solution.t, solution.step, solution.work, solution.resume, identity.tolist(), virtual[0].tolist(),
+        virtual[1].tolist(), _law(solution.problem), frozen, declared,
+    )  # fmt: skip
 
 
 def find_checkpoint(path: str | Path) -> Path:
@@ -269,9 +285,9 @@ def find_checkpoint(path: str | Path) -> Path:
                 )
         if not stat.S_ISREG(found.stat().st_mode):
             raise CaseError(f"Cannot read the checkpoint {found}: it is not a file.")
+    except CaseError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, CaseError):
-            raise
         raise CaseError(f"Cannot read the checkpoint {found}: {getattr(error, 'strerror', None) or error}.") from None
     # A link leads into the folder of the run that wrote it.
     return found.resolve()
@@ -319,12 +335,14 @@ def read_checkpoint(
             with open_hdf5(path) as file:
                 if "format" not in file.attrs or not np.array_equal(file.attrs["format"], FORMAT):
                     raise CaseError(f"{path} {_OTHER_VERSION}")
-                values = _attributes(file)
-                _refuse_other_body(path, values, identity, anyway)
-                _refuse_other_case(path, values, problem, declared, anyway)
-                _check_values(values, n_virtual * cloud.dim, any_load)
-                _check_datasets(file, cloud, widths)
-                steps = _steps(file, int(values["step"]))
+                head = Head(**json.loads(file.attrs["head"]))
+                _refuse_other_body(path, head.identity[:2], identity[:2])
+                if not anyway:
+                    _refuse_other_body(path, head.identity, identity)
+                    _refuse_other_case(path, head, problem, declared)
+                _must(any_load or 0.0 <= head.t <= 1.0, f"its step time {head.t:g} is not in 0 to 1")
+                _check_datasets(file, cloud, widths, head, n_virtual * cloud.dim)
+                steps = _steps(file, head.step)
                 if is_root(comm):
                     texts = {name: _text(file, name) for name in file["texts"] if name != STEPS}
                 mine = slice(int(order.starts[rank]), int(order.starts[rank + 1]))
@@ -348,51 +366,26 @@ def read_checkpoint(
             f"Cannot read the checkpoint {path}: this body has {lacking} of its damaged bonds not or twice."
         )
     if damage is not None:
-        damage.bonds.frozen = bool(values["frozen"])
+        damage.bonds.frozen = head.frozen
         problem.bonds_restored()
     for name, kept in arrays.items():
         _put(kept, cloud, order.from_parts(tables[name]), f"{path}: {name}")
-    problem.restored(float(values["t"]))
-    u = _with_virtual(cloud, order.from_parts(part), values["virtual"])
-    at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), values["tangent_virtual"])
-    if not problem.admissible(problem.state(u, float(values["t"]))):
+    problem.restored(head.t)
+    u = _with_virtual(cloud, order.from_parts(part), head.virtual)
+    at = None if tangent is None else _with_virtual(cloud, order.from_parts(tangent), head.tangent_virtual)
+    if not problem.admissible(problem.state(u, head.t)):
         raise CaseError(f"Cannot read the checkpoint {path}: its displacements turn this body inside out.")
-    start = Solution(problem, u, float(values["t"]), int(values["step"]), float(values["work"]), values["resume"], at)
-    return Origin(start, path, values["run"], steps, texts)
+    start = Solution(problem, u, head.t, head.step, head.work, head.resume, at)
+    return Origin(start, path, head.run, steps, texts)
 
 
-def _with_virtual(cloud: Cloud, u: Float, virtual: Float) -> Float:
-    return np.concatenate([u, virtual.reshape(-1, cloud.dim)]) if cloud.n_virtual else u
+def _with_virtual(cloud: Cloud, u: Float, virtual: Sequence[float]) -> Float:
+    return np.concatenate([u, np.reshape(virtual, (-1, cloud.dim))]) if cloud.n_virtual else u
 
 
 def _must(condition: bool, what: str) -> None:
     if not condition:
         raise ValueError(what)
-
-
-def _attributes(file: h5py.File) -> dict[str, Any]:
-    """Return the attributes of a checkpoint; raises where one is missing, too many, of a wrong kind, or changed."""
-    names = set(file.attrs)
-    _must(names == set(ATTRIBUTES), f"attributes {sorted(names ^ set(ATTRIBUTES))} are missing or too many")
-    values: dict[str, Any] = {}
-    for name, kind in ATTRIBUTES.items():
-        value = file.attrs[name]
-        if kind == "text":
-            _must(isinstance(value, str), f"{name} is no text")
-            values[name] = value
-            continue
-        array = np.asarray(value)
-        _must(array.dtype.kind == ("i" if kind == "whole" else "f"), f"{name} is of the wrong type")
-        _must(array.ndim == (1 if kind == "numbers" else 0), f"{name} has the wrong shape")
-        _must(bool(np.isfinite(array).all()), f"{name} is not finite")
-        values[name] = array
-    _must(values["checksum"] == _checksum(file), "its checksum does not fit what it holds")
-    for name in ("declared", "resume"):
-        values[name] = json.loads(values[name])
-        _must(isinstance(values[name], dict), f"{name} is no table")
-    numbers = values["resume"].values()
-    _must(all(type(number) is float and math.isfinite(number) for number in numbers), "what it resumes is no number")
-    return values
 
 
 def _text(file: h5py.File, name: str) -> str:
@@ -402,41 +395,23 @@ def _text(file: h5py.File, name: str) -> str:
 def _steps(file: h5py.File, count: int) -> list[dict[str, Any]]:
     """Return the records of the steps; raises unless there is one of each step."""
     steps = json.loads(_text(file, STEPS))
-    needed = {"step", "t", "reference", "negative_pivots"}
-    known = isinstance(steps, list) and all(isinstance(record, dict) and needed <= set(record) for record in steps)
-    _must(known, "its steps are no records")
-    _must([record["step"] for record in steps] == [*range(1, count + 1)], f"it lacks records of its {count} steps")
+    _must([record["step"] for record in steps] == [*range(1, len(steps) + 1)], "its steps are no records")
+    _must(all({"t", "reference", "negative_pivots"} <= set(record) for record in steps), "its steps are no records")
+    _must(len(steps) == count, f"it lacks records of its {count} steps")
     return list(steps)
 
 
-def _checksum(file: h5py.File) -> str:
-    """Return a checksum of the attributes."""
-    digest = hashlib.sha256()
-    for name in sorted(set(file.attrs) - {"checksum"}):
-        value = file.attrs[name]
-        array = np.asarray(value.encode() if isinstance(value, str) else value)
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes())
-    return digest.hexdigest()
-
-
-def _refuse_other_body(path: Path, values: Mapping[str, Any], identity: Float, anyway: bool) -> None:
-    found = values["identity"]
-    same = found.shape == identity.shape and np.allclose(found, identity, rtol=1e-9, atol=0.0)
-    fits = found.shape == identity.shape and np.array_equal(found[:2], identity[:2])
-    if not (same or (anyway and fits)):
+def _refuse_other_body(path: Path, found: Sequence[float], identity: Float) -> None:
+    if len(found) != len(identity) or not np.allclose(found, identity, rtol=1e-9, atol=0.0):
         raise CaseError(f"{path} is a checkpoint of another body: particles, positions or horizon differ.")
 
 
-def _refuse_other_case(
-    path: Path, values: Mapping[str, Any], problem: Problem, declared: Mapping[str, str] | None, anyway: bool
-) -> None:
-    if anyway:
-        return
-    if values["damage"] != _law(problem):
-        raise CaseError(f"{path} is of a case with damage {values['damage']}, this has {_law(problem)}.")
+def _refuse_other_case(path: Path, head: Head, problem: Problem, declared: Mapping[str, str] | None) -> None:
+    if head.damage != _law(problem):
+        raise CaseError(f"{path} is of a case with damage {head.damage}, this has {_law(problem)}.")
     if declared is None:
         return
-    other = differing(values["declared"], declared)
+    other = differing(head.declared, declared)
     if other:
         verb = "differ" if len(other) > 1 or other[0].endswith("s") else "differs"
         raise CaseError(
@@ -449,17 +424,8 @@ def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _check_values(values: Mapping[str, Any], n_virtual: int, any_load: bool) -> None:
-    """Raise where a value has no meaning."""
-    t = float(values["t"])
-    _must(any_load or 0.0 <= t <= 1.0, f"its step time {t:g} is not in 0 to 1")
-    _must(0 <= int(values["step"]) < MOST_STEPS, f"its step is {int(values['step'])}")
-    _must(int(values["frozen"]) in (0, 1), f"frozen is {int(values['frozen'])}")
-    _must(len(values["virtual"]) == n_virtual, f"it has {len(values['virtual'])} numbers of a cell, not {n_virtual}")
-
-
-def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int]) -> None:
-    """Raise where datasets are missing, too many, elsewhere, or of a wrong type or shape."""
+def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int], head: Head, n_virtual: int) -> None:
+    """Raise if datasets or virtual rows are missing, too many, elsewhere, or of a wrong type or shape."""
     # Links to elsewhere are not visited.
     is_dataset: dict[str, bool] = {}
     file.visititems(lambda name, item: is_dataset.__setitem__(name, isinstance(item, h5py.Dataset)))
@@ -475,17 +441,15 @@ def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int]) ->
     groups = {name.split("/")[0] for name in columns if "/" in name}
     expected = dict.fromkeys(groups, False) | dict.fromkeys(columns, True)
     _must(is_dataset == expected, f"it holds {', '.join(sorted(is_dataset))}")
-    size = len(file.attrs["virtual"]) if "tangent" in is_dataset else 0
-    _must(len(file.attrs["tangent_virtual"]) == size, f"its tangent is not of {size} numbers of a cell")
-    _must((law := file.attrs["damage"]) == "none" or "bonds" in is_dataset, f"it lacks the bonds of {law}")
+    of_cell = (len(head.virtual), len(head.tangent_virtual))
+    _must(of_cell == (n_virtual, n_virtual if "tangent" in is_dataset else 0), f"it has {of_cell} numbers of a cell")
+    _must(head.damage == "none" or "bonds" in is_dataset, f"it lacks the bonds of {head.damage}")
     for name, (width, dtype) in columns.items():
         data = file[name]
         _must(data.ndim == 1 + len(width) and data.shape[1:] == width, f"{name} has the wrong shape")
         _must(data.dtype == dtype, f"{name} is of the wrong type")
         _must(name not in of_particles or len(data) == cloud.n_global, f"{name} is of {len(data)} particles")
         _must(not data.external and not data.is_virtual, f"the data of {name} are in another file")
-        checked = bool(data.fletcher32) and data.compression is None and data.scaleoffset is None
-        _must(checked and data.chunks is not None, f"{name} has no checksums")
     if "bonds" in is_dataset:
         _must(len(file["bonds/keys"]) == len(file["bonds/states"]), "its bonds are incomplete")
 

@@ -21,7 +21,7 @@ class CrackLines(Observer):
     def __init__(self, quantities: Iterable[Quantity]) -> None:
         self._quantities = quantities
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Write the file; raises OutputError on all ranks if that fails."""
         last, comm = self.observed.last, self.observed.comm
         for quantity in self._quantities:

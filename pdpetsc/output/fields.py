@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.declare.particles import Particles
+from pdpetsc.declared import name_of
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed, is_root
 from pdpetsc.errors import CaseError
@@ -31,7 +32,7 @@ from pdpetsc.output.index import Index, Step, entries, part_of, remove, steps_in
 from pdpetsc.output.observer import Observed, Observer
 from pdpetsc.output.progress import Report
 from pdpetsc.output.surface import write_surface
-from pdpetsc.post.solution import Field, Solution, in_space
+from pdpetsc.post.solution import Field, Solution, in_space, rows_of_field
 from pdpetsc.solvers.protocol import Converged
 
 
@@ -70,7 +71,7 @@ class Fields(Observer):
             self._writer.write(solution)
         return {}
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Wait until everything is on the disk."""
         self._writer.flush()
 
@@ -264,16 +265,8 @@ def _evaluated(field: Field, function: Field, solution: Solution) -> NDArray[Any
     """
     evaluated, n = function(solution), len(solution.u)
     with agreed(solution.cloud.comm):
-        try:
-            values = np.asarray(evaluated)
-        except ValueError:  # rows of different lengths
-            values = np.empty(0, dtype=object)
-        name = getattr(field, "__name__", repr(field))
-        if values.shape[:1] != (n,) or values.dtype.kind not in "biuf":
-            raise CaseError(
-                f"The field {name} must return numbers, a row for each of the {n} particles of this rank, not an array "
-                f"of {values.dtype} of shape {values.shape}."
-            )
+        values = rows_of_field(field, evaluated, n)
+        name = name_of(field)
         if values.ndim > 3 or max(values.shape[1:], default=1) > 3:
             raise CaseError(
                 f"The field {name} must be ({n},), or with one or two dimensions of at most 3 after that, not "

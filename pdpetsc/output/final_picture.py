@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from pdpetsc.discrete.communicator import agreed, is_root
-from pdpetsc.errors import CaseError, described
+from pdpetsc.errors import described
 from pdpetsc.output.folder import set_pictures_aside
 from pdpetsc.output.observer import Observed, Observer
-from pdpetsc.output.picture import Picture, draw
+from pdpetsc.output.picture import draw_field
 from pdpetsc.output.progress import Report
+from pdpetsc.output.scene import component_of
 from pdpetsc.petsc.stages import OUTPUT, stage
+from pdpetsc.post.picture import Picture
 from pdpetsc.post.solution import Solution
 
 
@@ -24,11 +26,9 @@ class FinalPicture(Observer):
         """Refuse a component that the field does not have."""
         if self._picture is None:
             return
-        rank, component = np.ndim(self._picture.field(start)), self._picture.component
+        axes = np.ndim(self._picture.field(start)) - 1
         with agreed(start.cloud.comm):
-            if len(component) != rank - 1 or any(letter not in "xyz" for letter in component):
-                known = ("empty", "x, y or z", "xx, xy, ...")[rank - 1]
-                raise CaseError(f"A component of the picture's field is {known}, not {component!r}.")
+            component_of(np.empty((0, *axes * [3])), self._picture.component)
 
     def begin(self, observed: Observed) -> None:
         """Move pictures of the run before a restart in the same folder away."""
@@ -38,10 +38,12 @@ class FinalPicture(Observer):
 
     def finish(self) -> None:
         """Draw the picture; the results stand if that fails."""
-        folder, report = self.observed.folder, self.observed.report
-        if self._picture is not None and is_root(self.observed.comm):
+        folder, report, picture = self.observed.folder, self.observed.report, self._picture
+        if picture is not None and is_root(self.observed.comm):
+            path = folder / "picture.png"
             with stage(OUTPUT):
                 try:
-                    report.say(f"picture in {draw(folder, self._picture, folder.name)}")
+                    draw_field(folder, path, picture.field.__name__, picture.component, picture.scale, folder.name)
+                    report.say(f"picture in {path}")
                 except Exception as error:
                     report.warn(f"The run is finished, but its picture could not be drawn: {described(error)}")

@@ -11,7 +11,6 @@ import hashlib
 import itertools
 import linecache
 import os
-import stat
 import struct
 import sys
 import sysconfig
@@ -30,6 +29,7 @@ from pdpetsc.declare.text_file import Column, TextFile
 from pdpetsc.declared import shown
 from pdpetsc.discrete.communicator import Comm, agreed
 from pdpetsc.errors import CaseError
+from pdpetsc.machine import digest_of
 
 # What a run that goes on may declare otherwise: how the load is stepped and equilibrium found, and what is recorded.
 MAY_DIFFER = {
@@ -210,7 +210,7 @@ class _Walk:
         return self._across_ranks and self._in_function
 
     def _read_by_function(self, values: Mapping[str, Any]) -> list[tuple[str, _Part]]:
-        """Return what a function or a class of the user reads, by its labels."""
+        """Return the values that a function or class of the user reads, by label."""
         outer, self._in_function = self._in_function, True
         try:
             return [(label, self.of(value)) for label, value in values.items()]
@@ -268,7 +268,7 @@ def _content_of(value: Any) -> bytes | None:
 
 
 def _read_by(value: Any) -> dict[str, Any] | None:
-    """Return what a function or a class reads besides arguments, by labels; None for another object."""
+    """Return the values that a function or class reads besides arguments, by label; None for another object."""
     if isinstance(value, type):
         return _members(value)
     if isinstance(value, FunctionType):
@@ -282,7 +282,7 @@ def _read_by(value: Any) -> dict[str, Any] | None:
 
 
 def _state(value: Any) -> dict[str, Any]:
-    """Return what an instance that is no dataclass holds, by labels."""
+    """Return the attributes of an instance of an ordinary class, by label."""
     if hasattr(value, "__dict__"):
         return {f".{name}": held for name, held in vars(value).items()}
     try:
@@ -308,7 +308,7 @@ def _members(kind: type) -> dict[str, Any]:
 
 
 def _variables(function: FunctionType) -> dict[str, Any]:
-    """Return what a function reads besides its arguments, by labels: closure, defaults and globals."""
+    """Return closure, defaults and globals of a function, by label."""
     code = function.__code__
     read: dict[str, Any] = {".defaults": (function.__defaults__, function.__kwdefaults__)}
     for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
@@ -372,14 +372,5 @@ def _contents(declared: TextFile | Column | Mesh) -> dict[str, Any]:
 
 
 def _content(path: str | Path) -> str:
-    """Return the fingerprint of a file's content, of its name where it cannot be read."""
-    digest = hashlib.sha256()
-    try:
-        if not stat.S_ISREG(Path(path).stat().st_mode):  # a pipe would wait for a writer
-            return str(path)
-        with Path(path).open("rb") as file:
-            while block := file.read(2**20):
-                digest.update(block)
-    except OSError:
-        return str(path)
-    return digest.hexdigest()
+    """Return the digest of a file's content, of its name if it cannot be read."""
+    return digest_of(path) or str(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import json
 import os
@@ -16,7 +15,7 @@ from pathlib import Path
 
 from pdpetsc.discrete.communicator import Comm, agreed, is_root
 from pdpetsc.errors import CaseError, OutputError
-from pdpetsc.output.files import open_hdf5
+from pdpetsc.output.files import write_whole
 
 LOCK = ".pdpetsc-lock"
 # Times that a process waits a hundredth of a second for another one to have looked at the lock.
@@ -29,6 +28,8 @@ FIELDS = "fields"
 SURFACE = "surface.h5"
 # What plot and report leave in the folder of a run.
 DRAWN = ("deformed.png", "deformed.gif", "deformed.mp4", "history.png", "curve.png", "newton.png", "report.html")
+# How files begin that may have no mark.
+_WITHOUT_MARK = {".csv": (b"step,t,", b"step,t\r", b"step,t\n"), ".png": (b"\x89PNG",)}
 _STEP = re.compile(r"step_\d{5,}\.h5")
 
 
@@ -72,9 +73,8 @@ def holding(comm: Comm, folder: Path) -> Iterator[None]:
                 with _one_at_a_time(folder):
                     _take(folder, me)
             except OSError as error:
-                if isinstance(error, CaseError):
-                    raise
-                raise CaseError(f"Cannot write to the output folder {folder}: {error.strerror or error}.") from None
+                why = getattr(error.__cause__ or error, "strerror", None) or error
+                raise CaseError(f"Cannot write to the output folder {folder}: {why}.") from None
     try:
         yield
     finally:
@@ -114,41 +114,13 @@ def _one_at_a_time(folder: Path) -> Iterator[None]:
 
 
 def _take(folder: Path, me: Holder) -> None:
-    """Put the lock of this process into a folder; raises CaseError where another one holds it, OSError."""
+    """Put the lock of this process into a folder; raises CaseError if another one holds it, OSError."""
     lock = folder / LOCK
-    own = folder / f"{LOCK}-{me.host}-{me.pid}"
-    _clear(folder)
-    with contextlib.suppress(FileNotFoundError):
-        own.unlink()
-    try:
-        _create(own, me.words)
-        for _ in range(3):
-            try:
-                # A link appears with all its content or not at all, and only where nothing has the name.
-                os.link(own, lock, follow_symlinks=False)
-                return
-            except FileExistsError:
-                _refuse_or_clear(folder, lock)
-            except OSError as error:
-                if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV):
-                    raise
-                try:
-                    _create(lock, me.words)  # a file system without links
-                    return
-                except FileExistsError:
-                    _refuse_or_clear(folder, lock)
+    _refuse_holder(folder, lock)
+    write_whole(lock, me.words, wait=False)
+    # Where the file system has no locks two processes may have found the folder free; the last one has it.
+    if _read(lock) != me.words:
         raise CaseError(f"Another run is starting in {folder}; choose another folder.")
-    finally:
-        with contextlib.suppress(OSError):
-            own.unlink()
-
-
-def _create(path: Path, text: str) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    try:
-        os.write(descriptor, text.encode())
-    finally:
-        os.close(descriptor)
 
 
 def _read(path: Path) -> str:
@@ -159,15 +131,14 @@ def _read(path: Path) -> str:
         os.close(descriptor)
 
 
-def _refuse_or_clear(folder: Path, lock: Path) -> None:
-    """Remove the lock of a process that has ended; raises CaseError where it has not, or nobody can tell."""
+def _refuse_holder(folder: Path, lock: Path) -> None:
+    """Raise CaseError if the process of a lock has not ended, or nobody can tell."""
     try:
-        text = _read(lock)
+        holder = _holder(_read(lock))
     except FileNotFoundError:
         return
     except OSError:
-        text = ""
-    holder = _holder(text)
+        holder = None
     if holder is None:
         raise CaseError(
             f"{lock} does not say which run it is of; remove it if none runs in {folder}, or choose another folder."
@@ -178,25 +149,6 @@ def _refuse_or_clear(folder: Path, lock: Path) -> None:
             f"Process {holder.pid} on {holder.host} runs in {folder}; choose another folder"
             f"{'.' if here else f', or remove {lock} if that process has ended.'}"
         )
-    # Where the file system has no locks two may find the same old one: what was removed is looked at again.
-    away = lock.with_name(f"{LOCK}-{socket.gethostname()}-{os.getpid()}.old")
-    try:
-        os.rename(lock, away)
-    except FileNotFoundError:
-        return
-    if _read(away) != text:
-        with contextlib.suppress(FileExistsError):
-            os.link(away, lock)
-    away.unlink()
-
-
-def _clear(folder: Path) -> None:
-    """Remove what processes of this machine that were killed while they took the folder left."""
-    for path in folder.glob(f"{LOCK}-{socket.gethostname()}-*"):
-        number = path.name.removesuffix(".old").rsplit("-", 1)[-1]
-        if number.isdigit() and not _started(int(number)):
-            with contextlib.suppress(OSError):
-                path.unlink()
 
 
 def _holder(text: str) -> Holder | None:
@@ -260,8 +212,6 @@ def set_aside(comm: Comm, folder: Path, keep: Path | None = None) -> None:
             with contextlib.suppress(OSError):
                 (place / FIELDS).rmdir()
         except OSError as error:
-            if isinstance(error, CaseError):
-                raise
             raise OutputError(
                 f"Cannot move the earlier results out of {folder}: {error.strerror or error}; choose another folder."
             ) from error
@@ -332,28 +282,15 @@ def _of_earlier_run(folder: Path) -> list[Path]:
 
 
 def _marked(path: Path) -> bool:
-    """Return True if pdpetsc wrote a file, by what is in it."""
-    with path.open("rb") as file:
-        head = file.read(4096)
-    if path.suffix == ".csv":
-        # A table has no room for a mark; the summary is there from before the first row.
-        columns = head.split(b"\n", 1)[0].strip().split(b",")
-        return columns[:2] == [b"step", b"t"] and _is_summary(path.with_name("summary.json"))
-    if path.suffix == ".xdmf":
-        return b"<Xdmf" in head and b'<Grid Name="steps"' in head
+    """Return True if pdpetsc wrote a file: by its mark, or as a table or old picture beside the summary of a run."""
     if path.suffix == ".json":
         return _is_summary(path)
-    if path.suffix == ".png":
-        # Those of earlier versions have no mark but stand beside a summary.
-        return head.startswith(b"\x89PNG") and (b"pdpetsc" in head or _is_summary(path.with_name("summary.json")))
-    if b"pdpetsc" in head:
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if b"pdpetsc" in head or b'<Grid Name="steps"' in head:
         return True
-    try:
-        with open_hdf5(path) as file:
-            # The second and the third are files of earlier versions.
-            return "pdpetsc" in file.attrs or {"format", "identity"} <= set(file.attrs) or "particles" in file
-    except (OSError, RuntimeError, ValueError, KeyError):
-        return False
+    begins = _WITHOUT_MARK.get(path.suffix)
+    return begins is not None and head.startswith(begins) and _is_summary(path.with_name("summary.json"))
 
 
 def _is_drawn(path: Path) -> bool:

@@ -79,7 +79,7 @@ class History(Observer):
         self.table.append([_written(self._evaluated(solution))])
         return {}
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Wait until all rows are on the disk."""
         self.table.flush()
 

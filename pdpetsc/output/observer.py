@@ -82,7 +82,7 @@ class Observed:
 
     @property
     def problem(self) -> Problem:
-        """Return what is solved."""
+        """Return the problem that is solved."""
         return self.last.problem
 
     @property
@@ -128,8 +128,11 @@ class Observer:
         """Record a converged step; return what its record in ``summary.json`` says of it."""
         return {}
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Write what is left to write, when the run has converged or after an error; it may be called again."""
+
+    def judge(self) -> None:
+        """Judge the last state of a run that has converged, before the summary is written."""
 
     def summary(self, steps: StepRecords) -> Mapping[str, Any]:
         """Return the entries of ``summary.json``, from the records of all steps."""

@@ -18,8 +18,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import replacing
 from pdpetsc.output.reading import StoredFields
-from pdpetsc.output.scene import Scene, component_of, frame_of, scene_of
-from pdpetsc.post.picture import Picture
+from pdpetsc.output.scene import Scene, frame_of, scene_of
 
 LOG = logging.getLogger("pdpetsc")
 # Dots per inch of pictures that are kept, and of the frames of a film.
@@ -33,19 +32,6 @@ LONGEST = 120
 # What tells a later run in the folder that it may move the file away.
 MARK = {"Software": "pdpetsc"}
 _SOLID = Path(__file__).with_name("solid.py")
-
-
-def draw(folder: Path, picture: Picture, title: str) -> Path:
-    """Draw the last step of ``fields.h5`` in ``folder`` and return the picture's path (one rank only).
-
-    Raises
-    ------
-    OutputError
-        The picture cannot be written.
-    """
-    path = folder / "picture.png"
-    draw_field(folder, path, picture.field.__name__, picture.component, picture.scale, title)
-    return path
 
 
 def draw_field(
@@ -65,8 +51,29 @@ def draw_field(
         _draw_scenes([scene], [aside], path.suffix.removeprefix(".") or "png")
 
 
-def kept_picture(folder: Path) -> bytes | None:
-    """Return the picture that a run has drawn at its end; None where it has not come there, or drawn none."""
+def picture_of_run(folder: Path, field: str | None = None, component: str = "", scale: float = 1.0) -> bytes | None:
+    """Return a picture of a run as PNG: of a field at the last step, by default the one drawn at the end of the run.
+
+    None for a run without displacements. A run that has drawn none is coloured by its von Mises stress, if it has that.
+
+    Raises
+    ------
+    CaseError
+        The folder holds no fields, or not such a field or component.
+    """
+    names = StoredFields(folder).names()
+    if field is None:
+        kept = _kept_picture(folder) if scale == 1.0 else None
+        if kept is not None or "displacement" not in names:
+            return kept
+        field, component = ("von_mises", "") if "von_mises" in names else ("displacement", "x")
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "picture.png"
+        draw_field(folder, path, field, component, scale, folder.resolve().name)
+        return path.read_bytes()
+
+
+def _kept_picture(folder: Path) -> bytes | None:
     try:
         path = folder / "picture.png"
         # It is drawn after the last summary; an older one is of the part of a run before a restart.
@@ -339,6 +346,3 @@ def _mark(source: Path, path: Path) -> None:
     mark.add_text("Software", "pdpetsc")
     with Image.open(source) as image, path.open("wb") as file:
         image.convert("RGB").save(file, format="PNG", pnginfo=mark)
-
-
-__all__ = ["Picture", "component_of", "draw", "draw_field", "draw_film"]

@@ -27,6 +27,7 @@ _OF_SUMMARY: dict[str, Any] = {
     "loads": _ROWS, "timings": Mapping[str, float], "peak_memory_bytes": Sequence[float], "parameters": _TABLE,
     "versions": _TABLE, "options": _TABLE, "scheme": _TABLE, "control": _TABLE, "unbalanced": _TABLE, "pieces": _TABLE,
     "fracture_energy": _TABLE, "case": _TABLE, "restart": _TABLE, "unused_options": Sequence[str],
+    "warnings": Sequence[str],
 }  # fmt: skip
 
 
@@ -52,7 +53,12 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def read_history(folder: Path) -> dict[str, Float]:
-    """Return the columns of ``history.csv`` (n_steps,) by name, without a torn last row.
+    """Return the columns of ``history.csv`` (n_steps,) by name; raises CaseError as ``read_table``."""
+    return read_table(folder / "history.csv")
+
+
+def read_table(path: Path) -> dict[str, Float]:
+    """Return the columns of a table of a run by name, without a torn last row.
 
     Raises
     ------
@@ -60,16 +66,16 @@ def read_history(folder: Path) -> dict[str, Float]:
         There is no such table, or something else stands in it than numbers.
     """
     try:
-        text = (folder / "history.csv").read_text()
+        text = path.read_text()
     except (OSError, ValueError) as error:
-        raise CaseError(f"{folder} holds no history.csv of a run.") from error
+        raise CaseError(f"{path.parent} holds no {path.name} of a run.") from error
     rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
     if not rows or rows[0][:2] != ["step", "t"] or any(len(row) != len(rows[0]) for row in rows):
-        raise CaseError(f"{folder} holds a history.csv that is not of a run.")
+        raise CaseError(f"{path.parent} holds a {path.name} that is not of a run.")
     try:
         values = np.array([[float(word) for word in row] for row in rows[1:]]).reshape(-1, len(rows[0]))
     except ValueError as error:
-        raise CaseError(f"{folder} holds a history.csv with something else than numbers: {error}.") from error
+        raise CaseError(f"{path.parent} holds a {path.name} with something else than numbers: {error}.") from error
     return {name: values[:, column] for column, name in enumerate(rows[0])}
 
 

@@ -7,7 +7,6 @@ import contextlib
 import html
 import io
 import math
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ from pdpetsc.errors import CaseError, PdpetscError
 from pdpetsc.output.curves import curve_figure, history_figure, newton_figure
 from pdpetsc.output.files import write_whole
 from pdpetsc.output.labels import Labels
-from pdpetsc.output.picture import draw_field, kept_picture
-from pdpetsc.output.reading import StoredFields, read_history, read_summary
+from pdpetsc.output.picture import picture_of_run
+from pdpetsc.output.reading import read_history, read_summary
+from pdpetsc.output.tables import table_html, text_of
 
 FILE = "report.html"
 # Steps in the table at most: the first and the last ones of a longer run, and all that were cut back.
@@ -136,22 +136,12 @@ def _checked(check: Mapping[str, Any]) -> list[Any]:
 
 def _body_picture(folder: Path, field: str | None, component: str, scale: float) -> str:
     """Return the picture of the deformed body; empty where the run has written no fields."""
-    kept = kept_picture(folder) if field is None and not component and scale == 1.0 else None
-    if kept is not None:
-        return _figure(kept, "The picture of the run")
     if not (folder / "fields.h5").exists():
         if field is not None:
             raise CaseError(f"{folder} holds no fields to draw.")
         return ""
-    names = StoredFields(folder).names()
-    if field is None:
-        if "displacement" not in names:
-            return ""
-        field, component = ("von_mises", "") if "von_mises" in names else ("displacement", "x")
-    with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / "picture.png"
-        draw_field(folder, path, field, component, scale, folder.resolve().name)
-        return _figure(path.read_bytes(), "The deformed body at the last step")
+    data = picture_of_run(folder, field, component, scale)
+    return "" if data is None else _figure(data, "The deformed body at the last step")
 
 
 def _notes(summary: Mapping[str, Any]) -> str:
@@ -162,16 +152,6 @@ def _notes(summary: Mapping[str, Any]) -> str:
         notes.append("This run has not ended, or was killed: what follows is what it has left so far.")
     elif status != "converged":
         notes.append(f"This run did not reach its end: {status}")
-    unstable = [step for step in summary.get("steps") or [] if step.get("negative_pivots")]
-    if unstable:
-        many = f"{len(unstable)} equilibria are" if len(unstable) > 1 else "One equilibrium is"
-        notes.append(f"{many} unstable, the first at step {unstable[0].get('step')}.")
-    branching = [step for step in summary.get("steps") or [] if (step.get("growth") or 0.0) > 1.0]
-    if branching:
-        notes.append(
-            f"Damage jumped to where other branches lead away, the first time at step {branching[0].get('step')}: "
-            f"round-off may decide what follows."
-        )
     if summary.get("detached_particles"):
         notes.append(f"{summary['detached_particles']} particles have too few bonds left for a gradient.")
     if summary.get("held_at_cut_families"):
@@ -182,12 +162,7 @@ def _notes(summary: Mapping[str, Any]) -> str:
     notes += [str(note) for note in summary.get("notes") or []]
     if (summary.get("fracture_energy") or {}).get("note"):
         notes.append(str(summary["fracture_energy"]["note"]))
-    for name, found in (summary.get("doubts") or {}).items():
-        notes.append(f"{name} of the history at step time {found['t']:.6g} {found['why']}.")
-    if (summary.get("control") or {}).get("note"):
-        notes.append(str(summary["control"]["note"]))
-    if (summary.get("unbalanced") or {}).get("note"):
-        notes.append(str(summary["unbalanced"]["note"]))
+    notes += [str(warning) for warning in summary.get("warnings") or []]
     if summary.get("unused_options"):
         notes.append(f"Nothing used the options {', '.join(map(str, summary['unused_options']))}.")
     pieces = summary.get("pieces") or {}
@@ -307,10 +282,7 @@ class _Bar(float):
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    head = "".join(f"<th>{_safe(name)}</th>" for name in heads)
-    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
-    top = f"<thead><tr>{head}</tr></thead>" if any(heads) else ""
-    return f'<div class="wide"><table>{top}<tbody>{body}</tbody></table></div>'
+    return f'<div class="wide">{table_html(heads, (list(map(_cell, row)) for row in rows))}</div>'
 
 
 def _cell(value: Any) -> str:
@@ -330,9 +302,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(value: Any) -> str:
-    if value is None:
-        return "none"
-    return f"{value:.8g}" if isinstance(value, float) else str(value)
+    return "none" if value is None else text_of(value, 8)
 
 
 def _counted(summary: Mapping[str, Any], name: str, words: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.cracks import Polyline
 from pdpetsc.errors import CaseError
 from pdpetsc.output.labels import Labels
-from pdpetsc.output.reading import StoredFields, read_history, read_summary
-from pdpetsc.post.point_location import LARGEST, apart
+from pdpetsc.output.reading import StoredFields, read_history, read_summary, read_table
+from pdpetsc.post.point_location import LARGEST, Held, apart
 
 Near: TypeAlias = tuple[Float, Mask]
 # Particles drawn at most; of a larger cloud every n-th.
@@ -269,12 +268,8 @@ def about(x: Float, u: Float, broken: NDArray[np.int64], lines: Sequence[Sequenc
         return F, np.zeros(n, dtype=bool)
     distance, near = cKDTree(x).query(x, k=most)
     distance, near = distance[:, 1:], near[:, 1:]
-    own = np.arange(n)[:, None]
-    codes = np.minimum(own, near) * n + np.maximum(own, near)
-    held = ~np.isin(codes, np.sort(broken, axis=1) @ [n, 1])
-    for line in lines if dim == 2 else ():
-        a, b = np.repeat(x, most - 1, axis=0), x[near.ravel()]
-        held &= ~Polyline(line).cuts(a, b).reshape(held.shape)
+    cracks = [Polyline(line) for line in lines] if dim == 2 else []
+    held = Held(x, cracks, broken).together(np.arange(n), near)
     nearest = np.maximum(distance[:, :1], np.finfo(float).tiny)
     weight = np.where(held, np.exp(-((distance / (1.5 * nearest)) ** 2)), 0.0)
     xi, eta = (x[near] - x[:, None]) / nearest[..., None], (u[near] - u[:, None]) / nearest[..., None]
@@ -305,14 +300,12 @@ def broken_pairs(folder: Path, step: int, x: Float) -> NDArray[np.int64]:
         Places of all particles in creation order [length], which tell the one from the other.
     """
     try:
-        with (folder / "broken_bonds.csv").open(newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row.get("j") and int(row["step"]) <= step]
-            pairs = [(int(row["i"]), int(row["j"])) for row in rows]
-            lengths = np.array([float(row["length"]) for row in rows])
-    except (OSError, ValueError, KeyError, TypeError):
+        table = read_table(folder / "broken_bonds.csv")
+        steps, lengths = table["step"], table["length"]
+        found = np.stack([table["i"], table["j"]], axis=1).astype(np.int64)
+    except (CaseError, KeyError):
         return np.empty((0, 2), dtype=np.int64)
-    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    known = (found < len(x)).all(axis=1)
+    known = (found < len(x)).all(axis=1) & (steps <= step)
     found, lengths = found[known], lengths[known]
     apart = np.linalg.norm(x[found[:, 0]] - x[found[:, 1]], axis=1)
     return np.asarray(found[np.abs(lengths - apart) <= OWN * lengths])

@@ -21,7 +21,7 @@ def combination_matrix(supports: Supports) -> PETSc.Mat:
     on_terms = np.repeat(tied.particle.astype(np.int64) * dim + tied.axis, np.diff(tied.ptr))
     depends = tied.row * dim + tied.of_axis
     # Prescribed components are a part of g.
-    coefficient = np.where(ties.at_terms(supports.fixed.astype(float)) > 0.0, 0.0, tied.coefficient)
+    coefficient = np.where(ties.of_terms(supports.fixed.astype(float)) > 0.0, 0.0, tied.coefficient)
     own = np.arange(supports.fixed.size)
     rows = np.concatenate([own, on_terms])
     columns = np.concatenate([own + cloud.first * dim, depends])

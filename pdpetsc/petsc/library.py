@@ -15,6 +15,9 @@ from petsc4py import PETSc
 
 from pdpetsc.arrays import Float
 
+# PETSc's types of SNES that are Newton's method.
+NEWTON = ("newtonls", "newtontr", "newtontrdc", "ksponly")
+
 
 @lru_cache
 def _library() -> ctypes.CDLL:
@@ -96,19 +99,37 @@ def set_up_failed(ksp: PETSc.KSP) -> bool:
     return failed.value != 0
 
 
-def negative_pivots(ksp: PETSc.KSP) -> int | None:
-    """Return how many pivots of a factorised symmetric matrix are negative: as many as it has negative eigenvalues.
+def refactors(snes: PETSc.SNES) -> bool:
+    """Return whether SNES factors the tangent anew at every iteration: Newton's method that lags nothing behind."""
+    lag = ctypes.c_int(1)
+    for ask in (_library().SNESGetLagJacobian, _library().SNESGetLagPreconditioner):
+        _check(ask(ctypes.c_void_p(snes.handle), ctypes.byref(lag)))
+        if lag.value != 1:
+            return False
+    return snes.getType() in NEWTON
 
-    None where there is no such factor, or its package does not count them (collective).
+
+def negative_pivots(ksp: PETSc.KSP, mat: PETSc.Mat) -> int | None:
+    """Return how many pivots of a factored symmetric matrix are negative: as many as it has negative eigenvalues.
+
+    None where the linear solver has no factor of the symmetric ``mat`` itself, and where its package does not count
+    them or has shifted them (collective).
     """
     pc = ksp.getPC()
-    if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0:
+    if pc.getType() != "cholesky" or ksp.getConvergedReason() == 0 or pc.getOperators()[1].handle != mat.handle:
+        return None
+    reused, shift = ctypes.c_int(0), ctypes.c_int(0)
+    _check(_library().PCGetReusePreconditioner(ctypes.c_void_p(pc.handle), ctypes.byref(reused)))
+    if reused.value:
         return None
     factor = pc.getFactorMatrix()
     if pc.getFactorSolverType() == "mumps":
         # PETSc's own question also wants to know the zero ones, for which MUMPS would have to look for null pivots.
         whole = factor.getComm().size == 1 or factor.getMumpsIcntl(13) == 1
         return int(factor.getMumpsInfog(12)) if whole else None
+    _check(_library().PCFactorGetShiftType(ctypes.c_void_p(pc.handle), ctypes.byref(shift)))
+    if shift.value:
+        return None
     try:
         negative, _, _ = factor.getInertia()
     except PETSc.Error:

@@ -210,18 +210,17 @@ class _Product:
         self._supports, self._fixed, self._free = supports, supports.fixed, ~supports.fixed
         self._weight = self._free / scale
         self._masked = np.zeros(self._fixed.shape)
-        self._no_change = np.zeros(self._fixed.shape)
         self.tangent: Tangent | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply; PETSc calls it."""
         assert self.tangent is not None
         values = x.array_r.reshape(self._free.shape)
-        np.multiply(values, self._free, out=self._masked)
         if self._supports.ties is None:
+            np.multiply(values, self._free, out=self._masked)
             product = self.tangent(self._masked)
         else:
-            product = self._supports.reduced(self.tangent(self._supports.completed(self._masked, self._no_change)))
+            product = self._supports.reduced(self.tangent(self._supports.completed(values)))
         result = y.array_w.reshape(self._free.shape)
         np.multiply(product, self._weight, out=result)
         np.copyto(result, values, where=self._fixed)

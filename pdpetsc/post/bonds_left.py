@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE
 from pdpetsc.post.solution import Solution
 
 
-def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tuple[GlobalIndex, Float]:
+def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float, Mask]:
     """Return the pairs of some own particles with those in their reach, and what is left of their bonds.
 
     Parameters
@@ -19,8 +19,6 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
         A state.
     zone : (n,) int64
         Own particles.
-    listed : bool
-        Whether broken bonds count as whole: what is zero then has been cut from the start.
 
     Returns
     -------
@@ -28,6 +26,8 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
         A particle of the zone, and a local one within its reach.
     left : (n_pairs,) float64
         Degradation factor of the bond [-]: 1 whole, 0 broken or cut by a crack.
+    bonded : (n_pairs,) bool
+        Which pairs had a bond in the beginning: the others have been cut from the start.
 
     Notes
     -----
@@ -35,7 +35,7 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
     """
     cloud = solution.cloud
     if not len(zone):
-        return np.empty((0, 2), dtype=np.int64), np.empty(0)
+        return np.empty((0, 2), dtype=np.int64), np.empty(0), np.empty(0, dtype=bool)
     own, reach = cloud.x[zone], cloud.local_horizon[zone]
     widest = float(reach.max()) * (1.0 + HORIZON_TOLERANCE)
     low, high = own.min(axis=0) - widest, own.max(axis=0) + widest
@@ -47,13 +47,13 @@ def pairs_of(solution: Solution, zone: GlobalIndex, listed: bool = False) -> tup
     centres, neighbours, phi = _bonds_of(solution, zone)
     key = pairs[:, 0] * np.int64(cloud.n_local) + pairs[:, 1]
     bonded = centres * np.int64(cloud.n_local) + neighbours
-    left = np.zeros(len(key))
+    left, same = np.zeros(len(key)), np.zeros(len(key), dtype=bool)
     if len(bonded):
         order = np.argsort(bonded)
         place = np.minimum(np.searchsorted(bonded[order], key), len(bonded) - 1)
         same = bonded[order][place] == key
-        left[same] = 1.0 if listed else phi[order][place[same]]
-    return pairs, left
+        left[same] = phi[order][place[same]]
+    return pairs, left, same
 
 
 def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:

@@ -11,13 +11,10 @@ from scipy.special import roots_legendre
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE, Cloud
 from pdpetsc.errors import CaseError
-from pdpetsc.material.base import IsotropicMaterial
-from pdpetsc.material.linear_elastic import LinearElastic
 from pdpetsc.post.bonds_left import pairs_of
-from pdpetsc.post.inhomogeneity import materials_of, of_place, plane_tensors, singular, slope_of_grading
+from pdpetsc.post.inhomogeneity import of_place, plane_tensors, singular, slope_of_grading
+from pdpetsc.post.integrands import Continuum, integrands_of
 from pdpetsc.post.solution import Solution
-from pdpetsc.terms.bond_forces import BondForces
-from pdpetsc.terms.material_points import MaterialPoints
 
 # Sums over the cells of the particles give the integral of the weight, and of its slope, up to this share; and the
 # integral of its gradient, which is zero, up to the second one.
@@ -87,51 +84,13 @@ def weight(x: Float, inner: float, outer: float, tilt: float = 0.0) -> tuple[Flo
     return q, slope[:, None] * x / np.where(r > 0.0, r, 1.0)[:, None]
 
 
-@dataclass(frozen=True)
-class Continuum:
-    """What the integrals read of every own particle.
-
-    Attributes
-    ----------
-    H : (n_owned, 2, 2) float64
-        Gradient of the displacement [-].
-    P : (n_owned, 2, 2) float64
-        First Piola-Kirchhoff stress [stress].
-    psi : (n_owned,) float64
-        Energy density [energy / volume].
-    momentum : (n_owned, 2, 2) float64
-        ``psi I - H^T P``, the energy-momentum tensor [energy / volume].
-    """
-
-    H: Float
-    P: Float
-    psi: Float
-    momentum: Float
-
-
 def continuum(solution: Solution) -> Continuum:
     """Return gradient, stress and energy-momentum tensor of the own particles (collective).
 
     At gradient points each is computed at the points and summed with their volumes, over the volume of the particle;
     a body of bonds gives the gradient that fits its families best, and their stress and energy density.
     """
-    return solution.state.kept("continuum", lambda: _continuum(solution))
-
-
-def _continuum(solution: Solution) -> Continuum:
-    material_term, state = solution.problem.material_term, solution.state
-    one = np.eye(solution.problem.dim)
-    if isinstance(material_term, MaterialPoints):
-        operator = material_term.operator
-        F, P, psi = material_term.conjugates(state)
-        H = F - one
-        share = operator.volume / solution.volume[operator.owner]
-        tensors = [H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P)]
-        H, P, momentum = (operator.sum_over_points(share[:, None, None] * T) for T in tensors)
-        return Continuum(H, P, operator.sum_over_points(share * psi), momentum)
-    H = material_term.deformation_gradient(state) - one
-    P, psi = material_term.first_piola_stress(state), material_term.energy_density(state)
-    return Continuum(H, P, psi, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P))
+    return solution.state.kept("continuum", integrands_of(solution).continuum)
 
 
 @dataclass(frozen=True)
@@ -292,13 +251,8 @@ class Domain:
         displacement: the work done on the matter about the tip. No density is singular there. Collective.
         """
         fields, (g, bend) = continuum(solution), slope_of_grading(solution)
-        material_term, thickness = solution.problem.material_term, solution.problem.body.thickness
-        rest = np.einsum("pii->p", fields.momentum)
-        if isinstance(material_term, BondForces) and material_term.linear:
-            # The trace of a tip's bonds is what their best gradient misses of their energy.
-            free = of_place(solution).strain
-            own = np.zeros_like(fields.P) if free is None else plane_tensors(free[: len(g)])
-            rest = -np.einsum("pik,pik->p", fields.P, own)
+        thickness, free = solution.problem.body.thickness, of_place(solution).strain
+        rest = integrands_of(solution).trace(fields, None if free is None else plane_tensors(free[: len(g)]))
         moments, sums = np.zeros(3), np.zeros(3)
         for frame in self.frames:
             share = self.area * self.weight(frame, solution.x)[0]
@@ -366,7 +320,7 @@ def _trouble_with_cracks(solution: Solution, domain: Domain, runs: bool) -> str:
     for frame in domain.frames:
         reach = solution.cloud.local_horizon[: solution.cloud.n_owned]
         zone = np.flatnonzero(np.linalg.norm(frame.at(solution.x), axis=1) < domain.outer + reach)
-        pairs, left = pairs_of(solution, zone)
+        pairs, left, _ = pairs_of(solution, zone)
         a, b = frame.at(solution.cloud.x[pairs[:, 0]]), frame.at(solution.cloud.x[pairs[:, 1]])
         over = a[:, 1] * b[:, 1] < 0.0
         share = np.where(over, a[:, 1] / np.where(over, a[:, 1] - b[:, 1], 1.0), 0.5)
@@ -444,29 +398,9 @@ def loads(solution: Solution) -> Float:
 
 def materials_in(solution: Solution, inside: Mask) -> list[int]:
     """Return the numbers of the materials of some own particles (n_owned,); the same on all ranks (collective)."""
-    numbers, _ = materials_of(solution)
+    numbers, _ = integrands_of(solution).materials()
     count = solution.sum(np.bincount(numbers[inside], minlength=1 + int(solution.largest(float(numbers.max())))))
     return [int(number) for number in np.flatnonzero(count)]
-
-
-def elastic_law(solution: Solution, number: int, inside: Mask) -> LinearElastic | None:
-    """Return the isotropic linear law that a material is at small strain, None where it is none (collective)."""
-    material_term = solution.problem.material_term
-    if isinstance(material_term, BondForces):
-        return material_term.materials[number].elastic(solution.problem.dim)
-    if not isinstance(material_term, MaterialPoints):
-        return None
-    law = material_term.materials[number].material
-    expansion = solution.problem.body.expansion
-    thermal = None if expansion is None else expansion.thermals[number]
-    if thermal is not None and thermal.law is not None:
-        # Of own particles inside (n_owned,), which have one temperature: others are refused.
-        temperature = solution.state.temperature
-        if temperature is not None:
-            law = thermal.material_at(solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
-    if not isinstance(law, IsotropicMaterial):
-        return None
-    return LinearElastic(law.E, law.nu, law.plane)
 
 
 def refuse(who: str, why: str) -> None:

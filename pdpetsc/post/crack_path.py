@@ -155,8 +155,8 @@ def _cut_from_the_start(solution: Solution) -> GlobalIndex:
     """Return the own particles that a crack of the case has cut from any other (n,)."""
     body = solution.problem.body
     if body not in _cut:
-        pairs, left = pairs_of(solution, np.arange(len(solution.x)), listed=True)
-        _cut[body] = np.unique(pairs[left == 0.0, 0])
+        pairs, _, bonded = pairs_of(solution, np.arange(len(solution.x)))
+        _cut[body] = np.unique(pairs[~bonded, 0])
     return _cut[body]
 
 
@@ -172,10 +172,8 @@ def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float
         zone = np.union1d(zone, _cut_from_the_start(solution))
     if not len(zone):
         return none
-    pairs, left = pairs_of(solution, zone)
-    gone = left == 0.0
-    if not precracks:
-        gone &= pairs_of(solution, zone, listed=True)[1] > 0.0
+    pairs, left, bonded = pairs_of(solution, zone)
+    gone = (left == 0.0) & (bonded | precracks)
     pairs = pairs[gone & (chosen[pairs[:, 0]] | chosen[pairs[:, 1]])]
     if not len(pairs):
         return none

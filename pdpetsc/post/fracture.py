@@ -19,7 +19,6 @@ from pdpetsc.post.contour import (
     Frame,
     Integral,
     continuum,
-    elastic_law,
     loads,
     loads_in,
     materials_in,
@@ -33,15 +32,13 @@ from pdpetsc.post.inhomogeneity import (
     jumping,
     of_place,
     plane_tensors,
-    remembers,
-    slopes_of_particles,
     softened,
     turned_by_place,
     uneven,
 )
+from pdpetsc.post.integrands import integrands_of
 from pdpetsc.post.quantities import CrackTip, Quantity
 from pdpetsc.post.solution import Field, Solution
-from pdpetsc.terms.material_points import MaterialPoints
 
 # Largest share by which the stresses of a body may differ from those of linear fracture mechanics [-].
 SMALL = 0.02
@@ -195,7 +192,7 @@ class AtTip(Quantity):
         changing = uneven(solution, inside)
         if not self.knows_softer_moduli and softened(solution, inside):
             return "holds moduli that change with temperature from place to place; take smaller radii, or a JIntegral"
-        if remembers(solution) and softened(solution, inside):
+        if integrands_of(solution).remembers and softened(solution, inside):
             return f"holds a material with history whose moduli change with temperature from place to place{advice}"
         tips = [frame.tip for frame in domain.frames]
         what = jumping(solution, inside, tips, domain.outer) if changing else ""
@@ -365,25 +362,11 @@ class EnergyReleaseRate(_Release):
 
     def number(self, solution: Solution, domain: Domain) -> Number:
         """Return G."""
-        material_term = solution.problem.material_term
-        if not isinstance(material_term, MaterialPoints):
-            raise CaseError(
-                "An EnergyReleaseRate moves gradient points, and a body of bonds has none; take a JIntegral."
-            )
-        operator = material_term.operator
-        F, _, _ = material_term.conjugates(solution.state)
-        H, change, step = F - np.eye(2), np.zeros(len(F)), MOVED * (self.outer - self.inner)
+        x, step, shifts = solution.cloud.x, MOVED * (self.outer - self.inner), list[Float]()
         for frame in domain.frames:
-            q, _ = weight(frame.at(solution.cloud.x), domain.inner, domain.outer, domain.tilt)
-            D = operator.gradient(np.ascontiguousarray(q[:, None] * frame.turn[0]))
-            moved = np.flatnonzero(np.abs(D).max(axis=(1, 2)) > 0.0)
-            for d in (step, -step):
-                by = np.eye(2) + d * D[moved]
-                at = F.copy()
-                at[moved] = np.eye(2) + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
-                volume = operator.volume.copy()
-                volume[moved] *= np.linalg.det(by)
-                change -= volume * material_term.energy_at(solution.state, at, volume) / (2.0 * d)
+            q, _ = weight(frame.at(x), domain.inner, domain.outer, domain.tilt)
+            shifts.append(q[:, None] * frame.turn[0])
+        change = integrands_of(solution).released(shifts, step)
         change /= solution.problem.body.thickness
         rest, size = solution.sum([change.sum() + self._of_loads(solution, domain), np.abs(change).sum()])
         return self._with_place(solution, domain, float(rest), float(size))
@@ -516,14 +499,14 @@ class StressIntensity(AtTip):
         across = law.nu if law.plane == "strain" and solution.problem.material_term.n_points else 0.0
         part = place.strain[:, :3].copy()
         part[:, :2] += across * place.strain[:, 3:]
-        slope = slopes_of_particles(solution, part)
+        slope = integrands_of(solution).slopes(part)
         return plane_tensors(part[:n]), plane_tensors(slope)
 
     @staticmethod
     def _law(solution: Solution, domain: Domain) -> LinearElastic | None:
         """Return the elastic law in the domain, with the moduli that it has at the tip (collective)."""
         inside = domain.near(solution.x)
-        law = elastic_law(solution, materials_in(solution, inside)[0], inside)
+        law = integrands_of(solution).elastic_law(materials_in(solution, inside)[0], inside)
         return None if law is None else replace(law, E=law.E * domain.at_tip(solution, of_place(solution).factor))
 
 

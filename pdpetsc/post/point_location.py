@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.declare.cracks import Crack
 from pdpetsc.declare.particles import lattice_cells
-from pdpetsc.errors import CaseError
 
 # A place this near to a face of a cell, as a share of its side, or to a facet, as a share of its extent, is on it.
 ON_FACE = 1e-9
@@ -359,11 +358,9 @@ def inside_of(x: Float, volume: Float, thickness: float, facets: Facets | None =
         The surface.
     """
     dim = x.shape[1]
-    try:
-        cell, sides = lattice_cells(x, volume, thickness)
-    except CaseError:
-        pass
-    else:
+    lattice = lattice_cells(x, volume, thickness)
+    if lattice is not None:
+        cell, sides = lattice
         wide = cell.max(axis=0)
         return Boxes(x, np.where(wide > 0, np.ptp(x, axis=0) / np.maximum(wide, 1), sides))
     discs = Discs.of(x, volume / thickness)

@@ -12,7 +12,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.declare.region import All, Nearest, Region
-from pdpetsc.declared import Declared, name_of, numbers_from, shown
+from pdpetsc.declared import Declared, name_of, numbers_from
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.surface import Surface
@@ -31,6 +31,7 @@ from pdpetsc.post.solution import (
     lost_bonds,
     plastic_strain,
     reaction,
+    rows_of_field,
     stress,
     temperature,
 )
@@ -604,12 +605,7 @@ def _values(solution: Solution, field: Field) -> Float:
     """Return a field, which is one value, vector or tensor per own particle on every rank (collective)."""
     values = field(solution)
     with agreed(solution.cloud.comm):
-        if np.shape(values)[:1] != (len(solution.x),) or np.asarray(values).dtype.kind not in "biuf":
-            raise CaseError(
-                f"The field {name_of(field)} must return numbers for each of {len(solution.x)} particles, "
-                f"not {shown(values)}."
-            )
-        return np.asarray(values, dtype=float)
+        return np.asarray(rows_of_field(field, values, len(solution.x)), dtype=float)
 
 
 def _component_of(solution: Solution, field: Field, name: str) -> Float:

@@ -7,9 +7,11 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
 from pdpetsc.declare.region import Region
+from pdpetsc.declared import name_of, shown
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.selection import select
@@ -96,7 +98,7 @@ class Solution:
     @cached_property
     def reaction(self) -> Float:
         """Return the forces that supports exert, ``f_int - f_ext`` where prescribed, else 0 (n_rows, dim) [force]."""
-        return np.where(self.problem.supports.held, self.internal_force - self._loads, 0.0)
+        return np.where(self.problem.supports.reacting, self.internal_force - self._loads, 0.0)
 
     def follow(self, before: Solution, work: float | None = None) -> None:
         """Add the work since the solution of the step before: mean force times displacement, ``1/2 (f + f0) (u - u0)``.
@@ -118,7 +120,7 @@ class Solution:
     @cached_property
     def _acting(self) -> Float:
         """Return the forces of loads and supports (n_rows, dim) [force]."""
-        return np.where(self.problem.supports.held, self.internal_force, self._loads)
+        return np.where(self.problem.supports.reacting, self.internal_force, self._loads)
 
     @cached_property
     def energies(self) -> dict[str, float]:
@@ -168,6 +170,19 @@ class Solution:
 
 # A field of the own particles, (n_owned,) or (n_owned, dim) or (n_owned, dim, dim); its name is the function's.
 Field: TypeAlias = Callable[[Solution], Float]
+
+
+def rows_of_field(field: Field, values: Any, n: int) -> NDArray[Any]:
+    """Return what a field has returned as an array; raises CaseError unless it has a number for each particle."""
+    try:
+        found = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        found = np.empty(0, dtype=object)
+    if found.shape[:1] != (n,) or found.dtype.kind not in "biuf":
+        raise CaseError(
+            f"The field {name_of(field)} must return numbers for each of {n} particles, not {shown(values)}."
+        )
+    return found
 
 
 def displacement(solution: Solution) -> Float:

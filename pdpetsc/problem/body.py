@@ -55,7 +55,7 @@ class Body:
 
     @property
     def expands(self) -> bool:
-        """Return whether it may deform without stress."""
+        """Return True if it may deform without stress."""
         return self.thermals is not None
 
     @property

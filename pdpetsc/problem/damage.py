@@ -9,8 +9,8 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.criterion import DamageableBonds, DrivingVariable, Gradient
-from pdpetsc.damage.laws import BondDamage
-from pdpetsc.damage.several import DamageOf, Marking, assigned
+from pdpetsc.damage.laws import BondDamage, Marking
+from pdpetsc.damage.several import AssignedLaws, DamageOf
 from pdpetsc.damage.state import FailingBonds
 from pdpetsc.declare.region import Region
 from pdpetsc.discrete.communicator import agreed, total
@@ -74,7 +74,7 @@ class Damage:
 
     @property
     def breaks_by_family_strain(self) -> bool:
-        """Return whether bonds also break by the strain of a family (not collective)."""
+        """Return True if bonds also break by the strain of a family (not collective)."""
         return self.bonds.law.effect.breaks_by_family_strain
 
     @property
@@ -239,8 +239,8 @@ def _nowhere(region: Region, what: str) -> Mask:
 
 
 def make_damage(
-    law: BondDamage | DamageOf, body: Body, omega: Float, k: Float, finite: bool, protected: Mask | None = None,
-    material_of: LocalIndex | None = None, factor: Float | None = None, mark: Marking | None = None,
+    law: BondDamage | DamageOf, body: Body, omega: Float, k: Float, finite: bool,
+    material_of: LocalIndex | None = None, factor: Float | None = None, mark: Marking = _nowhere,
 ) -> Damage:  # fmt: skip
     """Return the damage of the bonds of a body: the criterion resolved with them, and what drives them built.
 
@@ -254,14 +254,12 @@ def make_damage(
         Their influence [-], and their elastic stiffness from one end [force / length].
     finite : bool
         Whether elongations are those of the current length, or along the first direction of a bond.
-    protected : (n_local,) bool, optional
-        Particles whose bonds do not fail.
     material_of : (n_owned,) int32, optional
         Number of the material of each own particle; one material where absent.
     factor : (n_owned,) float64, optional
         What grading multiplies its moduli with [-].
     mark : callable, optional
-        Marks the local particles in a region (n_local,), where there are laws for regions.
+        Marks the local particles in a region (n_local,), if there are laws for regions or protected regions.
 
     Raises
     ------
@@ -273,7 +271,8 @@ def make_damage(
     Collective.
     """
     bonds = DamageableBonds.of(body.cloud, body.families, omega, k, finite, material_of, factor)
-    laws = assigned(law, bonds, mark or _nowhere).resolved(bonds)
+    of_bond = law.assign(bonds, mark)
+    laws = AssignedLaws([one.resolved(bonds) for one in law.all_laws], of_bond)
     with agreed(body.cloud.comm):
         driving_variable = laws.build(bonds)
         if driving_variable.is_nonlocal and body.cloud.varies and not body.cloud.mutual:
@@ -282,5 +281,5 @@ def make_damage(
                 f"{names} reads the families of both ends of a bond, and where the horizon "
                 f"differs from place to place not all have one; take a drive of the own elongation, or one horizon."
             )
-    failing = FailingBonds(bonds, laws, protected, laws.shown_as(law))
+    failing = FailingBonds(bonds, laws, laws.laws[0] if law.all_laws[0] is law else law)
     return Damage(body, failing, driving_variable, finite, bonds)

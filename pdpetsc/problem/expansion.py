@@ -11,15 +11,11 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.declare.thermal import Eigenstrain, Temperature
 from pdpetsc.discrete.cloud import Cloud
-from pdpetsc.discrete.communicator import agreed, largest
+from pdpetsc.discrete.communicator import agreed
 from pdpetsc.discrete.families import Families
 from pdpetsc.errors import CaseError
 from pdpetsc.material.thermal import Thermal
 from pdpetsc.problem.prescribed import Prescribed
-
-# Step of differences by temperature, as a share of the largest distance from that without stress, which counts as at
-# least so much of the temperature itself: at that without stress the distance may be round-off.
-DIFFERENCE, LEAST_DISTANCE = 1e-5, 1e-3
 
 
 class TemperatureField(ABC):
@@ -207,24 +203,6 @@ class FreeDeformation:
             for own, thermal in self.of.of_particles:
                 factor[own] = thermal.factors(self.temperature[own])
         return factor
-
-    def by_temperature(self) -> tuple[Float, Float, float]:
-        """Return how strain without stress (n_owned, 3, 3) and the logarithm of the factor (n_owned,) change with T.
-
-        By central differences of what the materials give, with a step that is returned too [temperature] (collective).
-        """
-        temperature, parts = self.temperature, self.of.of_particles
-        assert temperature is not None
-        away = [np.abs(temperature[own] - thermal.reference).max(initial=0.0) for own, thermal in parts]
-        most = max([*map(float, away), LEAST_DISTANCE * float(np.abs(temperature).max(initial=0.0))])
-        step = DIFFERENCE * (largest(self.of.cloud.comm, most) or 1.0)
-        strain, factor = np.zeros((len(temperature), 3, 3)), np.zeros(len(temperature))
-        with agreed(self.of.cloud.comm):
-            for own, thermal in parts:
-                up, down = temperature[own] + step, temperature[own] - step
-                strain[own] = (thermal.strain(up) - thermal.strain(down)) / (2.0 * step)
-                factor[own] = np.log(thermal.factors(up) / thermal.factors(down)) / (2.0 * step)
-        return strain, factor, step
 
     def in_body(self) -> Float:
         """Return the strain that a body shows, with what that across its plane widens it by (n_owned, dim, dim) [-]."""

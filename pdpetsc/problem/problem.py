@@ -108,7 +108,7 @@ class Problem:
 
     @property
     def coupled(self) -> bool:
-        """Return whether another field is solved for together with the displacement (not collective)."""
+        """Return True if another field is solved for together with the displacement (not collective)."""
         return any(field.monolithic for field in self.fields)
 
     @property
@@ -147,7 +147,7 @@ class Problem:
 
     def resisted(self, modes: Float) -> Float:
         """Return what supports and grounded terms resist of displacements (n_owned, dim) [length], 0 where nothing."""
-        found = self.supports.resisted(modes)
+        found = self.supports.violation(modes)
         for term in self.terms:
             if term.grounded is not None:
                 found = np.where(term.grounded, modes, found)
@@ -442,7 +442,7 @@ class Tangent:
 
 
 def _loops(products: Sequence[Product]) -> list[Loop]:
-    """Return what adds the forces of all products, two of them in one loop if that is quicker."""
+    """Return the loops that add the forces of all products, two products in one loop if that is quicker."""
     left = list(products)
     loops: list[Loop] = []
     while left:

@@ -10,7 +10,7 @@ class SolvedField(Protocol):
 
     @property
     def monolithic(self) -> bool:
-        """Return whether it is solved for together with the displacement, not before it (not collective)."""
+        """Return True if it is solved for together with the displacement, not before it (not collective)."""
         ...
 
     def advance(self, before: float, t: float) -> None:

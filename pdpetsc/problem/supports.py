@@ -141,15 +141,18 @@ class Supports:
         return Ties(self.body.cloud, [combination for combination, _ in self._combinations])
 
     @property
-    def held(self) -> Mask:
+    def reacting(self) -> Mask:
         """Return the components on which constraints act with a force (n_rows, dim)."""
         return self.fixed if self.ties is None else self.fixed | self.ties.independent
 
-    def completed(self, u: Float, g: Float) -> Float:
-        """Return ``C q + g`` (n_rows, dim) [length] for the independent entries of ``u`` (n_rows, dim)."""
+    def completed(self, u: Float, g: Float | float = 0.0) -> Float:
+        """Return ``C q + g`` (n_rows, dim) [length] for the independent entries of ``u`` (n_rows, dim).
+
+        Without ``g`` it is the change that belongs to a change ``u`` of the independent entries.
+        """
         values = np.where(self.fixed, g, u)
         if self.ties is not None:
-            values[self.ties.all.particle, self.ties.all.axis] += self.ties.combined(values)
+            values[self.ties.all.particle, self.ties.all.axis] += self.ties.sums(values)
         return values
 
     def reduced(self, f: Float) -> Float:
@@ -157,19 +160,29 @@ class Supports:
         values = np.where(self.fixed, 0.0, f)
         if self.ties is not None:
             n = self.body.cloud.n_owned
-            forces = self.ties.added(f[self.ties.all.particle, self.ties.all.axis])
+            forces = self.ties.forces_on_independent(f[self.ties.all.particle, self.ties.all.axis])
             values[:n] += np.where(self.fixed[:n], 0.0, forces)
         return values
 
-    def resisted(self, modes: Float) -> Float:
+    def lumped_mass(self, mass: Float) -> Float:
+        """Return masses of the independent unknowns (n_rows,) from those of all unknowns (n_rows,).
+
+        They are the row sums of ``|C|^T M |C|``, the largest of a particle. No motion that satisfies the constraints
+        has more kinetic energy with M than with them: a time step that is stable for M is stable for them.
+        """
+        if self.ties is None:
+            return mass
+        lumped = np.repeat(mass[:, None], self.body.dim, axis=1)
+        lumped[: self.body.cloud.n_owned] += self.ties.lumped_mass(mass)
+        return np.asarray(lumped.max(axis=1))
+
+    def violation(self, modes: Float) -> Float:
         """Return how far displacements (n_owned, dim) violate constraints [length], 0 for independent components."""
         u = np.zeros(self.fixed.shape)
         u[: len(modes)] = modes
-        free = np.where(self.fixed, 0.0, u)
         violated = np.where(self.fixed, u, 0.0)
         if self.ties is not None:
-            tied = self.ties.all.particle, self.ties.all.axis
-            violated[tied] -= self.ties.combined(free + np.where(self.ties.tied, 0.0, violated))
+            violated[self.ties.all.particle, self.ties.all.axis] -= self.ties.sums(u)
         return violated[: len(modes)]
 
     def prescribed(self, t: float) -> Float:

@@ -176,7 +176,7 @@ class Term(ABC):
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return whether its forces are linear in the unknowns as long as no bond loses force (not collective)."""
+        """Return True if its forces are linear in the unknowns as long as no bond loses force (not collective)."""
         return self.linear
 
     def bonds_changed(self, rebuild: bool) -> None:  # noqa: B027

@@ -82,13 +82,14 @@ class Ties:
         self.tied: Mask = np.zeros((cloud.n_rows, cloud.dim), dtype=bool)
         self.tied[self.all.particle, self.all.axis] = True
         self.independent: Mask = np.zeros_like(self.tied)
-        self.independent[: cloud.n_owned] = self.added(np.ones(len(self.all.axis)), np.ones(len(self._sum_of))) > 0.0
+        terms = self.forces_on_independent(np.ones(len(self.all.axis)), np.ones(len(self._sum_of)))
+        self.independent[: cloud.n_owned] = terms > 0.0
 
-    def combined(self, u: Float) -> Float:
+    def sums(self, u: Float) -> Float:
         """Return ``sum_m c_sm u_m`` (n,) for unknowns ``u`` (n_rows, dim) [length]."""
-        return np.asarray(np.bincount(self._sum_of, self.all.coefficient * self.at_terms(u), len(self.all.axis)), float)
+        return np.asarray(np.bincount(self._sum_of, self.all.coefficient * self.of_terms(u), len(self.all.axis)), float)
 
-    def at_terms(self, u: Float) -> Float:
+    def of_terms(self, u: Float) -> Float:
         """Return the component that each term depends on (n_terms,) of ``u`` (n_rows, dim)."""
         n = self._cloud.n_owned
         local = np.empty((n + self._halo.n_ghost, self._cloud.dim))
@@ -96,8 +97,14 @@ class Ties:
         self._halo.forward(local)
         return np.asarray(local[n + self._place, self.all.of_axis])
 
-    def added(self, forces: Float, coefficient: Float | None = None) -> Float:
-        """Return what forces (n,) on the tied components put on the independent ones (n_owned, dim) [force]."""
+    def lumped_mass(self, mass: Float) -> Float:
+        """Return the mass that tied components add to independent ones (n_owned, dim), from all masses (n_rows,)."""
+        size = np.abs(self.all.coefficient)
+        sums = np.bincount(self._sum_of, size, len(self.all.axis))
+        return self.forces_on_independent(mass[self.all.particle] * sums, size)
+
+    def forces_on_independent(self, forces: Float, coefficient: Float | None = None) -> Float:
+        """Return the forces on independent components (n_owned, dim) from those on tied ones (n,) [force]."""
         n = self._cloud.n_owned
         local = np.zeros((n + self._halo.n_ghost, self._cloud.dim))
         coefficient = self.all.coefficient if coefficient is None else coefficient

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
-from pdpetsc.case import Case, isothermal, ungraded
+from pdpetsc.case import AnyMaterial, Case, isothermal, ungraded
 from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
@@ -43,7 +43,8 @@ from pdpetsc.gradient.lattice_gradient import LatticeGradient
 from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.gradient.weights import Unsuited
 from pdpetsc.kernels.compile import cache_lock
-from pdpetsc.material import Graded, Material
+from pdpetsc.material import Material
+from pdpetsc.material.graded import Graded
 from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import solve_scalar
 from pdpetsc.problem.assembly import Assembler, Filler
@@ -176,7 +177,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
             f"No two of the {cloud.n_global} particles share a bond; widen the horizon of {cloud.horizon:g}, or let "
             f"the cracks cut less."
         )
-    materials, material_of, factor = materials_of(case, cloud)
+    materials = materials_of(case, cloud)
     with agreed(cloud.comm):
         weights = case.chosen_weights
     surface = None
@@ -190,7 +191,7 @@ def make_problem(case: Case, cloud: Cloud, families: Families, options: Options 
     chosen = replace(case, weights=weights)
     thermals = case.thermals if case.expands else None
     body = Body(cloud, families, surface, case.particles.thickness, thermals)
-    return _problem(chosen, body, materials, material_of, factor, options)
+    return _problem(chosen, body, materials, options)
 
 
 def _surface(case: Case, cloud: Cloud, families: Families) -> Surface:
@@ -238,7 +239,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 families = find_families(cloud, repeated=None if share is None else 0.0, in_order=_in_order(case))
                 surface = surface_of(cloud, families, Arrays(x, 1.0).surface()) if weights.conform else None
                 around = Body(cloud, families, surface, thermals=bare.thermals if bare.expands else None)
-                problem = _problem(bare, around, materials, alternating, None)
+                problem = _problem(bare, around, OfParticles(materials, alternating, None))
                 state = problem.state(np.zeros_like(x))
                 filling(problem).rehearse(state)
                 problem.internal_force(state)
@@ -251,10 +252,49 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 implementation(case.solver).rehearse(problem)
 
 
-def _problem(
-    case: Case, body: Body, materials: Sequence[Material | BondMaterial], material_of: LocalIndex, factor: Float | None,
-    options: Options | None = None,
-) -> Problem:  # fmt: skip
+@dataclass(frozen=True)
+class OfParticles:
+    """The materials of a body, and which one each own particle has.
+
+    Attributes
+    ----------
+    materials : sequence of Material or BondMaterial
+        All of a body are of one kind.
+    index : (n_owned,) int32
+        Number of the material of each own particle.
+    factor : (n_owned,) float64 or None
+        Factor of the moduli of each own particle, if a material is graded [-].
+    """
+
+    materials: Sequence[Material | BondMaterial]
+    index: LocalIndex
+    factor: Float | None
+
+    @property
+    def at_points(self) -> Sequence[Material]:
+        """Return the materials of a body with deformation gradients."""
+        return cast(Sequence[Material], self.materials)
+
+    @property
+    def of_bonds(self) -> Sequence[BondMaterial]:
+        """Return the materials of a body of bonds."""
+        return cast(Sequence[BondMaterial], self.materials)
+
+    @property
+    def several(self) -> bool:
+        """Return True if moduli differ between particles."""
+        return self.factor is not None or any(one != self.materials[0] for one in self.materials)
+
+    def bond_stiffness(self, bonds: Neighbourhood, moduli: Sequence[float]) -> Float:
+        """Return the stiffness that bonds would have with these Young's moduli alone (n_bonds,) (collective)."""
+        alike = [
+            BondBased(E, plane=one.plane, calibration="lattice") for E, one in zip(moduli, self.materials, strict=True)
+        ]
+        factor = np.ones(len(self.index)) if self.factor is None else self.factor
+        return combine(bonds, alike, self.index, factor).k
+
+
+def _problem(case: Case, body: Body, materials: OfParticles, options: Options | None = None) -> Problem:
     damage: Damage | None = None
     material_term: MaterialTerm
     others: list[Term]
@@ -262,12 +302,12 @@ def _problem(
     lattice = body.families.lattice
     if lattice is not None:
         made = _repeated_bonds if case.of_bonds else _repeated_points
-        material_term, others = made(case, body, lattice, materials, material_of, factor)
+        material_term, others = made(case, body, lattice, materials)
     else:
         bonds = _neighbourhood(case, body.cloud, body.families)
         listed = _bonds if case.of_bonds else partial(_points, options=options)
-        material_term, others, damage = listed(case, body, bonds, materials, material_of, factor)
-    if case.expands and case.damage is not None and case.damage.reads_strain:
+        material_term, others, damage = listed(case, body, bonds, materials)
+    if case.expands and any(law.criterion.reads_strain for law in case.damage_laws):
         raise CaseError(
             "What drives damage is the whole strain here, and part of it has no stress where a body expands or has "
             "strain without stress; take a criterion of stretch, bond energy or stress."
@@ -277,10 +317,10 @@ def _problem(
     if case.expands:
         if case.heat is not None:
             assert bonds is not None
-            operator = (lambda: material_term.operator) if isinstance(material_term, MaterialPoints) else None
-            heat = heat_of(case.heat, body, applied, case.thermals, material_of, operator, bonds.omega, damage)
+            operator = None if case.of_bonds else lambda: cast(MaterialPoints, material_term).operator
+            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, damage)
         field = None if heat is None else heat.field
-        body.expansion = stress_free(body, applied, case.thermals, material_of, materials, field)
+        body.expansion = stress_free(body, applied, case.thermals, materials.index, materials.materials, field)
     extra = []
     for number, declared in enumerate(case.terms, 1):
         extra.append(build_extra(declared, number, body))
@@ -318,9 +358,10 @@ def repeated_share(case: Case) -> float | None:
     if case.of_bonds:
         if case.expands:  # every bond has a length without force of its own
             return None
-        one = case.materials[0][1]
-        alike = len(case.materials) == 1 and isinstance(one, BondMaterial) and one.of_family
-        return LEAST_REPEATED if alike else None
+        # Bonds of one material with the same moduli everywhere.
+        if len(case.materials) > 1 or grading_of(case.materials[0][1]) is not None:
+            return None
+        return LEAST_REPEATED if cast(BondMaterial, ungraded(case.materials[0][1])).of_family else None
     if case.chosen_weights.conform or not case.gradients.of_family:
         return None
     control = control_of(case)
@@ -329,7 +370,7 @@ def repeated_share(case: Case) -> float | None:
 
 def control_of(case: Case) -> ZeroEnergyControl | None:
     """Return the control of a case: one that follows what yields only where a material has a history."""
-    if case.control is None or any(cast(Material, ungraded(one)).has_history for _, one in case.materials):
+    if case.control is None or any(law.has_history for law in case.laws):
         return case.control
     return case.control.elastic
 
@@ -342,27 +383,25 @@ def _in_order(case: Case) -> bool:
     """
     if case.of_bonds or not case.gradients.points_of_bonds:
         return False
-    return any(cast(Material, ungraded(material)).has_history for _, material in case.materials)
+    return any(law.has_history for law in case.laws)
 
 
 def _repeated_points(
-    case: Case, body: Body, lattice: LatticeStencils, materials: Sequence[Material | BondMaterial],
-    material_of: LocalIndex, factor: Float | None,
-) -> tuple[MaterialTerm, list[Term]]:  # fmt: skip
+    case: Case, body: Body, lattice: LatticeStencils, materials: OfParticles
+) -> tuple[MaterialTerm, list[Term]]:
     """Return the terms of a body with deformation gradients most of whose families repeat (collective).
 
     Scheme and control see the other particles alone, and one of those whose family repeats.
     """
-    continuum = cast(Sequence[Material], materials)
     irregular = lattice.irregular
     families = Families(irregular.indptr, irregular.neighbours)
     omega = _neighbourhood(case, irregular.cloud, families).omega
     operator = LatticeGradient(case.gradients.build(irregular.cloud, families, omega), lattice)
-    material_term = MaterialPoints(body, operator, continuum, material_of, factor)
+    material_term = MaterialPoints(body, operator, materials.at_points, materials.index, materials.factor)
     control = control_of(case)
     if control is None:
         return material_term, []
-    stiffness = control.sees(stiffness_of(body, continuum, material_of, factor))
+    stiffness = control.sees(stiffness_of(body, materials.at_points, materials.index, materials.factor))
     built = cast(NonUniform, control.build(irregular.cloud, families, omega, of_irregular(stiffness, lattice)))
 
     def listed() -> Control:
@@ -374,43 +413,36 @@ def _repeated_points(
 
 
 def _repeated_bonds(
-    case: Case, body: Body, lattice: LatticeStencils, materials: Sequence[Material | BondMaterial],
-    material_of: LocalIndex, factor: Float | None,
-) -> tuple[MaterialTerm, list[Term]]:  # fmt: skip
+    case: Case, body: Body, lattice: LatticeStencils, materials: OfParticles
+) -> tuple[MaterialTerm, list[Term]]:
     """Return the terms of a body whose forces act along bonds most of which repeat (collective)."""
     irregular = lattice.irregular
     families = Families(irregular.indptr, irregular.neighbours)
-    bonds, alike = _neighbourhood(case, irregular.cloud, families), cast(Sequence[BondMaterial], materials)
-    of_irregular = BondForces(
-        Body(irregular.cloud, families), bonds, alike, np.zeros(irregular.cloud.n_owned, dtype=np.int32)
-    )
+    bonds, first = _neighbourhood(case, irregular.cloud, families), np.zeros(irregular.cloud.n_owned, dtype=np.int32)
+    of_irregular = BondForces(Body(irregular.cloud, families), bonds, materials.of_bonds, first)
     return LatticeBonds(body, lattice, of_irregular), []
 
 
 def _bonds(
-    case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
-    material_of: LocalIndex, factor: Float | None,
-) -> tuple[MaterialTerm, list[Term], Damage | None]:  # fmt: skip
+    case: Case, body: Body, bonds: Neighbourhood, materials: OfParticles
+) -> tuple[MaterialTerm, list[Term], Damage | None]:
     """Return the terms of a body whose forces act along bonds (collective)."""
-    material_term = BondForces(body, bonds, cast(Sequence[BondMaterial], materials), material_of, factor)
+    material_term = BondForces(body, bonds, materials.of_bonds, materials.index, materials.factor)
     if case.damage is None:
         return material_term, [], None
-    _refuse_several(case.damage, materials, factor)
     k = material_term.k
     if material_term.a is not None:  # what a bond stores depends on the others of its family
-        alike = [BondBased(one.E, plane=one.plane, calibration="lattice") for one in material_term.materials]
-        k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
-    damage = _failing(case.damage, body, bonds, k, material_term.finite, material_of, factor)
+        k = materials.bond_stiffness(bonds, [one.E for one in materials.of_bonds])
+    damage = _failing(case.damage, body, bonds, k, material_term.finite, materials)
     material_term.take_damage(damage)
     return material_term, [], damage
 
 
 def _points(
-    case: Case, body: Body, bonds: Neighbourhood, materials: Sequence[Material | BondMaterial],
-    material_of: LocalIndex, factor: Float | None, options: Options | None,
-) -> tuple[MaterialTerm, list[Term], Damage | None]:  # fmt: skip
+    case: Case, body: Body, bonds: Neighbourhood, materials: OfParticles, options: Options | None
+) -> tuple[MaterialTerm, list[Term], Damage | None]:
     """Return the terms of a body with deformation gradients (collective)."""
-    continuum = cast(Sequence[Material], materials)
+    laws, index, factor = materials.at_points, materials.index, materials.factor
     damage: Damage | None = None
     material_term: MaterialTerm
 
@@ -422,29 +454,33 @@ def _points(
         if case.gradients.patches is not None:
             raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
         # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
-        reads, dim = case.damage.reads_stiffness, body.dim
-        moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in continuum]
-        alike = [BondBased(E, plane=one.plane, calibration="lattice") for E, one in zip(moduli, continuum, strict=True)]
-        k = combine(bonds, alike, material_of, np.ones(body.cloud.n_owned) if factor is None else factor).k
-        _refuse_several(case.damage, materials, factor)
-        damage = _failing(case.damage, body, bonds, k, True, material_of, factor)
-        material_term = DamagedPoints(body, bonds.omega, case.gradients, continuum, material_of, factor, damage, weigh)
+        reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
+        moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
+        damage = _failing(case.damage, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
+        material_term = DamagedPoints(body, bonds.omega, case.gradients, laws, index, factor, damage, weigh)
     else:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
-        material_term = material_points(case.gradients, body, operator, continuum, material_of, factor)
+        material_term = material_points(case.gradients, body, operator, laws, index, factor)
     control = control_of(case)
     if control is None:
         return material_term, [], damage
-    stiffness = control.sees(stiffness_of(body, continuum, material_of, factor))
+    stiffness = control.sees(stiffness_of(body, laws, index, factor))
     built = control.build(body.cloud, body.families, bonds.omega, stiffness)
     return material_term, [control_forces(control, body, built, material_term, damage)], damage
 
 
 def _failing(
-    declared: BondDamage | DamageOf, body: Body, bonds: Neighbourhood, k: Float, finite: bool, material_of: LocalIndex,
-    factor: Float | None,
-) -> Damage:  # fmt: skip
-    """Return the damage of bonds of stiffness ``k`` (n_bonds,) (collective)."""
+    declared: BondDamage | DamageOf, body: Body, bonds: Neighbourhood, k: Float, finite: bool, materials: OfParticles
+) -> Damage:
+    """Return the damage of bonds of stiffness ``k`` (n_bonds,); raises CaseError if it is for one material only.
+
+    Collective.
+    """
+    if materials.several and any(law.criterion.of_one_material for law in declared.all_laws):
+        raise CaseError(
+            f"What drives {type(declared).__name__} is for one material; in a graded body, or one of several, give "
+            f"critical stretches by place with CriticalFunction, or a fracture energy."
+        )
 
     def mark(region: Region, what: str) -> Mask:
         marked = np.zeros(body.cloud.n_local)
@@ -452,23 +488,11 @@ def _failing(
         body.cloud.halo.forward(marked)
         return marked > 0.0
 
-    protected = None if declared.protected is None else mark(declared.protected, "what damage is protected from")
-    return make_damage(declared, body, bonds.omega, k, finite, protected, material_of, factor, mark)
+    return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
 
 
-def _refuse_several(
-    declared: BondDamage | DamageOf, materials: Sequence[Material | BondMaterial], factor: Float | None
-) -> None:
-    """Raise CaseError where what drives damage is resolved for a body of one material, and there are several."""
-    if declared.of_one_material and (factor is not None or any(one != materials[0] for one in materials)):
-        raise CaseError(
-            f"What drives {type(declared).__name__} is for one material; in a graded body, or one of several, give "
-            f"critical stretches by place with CriticalFunction, or a fracture energy."
-        )
-
-
-def materials_of(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial], LocalIndex, Float | None]:
-    """Return the materials, the index of each own particle's, and its factor where any is graded (collective)."""
+def materials_of(case: Case, cloud: Cloud) -> OfParticles:
+    """Return the materials of a case, and which one each own particle has (collective)."""
     count = np.zeros(cloud.n_owned, dtype=np.int32)
     index = np.zeros(cloud.n_owned, dtype=np.int32)
     factor = np.ones(cloud.n_owned)
@@ -479,16 +503,22 @@ def materials_of(case: Case, cloud: Cloud) -> tuple[list[Material | BondMaterial
         index[mask] = number
         with agreed(cloud.comm):
             # A function of positions need not know what to make of none.
-            grading = isothermal(material)
-            if isinstance(grading, Graded) and mask.any():
+            grading = grading_of(material)
+            if grading is not None and mask.any():
                 factor[mask] = _factors(grading, x[mask])
     with agreed(cloud.comm):
         wrong = np.flatnonzero(count != 1)
         if len(wrong):
             gid, times = cloud.gid[wrong[0]], int(count[wrong[0]])
             raise CaseError(f"Particle {gid} has {times} materials; let the regions cover every particle once.")
-    graded = any(isinstance(isothermal(material), Graded) for _, material in case.materials)
-    return [ungraded(material) for _, material in case.materials], index, factor if graded else None
+    graded = any(grading_of(material) is not None for _, material in case.materials)
+    return OfParticles([ungraded(material) for _, material in case.materials], index, factor if graded else None)
+
+
+def grading_of(material: AnyMaterial) -> Graded | None:
+    """Return the grading of a declared material; None for a material that is the same everywhere."""
+    found = isothermal(material)
+    return found if isinstance(found, Graded) else None
 
 
 def _factors(material: Graded, x: Float) -> Float:

@@ -11,6 +11,7 @@ from typing import Any
 
 from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError, CheckError
+from pdpetsc.output.tables import aligned, text_of
 
 
 @dataclass(frozen=True)
@@ -83,17 +84,8 @@ def lines(checks: Sequence[Check]) -> list[str]:
     rows: list[tuple[str, ...]] = [("check", "expected", "got", "difference", "tolerance", "", "source")]
     for check in checks:
         numbers = (check.expected.value, check.got, check.difference, check.expected.tolerance)
-        rows.append((check.name, *(f"{number:.6g}" for number in numbers), _word(check), check.expected.source))
-    widths = [max(len(row[column]) for row in rows) for column in range(6)]
-    found = []
-    for name, *words, source in rows:
-        columns = [f"{word:>{width}}" for word, width in zip(words, widths[1:], strict=True)]
-        found.append("  ".join([f"  {name:{widths[0]}}", *columns, source]))
-    return found
-
-
-def _word(check: Check) -> str:
-    return "ok" if check.ok else "FAILED"
+        rows.append((check.name, *map(text_of, numbers), "ok" if check.ok else "FAILED", check.expected.source))
+    return [f"  {line}" for line in aligned(rows, left=(0, 6))]
 
 
 def recorded(checks: Sequence[Check]) -> list[dict[str, Any]]:

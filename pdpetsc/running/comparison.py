@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,6 +13,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.output.curves import curve, panels
 from pdpetsc.output.labels import Labels
+from pdpetsc.output.tables import aligned, cell, table_html, text_of
 from pdpetsc.running.result import Result, open_run, optional_module
 
 # What counts as the time of a run: not the start of Python, the compilation of kernels or the output.
@@ -39,60 +38,34 @@ class Ran(Protocol):
         """Return the seconds of set-up and solve."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What one run gave.
-
-    Attributes
-    ----------
-    parameters : mapping of str to object
-        What tells it from the others.
-    status : str
-        ``"converged"``, or why it ended.
-    results : mapping of str to float
-        Its named results.
-    seconds, memory : float
-        Of set-up and solve [s], and of all ranks [MiB].
-    """
-
-    parameters: Mapping[str, Any]
-    status: str
-    results: Mapping[str, float]
-    seconds: float
-    memory: float
-
-
 def working_seconds(summary: Mapping[str, Any]) -> float:
     """Return the seconds of set-up and solve of a run from its ``summary.json``."""
     return sum(float(value) for phase, value in (summary.get("timings") or {}).items() if phase in PHASES)
 
 
 def mebibytes(summary: Mapping[str, Any]) -> float:
-    """Return the memory of all ranks of a run from its ``summary.json``."""
+    """Return the peak memory of all ranks of a run from its ``summary.json`` [MiB]."""
     return float(sum(summary.get("peak_memory_bytes") or [])) / 2**20
 
 
-def names_of_results(done: Sequence[Ran]) -> list[str]:
+def names_of_results(done: Sequence[Ran | Result]) -> list[str]:
     """Return the names of the results of all runs, each once."""
     return list(dict.fromkeys(name for outcome in done for name in outcome.results))
 
 
-def columns_of(done: Sequence[Outcome]) -> dict[str, list[Any]]:
-    """Return the table of runs by columns: parameters, results (None where a run has none), time, memory, status.
+def columns_of(
+    first: Mapping[str, list[Any]], parameters: Sequence[Mapping[str, Any]], results: Sequence[Mapping[str, float]],
+    last: Mapping[str, list[Any]],
+) -> dict[str, list[Any]]:  # fmt: skip
+    """Return a table of runs by columns: the first, parameters, results (None where a run has none), the last.
 
-    A parameter that is named as one of the last three has `` (parameter)`` after its name, a result that is named as
-    one of these or as a parameter `` (result)``, so that nothing takes the column of another.
+    A parameter that is named as another column has `` (parameter)`` after its name, a result `` (result)``, so that
+    nothing takes the column of another.
     """
-    last: dict[str, list[Any]] = {
-        "seconds": [outcome.seconds for outcome in done],
-        "MiB": [outcome.memory for outcome in done],
-        "status": [outcome.status for outcome in done],
-    }
-    columns: dict[str, list[Any]] = {}
-    for name in dict.fromkeys(name for outcome in done for name in outcome.parameters):
-        columns[_unused(name, "parameter", [*columns, *last])] = [outcome.parameters.get(name) for outcome in done]
-    for name in names_of_results(done):
-        columns[_unused(name, "result", [*columns, *last])] = [outcome.results.get(name) for outcome in done]
+    columns = dict(first)
+    for kind, each in (("parameter", parameters), ("result", results)):
+        for name in dict.fromkeys(name for one in each for name in one):
+            columns[_unused(name, kind, [*columns, *last])] = [one.get(name) for one in each]
     return {**columns, **last}
 
 
@@ -167,25 +140,21 @@ class Comparison:
         _refuse_apart("has temperatures in", {name: one.temperature for name, one in units.items() if one.temperature})
 
     @property
-    def outcomes(self) -> list[Outcome]:
-        """Return what each run gave, told from the others by its name and the parameters in which they differ."""
-        given = {name: dict(run.summary.get("parameters") or {}) for name, run in self.runs.items()}
-        known = list(dict.fromkeys(key for parameters in given.values() for key in parameters))
-        missing = object()
-        differ = [key for key in known if len({repr(one.get(key, missing)) for one in given.values()}) > 1]
-        column = {key: _unused(key, "parameter", ["run"]) for key in differ}
-        return [
-            Outcome(
-                {"run": name, **{column[key]: given[name].get(key) for key in differ}}, str(run.summary.get("status")),
-                run.results, working_seconds(run.summary), mebibytes(run.summary),
-            )
-            for name, run in self.runs.items()
-        ]  # fmt: skip
-
-    @property
     def table(self) -> dict[str, list[Any]]:
-        """Return the table by columns: run, parameters that differ, results, seconds, MiB, status."""
-        return columns_of(self.outcomes)
+        """Return the table by columns: run, parameters that differ, results (None where a run has none), costs, status.
+
+        A parameter that is named as another column has `` (parameter)`` after its name, a result `` (result)``.
+        """
+        runs, missing = list(self.runs.values()), object()
+        given = [dict(run.summary.get("parameters") or {}) for run in runs]
+        differ = {name for one in given for name in one if len({repr(other.get(name, missing)) for other in given}) > 1}
+        last: dict[str, list[Any]] = {
+            "seconds": [working_seconds(run.summary) for run in runs],
+            "MiB": [mebibytes(run.summary) for run in runs],
+            "status": [str(run.summary.get("status")) for run in runs],
+        }
+        parameters = [{name: value for name, value in one.items() if name in differ} for one in given]
+        return columns_of({"run": list(self.runs)}, parameters, [run.results for run in runs], last)
 
     def frame(self) -> Any:
         """Return the table as a pandas data frame, a row a run.
@@ -199,18 +168,17 @@ class Comparison:
         return pandas.DataFrame(self.table).set_index("run")
 
     def __str__(self) -> str:
-        texts = {name: [_text(value) for value in column] for name, column in self.table.items()}
-        widths = {name: max(map(len, [name, *column])) for name, column in texts.items()}
-        rows = [list(texts), *map(list, zip(*texts.values(), strict=True))]
+        table = self.table
         return "\n".join(
-            "  ".join(f"{word:>{widths[name]}}" for name, word in zip(texts, row, strict=True)) for row in rows
+            aligned([list(table), *(list(map(text_of, row)) for row in zip(*table.values(), strict=True))])
         )
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self.runs)}>\n{self}"
 
     def _repr_html_(self) -> str:
-        return table_html(self.table)
+        table = self.table
+        return table_html(list(table), (list(map(cell, row)) for row in zip(*table.values(), strict=True)))
 
     def difference(self, field: str, t: float | None = None, points: Any = None) -> dict[str, Float]:
         """Return a field of every run less that of the first one, at the same points.
@@ -338,12 +306,13 @@ def compare(runs: Mapping[str, Result | str | Path] | Sequence[Result | str | Pa
     """
     if isinstance(runs, str | Path | Result):
         raise CaseError("compare takes several runs; put them into a list.")
-    listed = list(runs.values()) if isinstance(runs, Mapping) else list(runs)
-    opened = [run if isinstance(run, Result) else open_run(run) for run in listed]
+    named = runs if isinstance(runs, Mapping) else dict(enumerate(runs))
+    opened = {str(name): run if isinstance(run, Result) else open_run(run) for name, run in named.items()}
     if len(opened) < 2:
         raise CaseError(f"compare takes two runs or more, not {len(opened)}.")
-    names = list(map(str, runs)) if isinstance(runs, Mapping) else _names(opened)
-    return Comparison(dict(zip(names, opened, strict=True)))
+    if named is not runs:
+        opened = dict(zip(_names(list(opened.values())), opened.values(), strict=True))
+    return Comparison(opened)
 
 
 def _names(runs: Sequence[Result]) -> list[str]:
@@ -356,23 +325,9 @@ def _names(runs: Sequence[Result]) -> list[str]:
     raise CaseError(f"{runs[0].folder} is given twice; a run cannot be compared with itself.")
 
 
-def table_html(columns: Mapping[str, Sequence[Any]]) -> str:
-    """Return a table by columns as HTML."""
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
-    rows = zip(*columns.values(), strict=True)
-    body = "".join(f"<tr>{''.join(f'<td>{html.escape(_text(value))}</td>' for value in row)}</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
 def _refuse_apart(what: str, units: Mapping[str, str]) -> None:
     """Raise CaseError where one of the runs has another unit than the first."""
     first = next(iter(units), "")
     for name, unit in units.items():
         if unit != units[first]:
             raise CaseError(f"{first} {what} {units[first]}, {name} {what} {unit}; their numbers cannot be compared.")
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pdpetsc.bond_based import BondBased
 from pdpetsc.case import Case, ungraded
-from pdpetsc.damage import DamageOf
 
 # Bonds that lose their force before this multiple of the stretch of onset behave as bonds that snap.
 STEEP = 2.0
@@ -17,10 +16,9 @@ def missed_fracture_energy(case: Case) -> str | None:
     A fracture energy is that of breaking all bonds across a plane. Cracks through bond-based materials that soften take
     it. Laws with a ``share`` and critical stretches are not judged, and along a line there is no crack.
     """
-    if case.damage is None or getattr(case.particles, "dim", 2) == 1:
+    if getattr(case.particles, "dim", 2) == 1:
         return None
-    declared = case.damage.laws.values() if isinstance(case.damage, DamageOf) else [case.damage]
-    laws = [law for law in declared if law is not None and law.assumes_share]
+    laws = [law for law in case.damage_laws if law.criterion.assumes_share]
     steep = any(law.final < STEEP * law.onset for law in laws)
     if not laws:
         return None

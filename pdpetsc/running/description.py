@@ -28,7 +28,7 @@ def versions_in_use() -> dict[str, str]:
     return found | versions(packages)
 
 
-def describe(case: Case, problem: Problem, chosen: bool, report: Report) -> dict[str, Any]:
+def describe(case: Case, problem: Problem, declared: Case, report: Report) -> dict[str, Any]:
     """Print what a built problem is, and return its entries of the summary.
 
     Parameters
@@ -37,8 +37,8 @@ def describe(case: Case, problem: Problem, chosen: bool, report: Report) -> dict
         What is solved.
     problem : Problem
         The problem of that case.
-    chosen : bool
-        The scheme is not the declared one.
+    declared : Case
+        What is declared: the scheme of ``case`` may be another one.
     report : Report
         Takes the lines.
 
@@ -49,7 +49,7 @@ def describe(case: Case, problem: Problem, chosen: bool, report: Report) -> dict
     return {
         **_model(case, problem, report),
         **_labels(case),
-        **_scheme(case, problem, chosen, report),
+        **_scheme(case, problem, declared, report),
         **_notes(case, problem, report),
         **_loads(problem, report),
         **_supports(case, problem, report),
@@ -80,7 +80,7 @@ def _model(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
 
 
 def _labels(case: Case) -> dict[str, Any]:
-    """Return what pictures and tables need of numbers: units, kinds of number, cracks of a plane body."""
+    """Return units, kinds of numbers and cracks of a plane body, for pictures and tables."""
     return {
         "units": {} if case.units is None else dataclasses.asdict(case.units),
         "dimensions": {
@@ -93,7 +93,7 @@ def _labels(case: Case) -> dict[str, Any]:
     }
 
 
-def _scheme(case: Case, problem: Problem, chosen: bool, report: Report) -> dict[str, Any]:
+def _scheme(case: Case, problem: Problem, declared: Case, report: Report) -> dict[str, Any]:
     note = problem.material_term.note
     scheme = {"name": "bonds" if case.of_bonds else type(case.gradients).__name__, "note": note}
     entries: dict[str, Any] = {"scheme": scheme}
@@ -103,7 +103,7 @@ def _scheme(case: Case, problem: Problem, chosen: bool, report: Report) -> dict[
     if missed is not None:
         entries["fracture_energy"] = {"note": missed}
         report.warn(missed)
-    if chosen:
+    if case.scheme is not declared.scheme:
         with agreed(problem.body.cloud.comm):
             scheme["chosen"] = suited_words(case, lame_ratio(case, problem.dim))
         report.say(scheme["chosen"])
@@ -111,7 +111,7 @@ def _scheme(case: Case, problem: Problem, chosen: bool, report: Report) -> dict[
 
 
 def _notes(case: Case, problem: Problem, report: Report) -> dict[str, Any]:
-    """Return what a user should know before relying on the numbers."""
+    """Return the warnings about the reliability of the results."""
     locking = locking_note(case, problem)
     if locking:
         report.warn(locking)

@@ -18,21 +18,20 @@ from pdpetsc.running.signals import Signals
 def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> PdpetscError:
     """Leave everything in order after an error and return it as one sentence; abort if this rank fails alone."""
     comm, phase = record.comm, record.phases.now
-    failure = described(error)
-    if isinstance(failure, RunError):
-        failure.phase = failure.phase or phase
-        if failure.rank is None and comm.size > 1 and failure.agreed < comm.size:
-            failure.rank = comm.rank
-    if isinstance(error, KeyboardInterrupt):
+    failure, stopped = described(error), isinstance(error, KeyboardInterrupt)
+    failure.phase = failure.phase or phase
+    if failure.rank is None and comm.size > 1 and failure.agreed < comm.size:
+        failure.rank = comm.rank
+    if stopped:
         kept = "results are complete up to the step before" if record.taken else "nothing was run"
         failure = Interrupted(f"Stopped by a signal in phase {phase}; {kept}.")
     signals.deaf = True
     together = all_failed(error, failure)
     signals.deaf = not together
-    if isinstance(failure, RunError) and together and failure.agreed < comm.size:
+    if together and failure.agreed < comm.size:
         failure.rank = None
     failure = _of_right_status(failure, record, together)
-    if isinstance(failure, RunError) and failure.bug and (is_root(comm) or not together):
+    if failure.bug and (is_root(comm) or not together):
         _write_traceback(error, record)
     if not together:
         leave(failure, record)
@@ -41,9 +40,9 @@ def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> Pdpet
         return failure
     status = str(failure)
     # A signal may have come in the middle of a write; what is on disk stays.
-    if not isinstance(failure, OutputError) and not isinstance(error, KeyboardInterrupt):
+    if not (stopped or isinstance(failure, OutputError)):
         try:
-            record.end(converged=False)
+            record.end()
         except KeyboardInterrupt:
             status += " A second signal came before its last checkpoint was written."
         except Exception as other:
@@ -58,8 +57,7 @@ def ended_by(error: BaseException, record: RunRecord, signals: Signals) -> Pdpet
 
 def leave(failure: PdpetscError, record: RunRecord) -> NoReturn:
     """End all ranks; say why, and leave it in the summary, which this rank writes alone."""
-    if not isinstance(failure, RunError | Interrupted):
-        failure = RunError(str(failure), place=users_line(failure), phase=record.phases.now, rank=record.comm.rank)
+    failure = failure.of_one_rank(record.phases.now, record.comm.rank)
     if record.taken:
         record.summary["error"] = type(failure).__name__
         with contextlib.suppress(Exception):
@@ -76,13 +74,14 @@ def leave_if_stuck(record: RunRecord) -> None:
 def _of_right_status(failure: PdpetscError, record: RunRecord, together: bool) -> PdpetscError:
     """Return an error with the exit status that fits: 2 as long as nothing has been solved, and 1 then."""
     phase = record.phases.now
-    if isinstance(failure, RunError) and not record.solved:
-        if failure.of_option and phase in ("kernels", "model", "set-up", "solve"):
-            return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
-        if failure.of_user and not record.taken and failure.exit_status == 1:
-            failure.exit_status = CaseError.exit_status
-    elif isinstance(failure, CaseError) and record.solved:
+    if record.solved:
+        if not isinstance(failure, CaseError):
+            return failure
         return RunError(str(failure), users_line(failure), phase, None if together else record.comm.rank)
+    if failure.of_option and phase in ("kernels", "model", "set-up", "solve"):
+        return CaseError(f"PETSc refused the solver options; check their names and values: {failure.what}.")
+    if failure.of_user and not record.taken and failure.exit_status == 1:
+        failure.exit_status = CaseError.exit_status
     return failure
 
 

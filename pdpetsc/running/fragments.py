@@ -42,7 +42,7 @@ class Fragments(Observer):
     def __init__(self) -> None:
         self._pieces: dict[str, Any] = {}
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Print the pieces if bonds are broken."""
         problem, steps = self.observed.problem, self.observed.steps
         if self._pieces or problem.damage is None or not problem.damage.bonds.count_broken():

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from typing import cast
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.case import Case, ungraded
+from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import SolveError
-from pdpetsc.material import Material
 from pdpetsc.post.quantities import dimension_of
 from pdpetsc.problem.problem import Problem
 from pdpetsc.running.build import materials_of
@@ -71,9 +69,9 @@ def interface_note(case: Case, problem: Problem) -> str:
     if case.of_bonds or len(case.materials) == 1:
         return ""
     cloud, families, dim = problem.body.cloud, problem.body.families, problem.dim
-    _, material_of, _ = materials_of(case, cloud)
+    material_of = materials_of(case, cloud).index
     with agreed(cloud.comm):
-        shear = [twice_shear(cast(Material, ungraded(material)).moduli(dim)) for _, material in case.materials]
+        shear = [twice_shear(law.moduli(dim)) for law in case.laws]
     highest, between = STIFFER, (0, 0)
     for soft, stiff in itertools.permutations(range(len(shear)), 2):
         if not shear[stiff] > highest * shear[soft] * (1.0 + 1e-9):
@@ -104,8 +102,7 @@ def jump_note(case: Case, problem: Problem) -> str:
     steps = case.steps
     first = min(steps.first, steps.stops()[0])
     with agreed(comm):
-        laws = [ungraded(material) for _, material in case.materials]
-        lost = max(law.spread(first) for law in laws if isinstance(law, Material)) if not case.of_bonds else 0.0
+        lost = 0.0 if case.of_bonds else max(law.spread(first) for law in case.laws)
     if lost <= SPREAD:
         return ""
     zero = np.zeros(problem.supports.fixed.shape)

@@ -88,11 +88,16 @@ class RunRecord:
             self.steps[-1] |= observer.step(solution, converged)
         solution.forget()
 
-    def end(self, converged: bool) -> None:
+    def end(self) -> None:
         """Let the observers write what is left (collective)."""
         if self.observed is not None:
             for observer in self.observers:
-                observer.end(converged)
+                observer.end()
+
+    def judge(self) -> None:
+        """Let the observers judge the last state of a run that has converged (collective)."""
+        for observer in self.observers:
+            observer.judge()
 
     def write(self, status: str, results: Mapping[str, float] | None = None) -> dict[str, Any]:
         """Write the summary, and return it as the file has it (collective)."""
@@ -116,7 +121,11 @@ class RunRecord:
         }
         for observer in self.observers:
             summary |= observer.summary(self.steps)
-        return summary
+        return summary | {"warnings": self.warnings()}
+
+    def warnings(self) -> list[str]:
+        """Return the sentences of the observers that a user should read (not collective)."""
+        return [warning for observer in self.observers for warning in observer.warnings(self.steps)]
 
 
 def _peak_memory() -> int:

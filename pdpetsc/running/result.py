@@ -6,8 +6,7 @@ import base64
 import html
 import importlib
 import math
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -22,10 +21,11 @@ from pdpetsc.declare.expected import Expected
 from pdpetsc.errors import CaseError, RunError
 from pdpetsc.output.files import InCreationOrder
 from pdpetsc.output.labels import PRINCIPAL, Labels
-from pdpetsc.output.picture import draw_field, kept_picture
+from pdpetsc.output.picture import picture_of_run
 from pdpetsc.output.reading import StoredFields, read_history, read_summary
 from pdpetsc.output.scene import broken_pairs
 from pdpetsc.output.surface import read_surface
+from pdpetsc.output.tables import cell, table_html
 from pdpetsc.post.point_location import Held, Inside, inside_of
 from pdpetsc.post.sampling import sampled
 from pdpetsc.post.solution import Field, Solution
@@ -294,21 +294,17 @@ class Result(Mapping[str, float]):
     def _repr_html_(self) -> str:
         """Return a small table and the picture, for notebooks."""
         shown = {"status": self.summary.get("status"), **self._results}
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{html.escape(str(name))}</th>"
-            f"<td>{html.escape(f'{value:.8g}' if isinstance(value, float) else str(value))}</td></tr>"
-            for name, value in shown.items()
-        )
-        table = f"<b>{html.escape(str(self.folder))}</b><table>{rows}</table>"
-        return f"<div>{table}{self._picture_html()}</div>"
+        table = table_html(["", ""], ((cell(name), cell(value, 8)) for name, value in shown.items()))
+        return f"<div><b>{html.escape(str(self.folder))}</b>{table}{self._picture_html()}</div>"
 
     def _picture_html(self) -> str:
         """Return the picture of the run, or a sentence why there is none; empty where it has nothing to draw."""
         try:
-            # Asking for the fields finds out whether a later run has taken the folder.
-            names = self.fields.names()
-            data = kept_picture(self.folder) or _drawn(self.folder, names)
+            _ = self.fields  # of this run: a later one may have taken the folder
+            data = picture_of_run(self.folder)
         except (CaseError, OSError):
+            return ""
+        if data is None:
             return ""
         encoded = base64.b64encode(data).decode()
         return f"<img alt='the deformed body' style='max-width:640px' src='data:image/png;base64,{encoded}'>"
@@ -337,10 +333,13 @@ class Result(Mapping[str, float]):
 
 def named_numbers(results: Any) -> dict[str, float]:
     """Return the results that a function of a case gave as finite numbers; raises RunError if one is none."""
-    if not isinstance(results, Mapping):
-        raise RunError(f"results must return a mapping of names to numbers, not {type(results).__name__}", of_user=True)
+    try:
+        named = dict(results)
+    except (TypeError, ValueError):
+        kind = type(results).__name__
+        raise RunError(f"results must return a mapping of names to numbers, not {kind}", of_user=True) from None
     numbers = {}
-    for name, value in results.items():
+    for name, value in named.items():
         if getattr(value, "ndim", 0):
             raise RunError(f"results must return numbers; {name!r} is an array of shape {value.shape}", of_user=True)
         try:
@@ -358,15 +357,6 @@ def optional_module(name: str, otherwise: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         raise CaseError(f"{name} is not installed: pip install {name}; {otherwise}.") from None
-
-
-def _drawn(folder: Path, names: Sequence[str]) -> bytes:
-    """Return a picture of the last step with von Mises stress, or how far particles have moved along x."""
-    name, component = ("von_mises", "") if "von_mises" in names else ("displacement", "x")
-    with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / "picture.png"
-        draw_field(folder, path, name, component, 1.0, folder.resolve().name)
-        return path.read_bytes()
 
 
 def gathered(solution: Solution, field: Field) -> NDArray[Any] | None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pdpetsc.case import Case
+from pdpetsc.declare.expected import Expected
 from pdpetsc.discrete.communicator import Comm, agreed, communicator, is_root
 from pdpetsc.discrete.failure import messages_apart
 from pdpetsc.errors import CaseError, OutputError, of_petsc
@@ -114,8 +116,8 @@ def run(
         "ranks": ranks.size,
     }
     with messages_apart(ranks), holding(ranks, folder), report(ranks) as log:
-        case_run = _Run(case, RunRecord(ranks, folder, entries), log, check)
-        result = case_run(dict(options or {}), restart, restart_anyway)
+        case_run = _Run(case, RunRecord(ranks, folder, entries), log, case.expect if check else None)
+        result = case_run(dict(options or {}), None if restart is None else Restart(restart, restart_anyway))
         if (wrong := failure(case_run.checks)) is not None:
             wrong.agreed = ranks.size
             raise wrong
@@ -126,26 +128,34 @@ def run(
 _abandoned: list[Solver] = []
 
 
+@dataclass(frozen=True)
+class Restart:
+    """The checkpoint to go on from, and whether its case may declare something else."""
+
+    path: str | Path
+    anyway: bool
+
+
 class _Run:
     """One run: prepares the problem, marches, lets observers record each step, and finishes."""
 
     signals: Signals
 
-    def __init__(self, case: Case, record: RunRecord, report: Report, check: bool) -> None:
+    def __init__(self, case: Case, record: RunRecord, report: Report, expect: Mapping[str, Expected] | None) -> None:
         self.case = case
         self.record = record
         self.report = report
-        self.check = check
+        self.expect = expect
         self.checks: list[Check] = []
         self.prepared: Prepared | None = None
         self.solver: Solver | None = None
 
-    def __call__(self, options: Mapping[str, Any], restart: str | Path | None, anyway: bool) -> Result:
+    def __call__(self, options: Mapping[str, Any], restart: Restart | None) -> Result:
         with watched(self.record.comm, lambda: leave_if_stuck(self.record)) as self.signals:
             try:
                 prepared, solver = self._prepare(options)
                 try:
-                    history = self._march(prepared, solver, restart, anyway)
+                    history = self._march(prepared, solver, restart)
                     result = self._finish(prepared, solver, history)
                 finally:
                     self.record.summary["unused_options"] = prepared.options.unused()
@@ -171,15 +181,14 @@ class _Run:
 
     def _prepare(self, options: Mapping[str, Any]) -> tuple[Prepared, Solver]:
         record, report, declared = self.record, self.report, self.case
-        if self.check:
+        if self.expect is not None:
             with agreed(record.comm):
-                refuse_unchecked(declared.expect)
+                refuse_unchecked(self.expect)
         prepared = self.prepared = prepare(declared, record.comm, options, record.phases)
         case = self.case = prepared.case
         if cache_trouble():
             report.say(f"kernels are compiled anew in every run: no cache of them can be kept ({cache_trouble()})")
-        chosen = case.scheme is not declared.scheme
-        record.summary |= describe(case, prepared.problem, chosen, report)
+        record.summary |= describe(case, prepared.problem, declared, report)
         record.phases.now = "set-up"
         in_force = record.summary["options"] = prepared.options.in_force
         of_environment = [name for name, option in in_force.items() if option["from"] == "environment"]
@@ -204,14 +213,14 @@ class _Run:
             self.record.summary["allocated"].append(matrices(prepared.choice))
         return solver
 
-    def _march(self, prepared: Prepared, solver: Solver, restart: str | Path | None, anyway: bool) -> History:
+    def _march(self, prepared: Prepared, solver: Solver, restart: Restart | None) -> History:
         """Solve and record the steps; return the history."""
         record, phases, report = self.record, self.record.phases, self.report
         order = InCreationOrder(prepared.cloud)
         declared = record.comm.bcast(declared_parts(self.case) if is_root(record.comm) else None)
         start, origin = prepared.solution(), None
         if restart is not None:
-            origin = self._origin(prepared, solver, order, restart, declared, anyway)
+            origin = self._origin(prepared, solver, order, restart, declared)
             start = origin.start
         history, record.observers = observers_of(self.case, prepared.problem, declared)
         phases.now = "output"
@@ -234,18 +243,18 @@ class _Run:
                 record.step(converged)
             before, phases.now = time.perf_counter(), "solve"
         with prepared.options.active():
-            record.end(converged=True)
+            record.end()
+            record.judge()
         return history
 
     def _origin(
-        self, prepared: Prepared, solver: Solver, order: InCreationOrder, restart: str | Path,
-        declared: Mapping[str, str], anyway: bool,
-    ) -> Origin:  # fmt: skip
+        self, prepared: Prepared, solver: Solver, order: InCreationOrder, restart: Restart, declared: Mapping[str, str]
+    ) -> Origin:
         """Read the checkpoint from which the run continues."""
         title, finds_load = self.case.solver.title, self.case.solver.finds_load
         if not self.case.solver.restarts:
             raise CaseError(f"{title} starts from the unloaded body; it takes no restart.")
-        origin = read_checkpoint(prepared.problem, order, restart, declared, anyway, finds_load)
+        origin = read_checkpoint(prepared.problem, order, restart.path, declared, restart.anyway, finds_load)
         start = origin.start
         with prepared.options.active():
             solver.resume(Start(start.unknowns, start.t, start.resume, start.tangent_at))
@@ -277,9 +286,9 @@ class _Run:
         self.signals.patient = False
         with agreed(record.comm):
             results = named_numbers(case.results(history.columns)) if case.results is not None else {}
-        if self.check:
+        if self.expect is not None:
             # What one rank finds holds for all.
-            self.checks = record.comm.bcast(compared(case.expect, results) if is_root(record.comm) else None)
+            self.checks = record.comm.bcast(compared(self.expect, results) if is_root(record.comm) else None)
             record.summary["checks"] = recorded(self.checks)
         record.summary["unused_options"] = left = prepared.options.unused()
         self.signals.deaf = True  # the run has ended; nothing takes that back
@@ -293,9 +302,8 @@ class _Run:
             report.warn(
                 f"The weights are {NEED_NOT_CONVERGE}: look whether the answer settles as the cloud gets finer."
             )
-        for observer in record.observers:
-            for warning in observer.warnings(record.steps):
-                report.warn(warning)
+        for warning in record.warnings():
+            report.warn(warning)
         report.results(results)
         for line in lines(self.checks) if self.checks else ():
             report.say(line)

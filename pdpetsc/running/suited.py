@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
-from pdpetsc.case import Case, ungraded
+from pdpetsc.case import Case
 from pdpetsc.control import CONTROLS, ByShear, Silling, TangentScaled, ZeroEnergyControl
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.declare.horizon import spacings
 from pdpetsc.declare.particles import Chunk
 from pdpetsc.discrete.communicator import Comm, agreed, total
 from pdpetsc.gradient import Correspondence, MeanDilatation
-from pdpetsc.material import Material
 from pdpetsc.problem.problem import Problem
 
 # Gradients lock above this lambda / mu at F = I: nu = 0.45 in space and in plane strain.
@@ -31,8 +29,7 @@ def lame_ratio(case: Case, dim: int) -> float:
     """
     if case.of_bonds or dim == 1:
         return 0.0
-    laws = [cast(Material, ungraded(material)) for _, material in case.materials]
-    return max(2.0 * (law.bulk_like_modulus(dim) / twice_shear(law.moduli(dim)) - 1.0 / dim) for law in laws)
+    return max(2.0 * (law.bulk_like_modulus(dim) / twice_shear(law.moduli(dim)) - 1.0 / dim) for law in case.laws)
 
 
 def poisson_ratio(lame: float) -> float:
@@ -42,9 +39,9 @@ def poisson_ratio(lame: float) -> float:
 
 def takes_patches(case: Case, dim: int) -> bool:
     """Return True if a body that locks has ``MeanDilatation`` by default (not collective)."""
-    laws = [cast(Material, ungraded(material)) for _, material in case.materials]
-    flat = dim == 1 or (dim == 2 and any(law.plane == "stress" for law in laws))
-    return not (flat or case.of_bonds or case.expands or case.damage is not None)
+    if case.of_bonds or case.expands or case.damage is not None or dim == 1:
+        return False
+    return dim == 3 or all(law.plane != "stress" for law in case.laws)
 
 
 def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
@@ -78,7 +75,7 @@ def with_suited_scheme(comm: Comm, case: Case, chunk: Chunk) -> Case:
     spacing = float(total(comm, weighted) / total(comm, chunk.volume.sum()))
     patch = float(f"{PATCH * spacing:.9g}")
     control: ZeroEnergyControl = ByShear(Silling(0.5))
-    if any(cast(Material, ungraded(material)).has_history for _, material in case.materials):
+    if any(law.has_history for law in case.laws):
         control = TangentScaled(control)
     return replace(case, scheme=MeanDilatation(Correspondence(), patch), control=control)
 
@@ -116,7 +113,7 @@ def locking_note(case: Case, problem: Problem) -> str:
     points = int(total(comm, problem.material_term.n_points))
     if case.gradients.patches is None and points > problem.body.cloud.n_global:
         locking.append(type(case.gradients).__name__)
-    if case.control is not None and isinstance(case.control.elastic, BY_BULK):
+    if case.control is not None and type(case.control.elastic) in BY_BULK:
         locking.append(type(case.control.elastic).__name__)
     if not locking:
         return ""

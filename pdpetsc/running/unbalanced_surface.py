@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.case import Case, ungraded
+from pdpetsc.case import Case
 from pdpetsc.control.by_shear import twice_shear
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.discrete.surface import Surface, surface_of
 from pdpetsc.errors import CaseError
-from pdpetsc.material.base import Material
 from pdpetsc.output.observer import Observer, StepRecords
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.protocol import Solver
@@ -65,11 +64,11 @@ class UnbalancedForces(Observer):
         self._case = case
         self._found: Unbalanced | None = None
 
-    def end(self, converged: bool) -> None:
-        """Solve for their effect if the run has converged."""
+    def judge(self) -> None:
+        """Solve for their effect."""
         observed = self.observed
         problem, last, origin = observed.problem, observed.last, observed.origin
-        if not converged or last.step == (0 if origin is None else origin.start.step):
+        if last.step == (0 if origin is None else origin.start.step):
             return
         with agreed(observed.comm):
             asked = nearly_incompressible(self._case, problem.dim)
@@ -97,8 +96,7 @@ def nearly_incompressible(case: Case, dim: int) -> bool:
         return False
     if case.gradients.patches is not None:
         return True
-    materials = [cast(Material, ungraded(material)) for _, material in case.materials]
-    return any(one.bulk_like_modulus(dim) > STIFF * twice_shear(one.moduli(dim)) for one in materials)
+    return any(one.bulk_like_modulus(dim) > STIFF * twice_shear(one.moduli(dim)) for one in case.laws)
 
 
 def unbalanced_areas(case: Case, problem: Problem) -> Float:

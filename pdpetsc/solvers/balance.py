@@ -118,7 +118,7 @@ class EnergyBalance:
         """Return the forces of loads and supports (n_rows, dim) [force]."""
         inside = self._problem.internal_force(state, of_solver=False)
         loads = self._problem.external_force(state)
-        return loads if inside is None else np.where(self._problem.supports.held, inside, loads)
+        return loads if inside is None else np.where(self._problem.supports.reacting, inside, loads)
 
     def _held(self, state: State) -> tuple[float, float]:
         """Return the energy that the body stores, and what the laws of its bonds have dissipated [energy]."""

@@ -11,6 +11,7 @@ from pdpetsc.arrays import Float
 from pdpetsc.discrete.communicator import largest, smallest, total
 from pdpetsc.errors import CaseError, petsc_reason
 from pdpetsc.petsc.jacobian import make_tangent
+from pdpetsc.petsc.library import negative_pivots, refactors
 from pdpetsc.petsc.stages import RESIDUAL, TANGENT, stage
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
@@ -53,7 +54,9 @@ class Equilibrium:
     Attributes
     ----------
     free : (n_rows, dim) bool
-        Degrees of freedom that are not prescribed.
+        Degrees of freedom that are neither prescribed nor tied.
+    supported : (n_rows, dim) bool
+        Those that are prescribed.
     t : float
         Step time of the present solve, set by ``impose`` [-].
     prescribed, external : (n_rows, dim) float64
@@ -84,7 +87,7 @@ class Equilibrium:
         self.problem = problem
         self.free = ~fixed
         ties = problem.supports.ties
-        self._tied = np.zeros_like(fixed) if ties is None else ties.tied
+        self.supported = fixed if ties is None else fixed & ~ties.tied
         spacing = nearest_distances(problem.body)[:, None]
         whole = np.full((cloud.n_virtual, 1), 0.0 if cloud.images is None else cloud.images.sizes.max())
         self.spacing: Float = np.concatenate([spacing, whole])
@@ -113,6 +116,8 @@ class Equilibrium:
         # Root mean square of the displacement that iterates of the present solve have added: the first, the largest.
         self._moved = 0.0, 0.0
         self._lost = self._loaded = False
+        # Whether damage was held and how often bonds had broken where the tangent was last updated.
+        self._factored_with = True, 0
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
@@ -144,7 +149,7 @@ class Equilibrium:
         residual = force - self.external
         self._reaction = np.where(self.free, 0.0, residual)
         # Tied components follow the independent ones, so that nothing is left of them.
-        off = np.where(self._tied, 0.0, self.scales.stiffness * (values - self.prescribed))
+        off = np.where(self.supported, self.scales.stiffness * (values - self.prescribed), 0.0)
         return np.where(self.free, self.problem.supports.reduced(residual), off)
 
     def held_in_place(self, step: Float, x: Float, solve: Callable[[Float], Float], rtol: float) -> Float:
@@ -170,16 +175,28 @@ class Equilibrium:
         shape, size, supports = self.free.shape, self.free.size, self.problem.supports
 
         def resistance(of: Float) -> Float:
-            return supports.reduced(springs.resistance(supports.completed(of[:size].reshape(shape), np.zeros(shape))))
+            return supports.reduced(springs.resistance(supports.completed(of[:size].reshape(shape))))
 
         loose = solve(resistance(step))
         force = float(np.sqrt(total(self.problem.body.cloud.comm, float((resistance(loose) ** 2).sum()))))
-        return step - loose if force <= max(self._tolerance(x, rtol)) else step
+        return step - loose[: len(step)] if force <= max(self._tolerance(x, rtol)) else step
 
     def assemble(self, x: Float, effort: float | None = None) -> None:
         """Update the tangent to that at ``x`` after a linear solve of some ``effort`` (``PetscTangent.update``)."""
         with stage(TANGENT):
-            self.tangent.update(self.state(x), effort)
+            self.update(self.state(x), effort)
+
+    def update(self, state: State, effort: float | None = None) -> None:
+        """Update the tangent to that at a state (``PetscTangent.update``)."""
+        damage = self.problem.damage
+        held = damage is not None and damage.softens and damage.bonds.frozen
+        self._factored_with = held, self.problem.rebuilds
+        self.tangent.update(state, effort)
+
+    def forget(self) -> None:
+        """Let the next ``update`` make the tangent anew; what was factored tells nothing (not collective)."""
+        self._factored_with = True, 0
+        self.tangent.forget()
 
     def admissible_part(self, moved: Callable[[float], Float]) -> float:
         """Return the part of a Newton step that keeps det F > 0: 1, halved as often as needed.
@@ -247,7 +264,7 @@ class Equilibrium:
         loads = self._loads_at_start if self._loads is None else self._loads
         begin = np.zeros(1) if self.unbalanced is None else self.unbalanced
         resisted = np.where(self.free, 0.0, self.resisted)
-        jump = np.where(self.free | self._tied, 0.0, change)
+        jump = np.where(self.supported, change, 0.0)
         squares = [self.external, self._reaction, held, round_off, change, jump]
         sums = total(
             self.problem.body.cloud.comm,
@@ -274,6 +291,17 @@ class Equilibrium:
         first, most = self._moved
         self._moved = first or moved, max(most, moved)
         self._lost = moved > self._size + self._slender * jump and self.resting and not self.problem.linear
+
+    def negative_pivots(self, snes: PETSc.SNES, ksp: PETSc.KSP) -> int | None:
+        """Return the negative pivots of the tangent that was last solved with; None where its factor does not tell.
+
+        With damage held the secant was factored, which tells nothing of stability. Nor does a tangent from before bonds
+        broke.
+        """
+        known = self.problem.symmetric and self._factored_with == (False, self.problem.rebuilds)
+        if not known or not refactors(snes):
+            return None
+        return negative_pivots(ksp, self.tangent.mat)
 
     def interrupted(self) -> int:
         """Return PETSc's reason to end for a solve that a signal stops (not collective)."""

@@ -29,7 +29,7 @@ def growth_of_deviation(
     problem : Problem
         A problem whose bonds soften.
     tangent : PetscTangent
-        Becomes K.
+        Becomes K, with damage held; the caller forgets it.
     ksp : KSP
         The linear solver of the tangent.
     scale : float
@@ -44,7 +44,7 @@ def growth_of_deviation(
     Collective. The number is a lower bound, which factors close to the largest one lower by a few per cent.
     """
     damage, supports = problem.damage, problem.supports
-    free, no_change = ~supports.fixed, np.zeros(supports.fixed.shape)
+    free = ~supports.fixed
     assert damage is not None
     frozen = damage.bonds.frozen
     damage.freeze(True)
@@ -60,14 +60,13 @@ def growth_of_deviation(
     tolerance = ksp.getTolerances()[0]
     ksp.setTolerances(rtol=RTOL)
     for _ in range(POWERS):
-        b.array = supports.reduced(loading(supports.completed(v, no_change))).ravel() / scale
+        b.array = supports.reduced(loading(supports.completed(v))).ravel() / scale
         ksp.solve(b, x)
         v = v - x.array_r.reshape(u.shape)
         norms.append(float(np.sqrt(total(problem.body.cloud.comm, float((v**2).sum())))))
     ksp.setTolerances(rtol=tolerance)
     x.destroy()
     b.destroy()
-    tangent.forget()
     before, after = norms[POWERS // 2 - 1], norms[-1]
     factor = (after / before) ** (2.0 / POWERS) if before > 0.0 else 0.0
     return factor if np.isfinite(factor) else 0.0

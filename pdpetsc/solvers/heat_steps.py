@@ -68,7 +68,7 @@ class HeatSteps:
 
     @property
     def monolithic(self) -> bool:
-        """Return whether the temperature is solved for together with the displacement (not collective)."""
+        """Return True if the temperature is solved for together with the displacement (not collective)."""
         return self.heat.declared.coupling == "monolithic"
 
     def advance(self, before: float, t: float) -> None:

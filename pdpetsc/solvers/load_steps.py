@@ -91,6 +91,15 @@ def load_steps(
         target = ahead if ahead - t < dt * (1.0 + SAME_TIME) else t + dt
         solver.problem.advance(t, target)
         attempt, result, broken, sweeps = equilibrium(solver, steps.bonds_at_once, u, target, stop)
+        judged = result.negative_pivots is not None or result.linear_iterations == 0
+        if result.converged and steps.unstable != "warn" and not judged:
+            solver.problem.revert()
+            raise SolveError(
+                f"At step time {target:.6g} nothing tells whether the equilibrium is stable, which Steps(unstable="
+                f'"{steps.unstable}") asks for: only -pc_type cholesky of a symmetric tangent, with MUMPS, counts its '
+                f"negative pivots, and not where damage is held during a jump; results are complete up to step time "
+                f'{t:.6g}; take unstable="warn" to go on without.'
+            )
         if result.converged and result.negative_pivots and steps.unstable != "warn":
             result = replace(result, converged=False, reason=_unstable(result.negative_pivots))
             if steps.unstable == "refuse":

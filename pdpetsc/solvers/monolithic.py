@@ -10,16 +10,15 @@ from petsc4py import PETSc
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import largest, total
-from pdpetsc.errors import CaseError
-from pdpetsc.petsc.library import effort, set_domain_error
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
 from pdpetsc.solvers.heat_steps import HeatSteps, HeatSystem
 from pdpetsc.solvers.newton import ONE_STEP, StaticSolver
 from pdpetsc.solvers.protocol import StepResult
-from pdpetsc.terms.material_points import MaterialPoints
 
+# Step of the differences by temperature, as a share of the temperature and of its change in a load step.
+DIFFERENCE = 1e-5
 # The temperature counts where its residual is below this share of the largest of the step.
 GOOD = 1e-10
 # Names of both parts of the unknowns, in the options of PCFIELDSPLIT.
@@ -34,9 +33,10 @@ class MonolithicSolver(StaticSolver):
         [ A      0   ] [ dT ]       [ A T - b       ]
         [ K_uT   K   ] [ du ]  =  - [ f_int - f_ext ]
 
-    with ``K_uT = G^T (W dP/dT)``, the exact derivative of internal forces by temperature, applied without a matrix. The
-    upper right block is zero: neither flux, capacity nor sources depend on the displacement. PCFIELDSPLIT takes the
-    temperature first, which is exact then but for the solvers of the parts.
+    with the derivative ``K_uT`` of internal forces by temperature, applied without a matrix, by central differences of
+    the forces of all terms along the change of the temperature. The upper right block is zero: neither flux, capacity
+    nor sources depend on the displacement. PCFIELDSPLIT takes the temperature first, which is exact then but for the
+    solvers of the parts.
 
     Parameters
     ----------
@@ -53,27 +53,17 @@ class MonolithicSolver(StaticSolver):
     ) -> None:
         (heat,) = problem.fields
         assert isinstance(heat, HeatSteps)
-        assert isinstance(problem.material_term, MaterialPoints)
-        self._heat, self._field, self._points = heat, heat.heat.field, problem.material_term
-        cloud = problem.body.cloud
-        self._n_u, self._n_T = problem.supports.fixed.size, cloud.n_owned
+        self._heat, self._field = heat, heat.heat.field
+        self._n_T = problem.body.cloud.n_owned
         # What temperatures and their residuals are divided by for PETSc; those of a step follow it.
         self._degree, self._power = 1.0, 1.0
         # The coupled matrix with what preconditions it, and all that is made for a step.
         self._mats: tuple[PETSc.Mat, PETSc.Mat] | None = None
         self._made: list[PETSc.Mat] = []
-        self._coupling: Float | None = None
+        # Displacements of the present derivative by temperature.
+        self._coupled_at = np.zeros(problem.supports.fixed.shape)
         self._first = 0.0
         super().__init__(problem, assembler, stop, steps)
-
-    @classmethod
-    def refuse(cls, problem: Problem) -> None:
-        """Raise CaseError where temperature and displacement cannot be found together, on every rank."""
-        if type(problem.material_term) is not MaterialPoints:
-            raise CaseError(
-                'HeatConduction with coupling="monolithic" takes bodies of deformation gradients whose bonds stay and '
-                'that share no dilatation; take "staggered", which finds the same: no heat depends on the displacement.'
-            )
 
     @property
     def tangent_at(self) -> Float | None:
@@ -92,7 +82,7 @@ class MonolithicSolver(StaticSolver):
         self._couple(system)
         attempt, result = super().solve(u, t)
         if result.converged:
-            self._take(self._x)
+            self._read(self._x)
         return attempt, result
 
     def destroy(self) -> None:
@@ -159,22 +149,28 @@ class MonolithicSolver(StaticSolver):
 
     def _forces_of(self, change: Float) -> Float:
         """Return how internal forces change with the temperature, as PETSc sees both (n_u,)."""
-        assert self._coupling is not None
-        operator, body = self._points.operator, self.problem.body
-        f = np.zeros((body.cloud.n_local, body.dim))
-        operator.divergence(self._coupling * (change * self._degree)[operator.owner][:, None, None], f)
-        return np.where(self._equilibrium.free, body.gather(f), 0.0).ravel() / self._scales.force
+        now, comm, supports = self._field.now.copy(), self._comm, self.problem.supports
+        size = largest(comm, float(np.abs(change).max(initial=0.0)))
+        if not size > 0.0:
+            return np.zeros(self._n_u)
+        step = DIFFERENCE * max(self._degree, largest(comm, float(np.abs(now).max(initial=0.0)))) / size
+        forces = []
+        for by in (step, -step):
+            self._field.take(now + by * change)
+            forces.append(self.problem.internal_force(self.problem.state(self._coupled_at, self.t)))
+        self._field.take(now)
+        up, down = forces
+        if up is None or down is None:  # Newton's method converges without it as well
+            return np.zeros(self._n_u)
+        return supports.reduced(up - down).ravel() * (self._degree / (2.0 * step * self._scales.force))
 
-    def _displacement(self, x: PETSc.Vec) -> Float:
-        """Return the displacements of a vector [length]."""
-        return np.asarray(x.array_r[: self._n_u] * self._scales.length)
+    def _read(self, x: PETSc.Vec) -> Float:
+        self._field.take(self._temperature(x))
+        return self._displacement(x)
 
     def _temperature(self, x: PETSc.Vec) -> Float:
         """Return the temperatures of a vector; they are counted from those that the step begins with."""
         return np.asarray(self._system.start + x.array_r[self._n_u :] * self._degree)
-
-    def _take(self, x: PETSc.Vec) -> None:
-        self._field.take(self._temperature(x))
 
     def _run(self, start: Float) -> int:
         # Later runs go on with the temperature that has been found.
@@ -185,7 +181,7 @@ class MonolithicSolver(StaticSolver):
         """Return the displacements of Newton's first step, which the temperature takes as well."""
         system, ksp, now = self._system, self.snes.getKSP(), self._field.now.copy()
         assert self._mats is not None
-        self._coupling = self._points.stress_by_temperature(state)
+        self._coupled_at = u
         heat = system.matrix.residual(now, system.b, system.start)
         self._r.array = np.concatenate([b.ravel() / self._scales.force, -heat / self._power])
         ksp.setOperators(*self._mats)
@@ -195,67 +191,30 @@ class MonolithicSolver(StaticSolver):
             self._field.take(now + change)
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
-    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        self._take(x)
-        residual = self._equilibrium.residual(self._displacement(x))
-        if residual is None:
-            set_domain_error(snes)
-            r.set(np.inf)
-            return
-        r.array = np.concatenate([residual.ravel() / self._scales.force, self._heat_residual(x) / self._power])
+    def _other_residuals(self, x: PETSc.Vec) -> Float:
+        return self._heat_residual(x) / self._power
 
     def _heat_residual(self, x: PETSc.Vec) -> Float:
         system = self._system
         return system.matrix.residual(self._temperature(x), system.b, system.start)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._take(x)
-        values = self._displacement(x)
-        self._filled_at = self._equilibrium.at_prescribed(values)
-        self._coupling = self._points.stress_by_temperature(self._equilibrium.state(values))
-        self._equilibrium.assemble(values, effort(snes.getKSP()))
+        self._coupled_at = self._equilibrium.at_prescribed(self._read(x))
+        super()._jacobian(snes, x, J, P)
         for mat in (J, P):
             mat.assemble()
 
-    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Halve a Newton step until the whole of it keeps det F > 0 at its temperature."""
-        here, step = self._displacement(x), self._displacement(y)
-        warm, change = self._temperature(x), y.array_r[self._n_u :] * self._degree
+    def _norm(self, norm: float) -> float:
+        """Return the norm of the residual of the displacement [force]."""
+        r = self.snes.getFunction()[0].array_r[: self._n_u] * self._scales.force
+        return float(np.sqrt(total(self._comm, float((r**2).sum()))))
 
-        def moved(part: float) -> Float:
-            self._field.take(warm - part * change)
-            return self._equilibrium.at_prescribed(here - part * step)
-
-        part = self._equilibrium.admissible_part(moved)
-        self._take(x)
-        if part < 1.0:
-            y.scale(part)
-
-    def _judged(self, x: PETSc.Vec) -> bool:
-        """Return whether forces balance and heat is conserved at a vector."""
-        self._take(x)
-        return self._equilibrium.judge(self._displacement(x), self._rtol) and self._conducts(x)
-
-    def _conducts(self, x: PETSc.Vec) -> bool:
+    def _others_converged(self, x: PETSc.Vec) -> bool:
         """Return whether the residual of the temperature counts as zero."""
         norm = float(np.sqrt(total(self._comm, float((self._heat_residual(x) ** 2).sum()))))
         self._first = max(self._first, norm)
         floor = self._system.matrix.round_off(np.abs(self._temperature(x)) + self._degree)
         return np.isfinite(norm) and norm <= max(GOOD * self._first, floor)
-
-    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
-        x, sought = snes.getSolution(), self._equilibrium
-        if self.stop():
-            return sought.interrupted()
-        r = snes.getFunction()[0].array_r[: self._n_u] * self._scales.force
-        norm = float(np.sqrt(total(self._comm, float((r**2).sum()))))
-        warm = self._conducts(x)
-        self._take(x)
-        verdict = sought.verdict(self._displacement(x), iteration, norm, self._rtol)
-        if verdict is not None and verdict > 0 and not warm:
-            sought.reason = ""
-            return None
-        return self._unless_forced(verdict, snes, iteration)
 
     @property
     def _tangent_solver(self) -> PETSc.KSP | None:

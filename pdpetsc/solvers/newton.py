@@ -13,22 +13,18 @@ from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.discrete.communicator import total
 from pdpetsc.petsc.library import (
     effort,
-    forces_iteration,
     full_steps,
     line_search,
     linear_solver,
-    negative_pivots,
-    set_domain_error,
     start_anew,
 )
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.problem.state import State
-from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.growth import growth_of_deviation
 from pdpetsc.solvers.load_steps import LoadStepSolver
 from pdpetsc.solvers.protocol import Setting, StepResult
-from pdpetsc.solvers.unique import refuse_mechanism
+from pdpetsc.solvers.snes import SnesSolver
 
 # The line search for a zero of the residual along the step; where a loose piece rotates its steps get tiny, full steps
 # do not.
@@ -38,7 +34,7 @@ ONE_STEP = Steps()
 RESPONSE = 1e-4
 
 
-class StaticSolver(LoadStepSolver):
+class StaticSolver(SnesSolver, LoadStepSolver):
     """Newton's method for ``f_int(u) = f_ext(t)`` with prescribed displacements, on PETSc's SNES.
 
     Parameters
@@ -55,7 +51,6 @@ class StaticSolver(LoadStepSolver):
     Construction and every method are collective. Call ``destroy`` before MPI ends.
     """
 
-    unit = "Newton"
     advice = (
         "look for a limit point or zero-energy modes, add or raise the zero-energy control, or try "
         "-snes_linesearch_type basic, a smaller smallest step or -snes_rtol 1e-8"
@@ -64,24 +59,13 @@ class StaticSolver(LoadStepSolver):
     def __init__(
         self, problem: Problem, assembler: Filler, stop: Callable[[], bool], steps: Steps | AdaptiveSteps = ONE_STEP
     ) -> None:
-        self.problem = problem
+        super().__init__(problem, assembler, stop)
         self.steps = steps
-        self._comm = problem.body.cloud.comm
         self._fixed = problem.supports.fixed
-        self.stop = stop
         self._filled_at: Float | None = None
-        self._equilibrium = Equilibrium(problem, assembler)
-        self._scales = self._equilibrium.scales
         self._all_prescribed = int(total(self._comm, np.count_nonzero(~self._fixed))) == 0
         tangent = self._equilibrium.tangent
-        self._x = self._create()
-        self._r = self._x.duplicate()
-        self.snes = PETSc.SNES().create(comm=self._comm)
-        self.snes.setFunction(self._residual, self._r)
-        self.snes.setJacobian(self._jacobian, tangent.mat, tangent.preconditioner)
-        self.snes.setConvergenceTest(self._test)
-        read_options(self.destroy, self.snes, equip=self._equip)
-        self.snes.setLineSearchPreCheck(self._shorten)
+        self._set_up(self._create(), tangent.mat, tangent.preconditioner)
 
     @property
     def tangent_at(self) -> Float | None:
@@ -94,11 +78,6 @@ class StaticSolver(LoadStepSolver):
     def make(cls, setting: Setting) -> StaticSolver:
         """Return the solver of a setting (collective)."""
         return cls(setting.problem, setting.assembler, setting.stop, setting.steps)
-
-    @property
-    def matrix_bytes(self) -> int:
-        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
-        return self._equilibrium.tangent.bytes
 
     def description(self) -> str:
         """Return the nonlinear and the linear solver in a few words."""
@@ -129,54 +108,32 @@ class StaticSolver(LoadStepSolver):
             if total(self._comm, np.count_nonzero(jump)):
                 start, linear = self._predict(u, jump)
             linear += self._iterate(start)
-        resting = sought.resting
-        for _ in range(RESTS):
-            if resting or self.snes.getConvergedReason() <= 0:
-                break
-            # Solve again from this state, to which the springs move: they have no force there.
-            rest = sought.at_prescribed(self._displacement(self._x))
-            sought.move_springs(rest)
-            sought.reason = ""
-            linear += self._iterate(rest)
-            resting = sought.at_rest(self._displacement(self._x), self._rtol)
-        reason, found = self.snes.getConvergedReason(), self._displacement(self._x)
+        resting, more = self._rested()
+        reason, found = self.snes.getConvergedReason(), self._read(self._x)
         # The test of this solver has seen the residual, unless SNES shows it another vector's norm.
         seen = sought.reason != "" and not self.snes.hasNPC()
         converged = reason > 0 and resting and (seen or self._judged(self._x))
-        result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear)
+        result = sought.result(converged, reason, self.snes.getKSP().getConvergedReason(), linear + more)
         if converged:
-            damage = self.problem.damage
-            # With damage held it is the secant that was factored, which tells nothing of stability.
-            secant = damage is not None and damage.softens and damage.bonds.frozen
-            result = replace(result, negative_pivots=None if secant else self._pivots())
+            result = replace(result, negative_pivots=self._pivots())
         else:
-            sought.tangent.forget()
+            sought.forget()
         self.resumed = None
         return sought.at_prescribed(found), result
 
-    def refuse_mechanism(self, u: Float) -> None:
-        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` leaves a mechanism."""
-        sought, ksp = self._equilibrium, self._tangent_solver
-        if self._all_prescribed or ksp is None:
-            return
-        anew = not sought.tangent.holds()
-        if anew:
-            sought.tangent.update(self.state(u))
-        refuse_mechanism(self.problem, sought.tangent, ksp, self._scales.stiffness, self.t)
-        if anew:  # the next step begins as if nobody had looked
-            sought.tangent.forget()
-
     @property
     def _tangent_solver(self) -> PETSc.KSP | None:
-        """Return the linear solver of the tangent, None if options chose another way."""
-        return self.snes.getKSP()
+        return None if self._all_prescribed else self.snes.getKSP()
 
     def growth(self, u: Float) -> float:
         """Return the factor by which a deviation grows from sweep to sweep (``growth_of_deviation``)."""
         ksp = self._tangent_solver
-        if ksp is None or self._all_prescribed:
+        if ksp is None:
             return 0.0
-        return growth_of_deviation(self.problem, self._equilibrium.tangent, ksp, self._scales.stiffness, u, self.t)
+        sought = self._equilibrium
+        found = growth_of_deviation(self.problem, sought.tangent, ksp, self._scales.stiffness, u, self.t)
+        sought.forget()
+        return found
 
     def response(self, u: Float, t: float, force: Float) -> Float | None:
         """Return what the tangent at an equilibrium answers forces with; None where the linear solve fails."""
@@ -186,11 +143,11 @@ class StaticSolver(LoadStepSolver):
         sought.impose(t)
         ksp.setTolerances(rtol=RESPONSE)
         try:
-            sought.tangent.update(self.problem.state(u, t))
+            sought.update(self.problem.state(u, t))
             found, _ = self._linear_step(u, self.problem.state(u, t), self.problem.supports.reduced(force))
         except PETSc.Error:  # the run has ended, and stands without it
             return None
-        return None if ksp.getConvergedReason() < 0 else self.problem.supports.completed(found, np.zeros_like(found))
+        return None if ksp.getConvergedReason() < 0 else self.problem.supports.completed(found)
 
     def _as_before(self, u: Float, t: float) -> int | None:
         """Run SNES from where the step before leads to; return the linear iterations, None where that fails."""
@@ -206,15 +163,8 @@ class StaticSolver(LoadStepSolver):
             return linear
         sought.reason = ""
         sought.norms.clear()
-        sought.tangent.forget()
+        sought.forget()
         return None
-
-    def destroy(self) -> None:
-        """Free the PETSc objects, in order."""
-        self.snes.destroy()
-        self._r.destroy()
-        self._x.destroy()
-        self._equilibrium.destroy()
 
     def _without_solve(self) -> tuple[Float, StepResult]:
         """Return the prescribed displacements, where there are no others: nothing to factor or to iterate."""
@@ -240,30 +190,12 @@ class StaticSolver(LoadStepSolver):
         judged = self._equilibrium.reason != ""
         return not judged and not self._judged(self._x)
 
-    def _judged(self, x: PETSc.Vec) -> bool:
-        """Return whether forces balance at unknowns of PETSc."""
-        return self._equilibrium.judge(self._displacement(x), self._rtol)
-
-    def _pivots(self) -> int | None:
-        """Return the negative pivots of the tangent where it was factored."""
-        ksp = self._tangent_solver
-        return None if ksp is None else negative_pivots(ksp)
-
     def _create(self) -> PETSc.Vec:
         """Return a vector of PETSc for the unknowns."""
         return self._equilibrium.tangent.preconditioner.createVecRight()
 
     def _equip(self) -> None:
-        """Give the linear solver what options alone do not."""
         self._equilibrium.tangent.equip(self.snes.getKSP())
-
-    @property
-    def _rtol(self) -> float:
-        return float(self.snes.getTolerances()[0])
-
-    def _displacement(self, x: PETSc.Vec) -> Float:
-        """Return unknowns of PETSc as a displacement [length]."""
-        return np.asarray(x.array_r * self._scales.length)
 
     def _run(self, start: Float) -> int:
         return self._solve_from(start.ravel() / self._scales.length)
@@ -286,7 +218,7 @@ class StaticSolver(LoadStepSolver):
             return u, 0
         if not sought.tangent.holds():
             self._filled_at = u if self.resumed is None else self.resumed
-            sought.tangent.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
+            sought.update(self.problem.state(self._filled_at, sought.t), effort(self.snes.getKSP()))
         self.resumed = None
         b = -(sought.unbalanced + sought.resisted)
         more, iterations = self._linear_step(u, self.problem.state(u, sought.t), self.problem.supports.reduced(b))
@@ -304,51 +236,7 @@ class StaticSolver(LoadStepSolver):
         ksp.solve(self._r, self._x)
         return self._displacement(self._x).reshape(u.shape), ksp.getIterationNumber()
 
-    def _answer(self, b: Float) -> Float:
-        """Return the displacements (n,) that the tangent, which was solved with last, answers forces ``b`` with."""
-        forces, found = self._r.duplicate(), self._x.duplicate()
-        forces.array = b.ravel() / self._scales.force
-        ksp = self.snes.getKSP()
-        ksp.solve(forces, found)
-        if ksp.getConvergedReason() < 0:
-            found.set(0.0)
-        answer = self._displacement(found)
-        forces.destroy()
-        found.destroy()
-        return answer
-
-    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        residual = self._equilibrium.residual(self._displacement(x))
-        if residual is None:
-            set_domain_error(snes)
-            r.set(np.inf)
-            return
-        r.array = residual.ravel() / self._scales.force
-
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         values = self._displacement(x)
         self._filled_at = self._equilibrium.at_prescribed(values)
         self._equilibrium.assemble(values, effort(snes.getKSP()))
-
-    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0."""
-        here, step = self._displacement(x), self._displacement(y)
-        if not self._equilibrium.resting:
-            step = self._equilibrium.held_in_place(step, here, self._answer, self._rtol)
-            y.array = step / self._scales.length
-        part = self._equilibrium.admissible_part(lambda p: self._equilibrium.at_prescribed(here - p * step))
-        if part < 1.0:
-            y.scale(part)
-
-    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
-        if self.stop():
-            return self._equilibrium.interrupted()
-        values = self._displacement(snes.getSolution())
-        verdict = self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)
-        return self._unless_forced(verdict, snes, iteration)
-
-    @staticmethod
-    def _unless_forced(verdict: int | None, snes: PETSc.SNES, iteration: int) -> int | None:
-        # -snes_force_iteration: no solve is done before its first iteration.
-        forced = iteration == 0 and verdict is not None and verdict > 0 and forces_iteration(snes)
-        return None if forced else verdict

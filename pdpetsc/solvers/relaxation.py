@@ -69,7 +69,8 @@ class RelaxationSolver(LoadStepSolver):
         self._free = ~problem.supports.fixed
         cloud = problem.body.cloud
         whole = float(total(cloud.comm, cloud.volume[: cloud.n_owned].sum()))
-        self._mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])
+        mass = np.concatenate([cloud.volume[: cloud.n_owned], np.full(cloud.n_virtual, whole)])
+        self._mass = problem.supports.lumped_mass(mass)
         self._courant = _courant_step(problem)
         self._largest = 0.0
 
@@ -93,11 +94,19 @@ class RelaxationSolver(LoadStepSolver):
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:
         """Move from ``u`` to rest under the conditions at step time ``t`` (collective)."""
         self.t = t
-        start = np.where(self._free, u, self.problem.supports.prescribed(t))
+        self._prescribed = self.problem.supports.prescribed(t)
+        unknowns, result = self._relax(np.where(self._free, u, self._prescribed))
+        return self._completed(unknowns), result
+
+    def _relax(self, start: Float) -> tuple[Float, StepResult]:
+        """Move from unknowns ``start`` to rest; those that are not independent stay as they are."""
         moved = start.copy()
-        residual, reference = self._residual(moved)
-        if residual is None:
+        forces = self._forces(moved)
+        if forces is None:
             return moved, StepResult(False, "det F <= 0 at the start of the step: the prescribed step is too long")
+        unbalanced, external = forces
+        residual = np.where(self._free, unbalanced, 0.0)
+        reference = self._reference(unbalanced - residual, external)
         velocity = np.zeros_like(moved)
         norms = [self._norm(residual)]
         sums, size = np.zeros(SUMS + 1), norms[0]
@@ -113,12 +122,11 @@ class RelaxationSolver(LoadStepSolver):
                 dt = self._time_step(moved)
             u, moved = moved, np.empty_like(moved)
             sums[SUMS] = advance(residual, self._mass, dt, damping, iteration == 1, u, velocity, moved)
-            state = self.state(moved)
-            force = self.problem.internal_force(state)
-            if force is None:
+            forces = self._forces(moved)
+            if forces is None:
                 return moved, StepResult(False, "det F <= 0 in the motion", norms, reference, iteration)
-            external = self.problem.external_force(state)
-            compare(force, external, self._free, self._mass, velocity, dt, start, moved, residual, sums)
+            unbalanced, external = forces
+            compare(unbalanced, external, self._free, self._mass, velocity, dt, start, moved, residual, sums)
             all_sums = total(self._comm, sums)
             stiff, heavy, reference, reaction, size, dense, moving = (float(one) for one in all_sums)
             reference = math.sqrt(max(reference, reaction))
@@ -141,19 +149,31 @@ class RelaxationSolver(LoadStepSolver):
         norms.append(size)
         return moved, StepResult(False, "too many time steps", norms, reference, self._options.most)
 
-    def _residual(self, u: Float) -> tuple[Float | None, float]:
-        """Return ``f_ext - f_int`` on the free degrees of freedom and the norm of forces and reactions."""
-        state = self.state(u)
+    def _completed(self, unknowns: Float) -> Float:
+        """Return unknowns that satisfy the constraints (n_rows, dim) [length], from the independent ones."""
+        return self.problem.supports.completed(unknowns, self._prescribed)
+
+    def _forces(self, unknowns: Float) -> tuple[Float, Float] | None:
+        """Return unbalanced and external forces (n_rows, dim) [force]; None if they are undefined.
+
+        Unbalanced forces are ``C^T (f_ext - f_int)`` on independent unknowns, and what constraints must balance of
+        ``f_ext - f_int`` on the others.
+        """
+        state = self.state(self._completed(unknowns))
         force = self.problem.internal_force(state)
         if force is None:
-            return None, 0.0
+            return None
         external = self.problem.external_force(state)
-        reaction = np.where(self._free, 0.0, force - external)
+        unbalanced = external - force
+        return np.where(self._free, self.problem.supports.reduced(unbalanced), unbalanced), external
+
+    def _reference(self, reaction: Float, external: Float) -> float:
+        """Return the norm of forces and reactions [force]."""
         unstrained = self.problem.force_without_strain(self.t)
         held = 0.0 if unstrained is None else float((unstrained**2).sum())
         sums = total(self._comm, [(external**2).sum(), (reaction**2).sum(), held])
         size = max(sums[:2]) if not np.isfinite(sums[2]) else max(sums)
-        return np.where(self._free, external - force, 0.0), float(np.sqrt(size))
+        return float(np.sqrt(size))
 
     def _norm(self, values: Float) -> float:
         return float(np.sqrt(total(self._comm, (values**2).sum())))
@@ -164,11 +184,12 @@ class RelaxationSolver(LoadStepSolver):
         gid = np.concatenate([cloud.gid[: cloud.n_owned], cloud.n_global + np.arange(cloud.n_virtual)])
         gid = gid[:, None].astype(float)
         v = np.where(self._free, np.sin(1.0 + 12.9898 * gid + 78.233 * np.arange(cloud.dim)), 0.0)
-        tangent = self.problem.linearised(self.state(u))
+        supports = self.problem.supports
+        tangent = self.problem.linearised(self.state(self._completed(u)))
         square = 0.0
         for _ in range(POWER_ITERATIONS):
             v = v / max(self._norm(v), np.finfo(float).tiny)
-            v = np.where(self._free, tangent(v) / self._mass[:, None], 0.0)
+            v = supports.reduced(tangent(supports.completed(v))) / self._mass[:, None]
             square = self._norm(v)
         # Power iterations approach the largest frequency from below.
         critical = 2.0 / np.sqrt(1.1 * square) if square > 0.0 else np.inf

@@ -20,6 +20,8 @@ IMPLEMENTATIONS: dict[type[DeclaredSolver], type[Solver]] = {
     DynamicRelaxation: RelaxationSolver,
     PathFollowing: PathSolver,
 }
+# The solver that finds the temperature together with the displacement, as one that finds displacements does.
+MONOLITHIC: dict[type[Solver], type[Solver]] = {StaticSolver: MonolithicSolver}
 # Module and class of solvers that are imported on first use.
 SATELLITES: dict[type[DeclaredSolver], tuple[str, str]] = {
     EventDriven: ("pdpetsc.solvers.event_driven.solver", "EventSolver"),
@@ -37,12 +39,12 @@ def solver_of(problem: Problem, declared: DeclaredSolver) -> type[Solver]:
     found = implementation(declared)
     if not problem.coupled:
         return found
-    if found is not StaticSolver:
+    if found not in MONOLITHIC:
         raise CaseError(
             f'HeatConduction with coupling="monolithic" takes Newton, and {declared.title} finds displacements alone; '
             f'take coupling="staggered", which finds the same.'
         )
-    return MonolithicSolver
+    return MONOLITHIC[found]
 
 
 def implementation(declared: DeclaredSolver) -> type[Solver]:
@@ -62,12 +64,7 @@ def implementation(declared: DeclaredSolver) -> type[Solver]:
 
 def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
     """Raise CaseError on all ranks where a problem lacks what a solver declares to need (collective)."""
-    solver = solver_of(problem, declared)
-    solver.refuse(problem)
-    if problem.supports.ties is not None and solver is not StaticSolver:
-        if solver is MonolithicSolver:
-            raise CaseError('Temperature and tied displacements cannot be solved together; use coupling="staggered".')
-        raise CaseError(f"{declared.title} cannot solve for tied displacements; use load steps with Newton.")
+    solver_of(problem, declared).refuse(problem)
     needs = declared.needs
     if needs.piecewise_linear and not problem.piecewise_linear:
         raise CaseError(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import contextlib
+import dataclasses
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 
 from pdpetsc.arrays import Float, Mask
+from pdpetsc.declared import refuse_unknown
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.files import write_whole
 from pdpetsc.output.reading import read_history
 from pdpetsc.studies.reference_curve import Curve, read_curve, read_off, scaled_norm
 from pdpetsc.studies.run_store import Outcome
-from pdpetsc.studies.sets import Set, text_of
-from pdpetsc.studies.study import How, Progress, Runs
+from pdpetsc.studies.sets import Range, text_of
+from pdpetsc.studies.study import Progress, Runs
+from pdpetsc.studies.table import write_columns
 
 # Step of the differences that make the Jacobian, over the range of a parameter [-]: far above what solvers leave of a
 # curve, far below what bends it.
@@ -42,58 +44,6 @@ GOOD, CLOSE = 0.9, 0.01
 # Digits of the parameters that are run: more are below what a curve can tell.
 DIGITS = 12
 FILES = ("fit.json", "fit.csv", "fit.png")
-
-
-@dataclass(frozen=True)
-class Range:
-    """Where a parameter is sought.
-
-    Parameters
-    ----------
-    low, high : float
-        Its ends.
-    start : float, optional
-        Where the search begins, the middle by default.
-    log : bool
-        Seek its logarithm: for what is known to a power of ten only.
-
-    Raises
-    ------
-    CaseError
-        The ends are not finite numbers low < high, the start is not between them, or there is no logarithm.
-    """
-
-    low: float
-    high: float
-    start: float | None = None
-    log: bool = False
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise CaseError(f"A parameter is sought between finite numbers low < high, not {self.low} and {self.high}.")
-        if self.log and self.low <= 0.0:
-            raise CaseError(f"There is no logarithm from {self.low:g} on.")
-        if self.start is not None and not self.low < self.start < self.high:
-            raise CaseError(f"The start {self.start:g} is not between {self.low:g} and {self.high:g}.")
-
-    def at(self, share: float) -> float:
-        """Return the value at a share in [0, 1] of the range."""
-        width = self.high - self.low
-        value = self.low * (self.high / self.low) ** share if self.log else self.low + share * width
-        return float(f"{min(max(value, self.low), self.high):.{DIGITS}g}")
-
-    def slope(self, share: float) -> float:
-        """Return the derivative of the value by the share."""
-        return self.at(share) * math.log(self.high / self.low) if self.log else self.high - self.low
-
-    @property
-    def first(self) -> float:
-        """Return the share at which the search begins."""
-        if self.start is None:
-            return 0.5
-        if self.log:
-            return math.log(self.start / self.low) / math.log(self.high / self.low)
-        return (self.start - self.low) / (self.high - self.low)
 
 
 @dataclass(frozen=True)
@@ -148,11 +98,21 @@ class Fit:
 
 @dataclass(frozen=True)
 class Point:
-    """One evaluated parameter set: the history of its run, or why it has none."""
+    """One evaluated parameter set: the history of its run and its values at the measured places, or why it has none."""
 
     folder: Path
-    history: Mapping[str, Any] | None = None
+    history: Mapping[str, Any] = field(default_factory=dict)
     failure: str = ""
+    values: Float | None = None
+
+    def read_off(self, curve: Curve) -> Point:
+        """Return the point with the values of its history at the places of a curve."""
+        if self.failure:
+            return self
+        try:
+            return dataclasses.replace(self, values=read_off(self.history, curve))
+        except CaseError as error:
+            return dataclasses.replace(self, failure=str(error))
 
 
 Evaluate = Callable[[Sequence[Mapping[str, float]]], "list[Point]"]
@@ -164,44 +124,29 @@ class _Search:
     def __init__(self, evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: int) -> None:
         self._evaluate, self._most = evaluate, most
         self.ranges, self.curve = dict(ranges), curve
-        self._known: dict[tuple[float, ...], tuple[Point, Float | None, str]] = {}
-
-    @property
-    def runs(self) -> int:
-        """Return how many parameter sets have been evaluated."""
-        return len(self._known)
-
-    @property
-    def failed(self) -> int:
-        """Return how many of them have no curve."""
-        return sum(values is None for _, values, _ in self._known.values())
+        self.known: dict[tuple[float, ...], Point] = {}
 
     def values(self, x: Float) -> dict[str, float]:
         """Return the parameters at shares of their ranges."""
-        return {name: one.at(float(share)) for (name, one), share in zip(self.ranges.items(), x, strict=True)}
+        shares = zip(self.ranges.items(), x.tolist(), strict=True)
+        return {name: float(f"{one.at(share):.{DIGITS}g}") for (name, one), share in shares}
 
-    def at(self, places: Sequence[Float]) -> list[tuple[Point, Float | None, str]]:
-        """Return run, curve and why there is none at each place; those that are not known are run side by side."""
+    def at(self, places: Sequence[Float]) -> list[Point]:
+        """Return the point at each place; those that are not known are run side by side."""
         sets = [self.values(x) for x in places]
         keys = [tuple(one.values()) for one in sets]
-        new = {key: one for key, one in zip(keys, sets, strict=True) if key not in self._known}
-        if new and self.runs + len(new) > self._most:
+        new = {key: one for key, one in zip(keys, sets, strict=True) if key not in self.known}
+        if new and len(self.known) + len(new) > self._most:
             raise SolveError(
                 f"The fit has not ended within {self._most} runs; allow more with --runs, which goes on from here."
             )
         for key, point in zip(new, self._evaluate(list(new.values())) if new else [], strict=True):
-            values, why = None, point.failure
-            if point.history is not None:
-                try:
-                    values = read_off(point.history, self.curve)
-                except CaseError as error:
-                    why = str(error)
-            self._known[key] = point, values, why
-        return [self._known[key] for key in keys]
+            self.known[key] = point.read_off(self.curve)
+        return [self.known[key] for key in keys]
 
     def residual(self, x: Float) -> Float:
         """Return the residuals over their scale; without finite numbers where the run has no curve."""
-        _, values, _ = self.at([x])[0]
+        values = self.at([x])[0].values
         if values is None:
             # SciPy takes a shorter step then.
             return np.full(len(self.curve.x), np.nan)
@@ -239,10 +184,9 @@ class _Search:
         least = 0.5 * LEFT**2 / (len(self.curve.x) - len(x))
         for part in 0.5 ** np.arange(0.0, 8.0):
             place = np.clip(x + part * step, 0.0, 1.0)
-            ((_, values, failure),) = self.at([place])
-            if values is None:
-                why = why or failure
-            elif float(np.sum(self.residual(place) ** 2)) < (1.0 - least) * here:
+            why = why or self.at([place])[0].failure
+            # A place without a curve has no sum of squares, which is then not less.
+            if float(np.sum(self.residual(place) ** 2)) < (1.0 - least) * here:
                 return np.asarray(place)
         if why:
             raise SolveError(
@@ -255,9 +199,9 @@ class _Search:
         """Return the parameters in which the neighbours for differences have no curve."""
         sides = [self._moved(x, j, step) for j in range(len(x)) for step in (STEP, -STEP)]
         inside = [(k // 2, side) for k, side in enumerate(sides) if np.all((side >= 0.0) & (side <= 1.0))]
-        found = self.at([side for _, side in inside])
         names = list(self.ranges)
-        return list(dict.fromkeys(names[j] for (j, _), one in zip(inside, found, strict=True) if one[1] is None))
+        found = zip(inside, self.at([side for _, side in inside]), strict=True)
+        return list(dict.fromkeys(names[j] for (j, _), point in found if point.failure))
 
     def jacobian(self, x: Float) -> Float:
         """Return the derivatives of the residuals by the shares (m, n), by differences to one side."""
@@ -268,28 +212,28 @@ class _Search:
         return self._derivatives(x, (x >= STEP) & (x + STEP <= 1.0))
 
     def _derivatives(self, x: Float, central: Mask) -> Float:
-        here = self.at([x])[0][1]
-        assert here is not None
-        n = len(x)
+        here = self.at([x])[0]
         steps = np.where(x + STEP <= 1.0, STEP, -STEP)
-        moved = [self._moved(x, j, steps[j]) for j in range(n)]
-        back = [self._moved(x, j, -steps[j]) for j in range(n)]
-        ahead = self.at(moved)
-        wanted = [j for j in range(n) if ahead[j][1] is None or central[j]]
-        behind = dict(zip(wanted, self.at([back[j] for j in wanted]), strict=True))
-        J = np.empty((len(self.curve.x), n))
+        sides = [[self._moved(x, j, steps[j])] for j in range(len(x))]
+        points = [[point] for point in self.at([side for (side,) in sides])]
+        # The other side of a parameter is run where both are asked for, or the run of the first one failed.
+        back = [j for j, (point,) in enumerate(points) if point.failure or central[j]]
+        for j, point in zip(back, self.at([self._moved(x, j, -steps[j]) for j in back]), strict=True):
+            sides[j].append(self._moved(x, j, -steps[j]))
+            points[j].append(point)
+        J = np.empty((len(self.curve.x), len(x)))
         for j, name in enumerate(self.ranges):
-            found = [(moved[j][j], ahead[j][1]), (back[j][j], behind[j][1] if j in behind else None)]
-            sides = [(place, values) for place, values in found if values is not None]
-            if not sides:
+            shares = [side[j] for side, point in zip(sides[j], points[j], strict=True) if not point.failure]
+            values = [np.asarray(point.values) for point in points[j] if not point.failure]
+            if not shares:
                 raise SolveError(
                     f"Runs on both sides of {name} = {self.values(x)[name]:g} give no curve, so it has no derivative "
-                    f"there: {ahead[j][2]}"
+                    f"there: {points[j][0].failure}"
                 )
-            if len(sides) == 1:
-                sides.append((x[j], here))
-            (a, of_a), (b, of_b) = sides
-            J[:, j] = (of_a - of_b) / (a - b) / self.curve.scale
+            if len(shares) == 1:
+                shares.append(x[j])
+                values.append(np.asarray(here.values))
+            J[:, j] = np.diff(values, axis=0)[0] / np.diff(shares)[0] / self.curve.scale
         return J
 
     @staticmethod
@@ -338,8 +282,7 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
         raise CaseError(f"{m} measured points are too few for {n} parameters: at least {n + 1} are needed.")
     search = _Search(evaluate, ranges, curve, most)
     x = np.array([one.first for one in ranges.values()])
-    point, values, why = search.at([x])[0]
-    if values is None:
+    if why := search.at([x])[0].failure:
         raise SolveError(
             f"The run that the fit starts from, {_words(search.values(x))}, gives no curve: {why.rstrip('.')}; start "
             f"elsewhere with NAME=LOW:START:HIGH."
@@ -356,9 +299,8 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
             raise SolveError(f"The fit has not converged at {_words(search.values(x))}: the curve jumps near there.")
         x = further
         J = _identified(search, x)
-    point, values, _ = search.at([x])[0]
-    assert values is not None
-    r = (values - curve.y) / curve.scale
+    point = search.at([x])[0]
+    values, r = np.asarray(point.values), search.residual(x)
     square = float(r @ r) / (m - n)
     # Where every residual is zero, errors are, and correlations are those that any residual has.
     inverse = np.linalg.inv(J.T @ J)
@@ -367,12 +309,13 @@ def fitted(evaluate: Evaluate, ranges: Mapping[str, Range], curve: Curve, most: 
     slopes = np.array([one.slope(float(share)) for one, share in zip(ranges.values(), x, strict=True)])
     total = float(np.sum((curve.y - curve.y.mean()) ** 2))
     rms = scaled_norm(values - curve.y)
-    between = _between_steps(point.history or {}, curve)
+    failed = sum(bool(one.failure) for one in search.known.values())
+    between = _between_steps(point.history, curve)
     fit = Fit(
         search.values(x), dict(zip(ranges, (deviation * slopes).tolist(), strict=True)),
         inverse / np.outer(spread, spread), values, curve, rms,
         1.0 - float(np.sum((values - curve.y) ** 2)) / total if total > 0.0 else math.nan,
-        square if curve.sigma is not None else None, between, search.runs, search.failed, point.folder,
+        square if curve.sigma is not None else None, between, len(search.known), failed, point.folder,
     )  # fmt: skip
     _refuse_unexplained(fit)
     if near := search.failing(x):
@@ -568,23 +511,23 @@ def fit(
         raise CaseError(f"Parameter {min(both)} has a range and a value.")
     curve = _curve(to, columns, sigma)
     curve = curve if within is None else curve.within(*within)
-    with Runs(path, place, How(ranks, jobs, options, retry, launcher), FILES) as runs:
-        for name in sought:
-            if name not in runs.file.kinds:
-                known = ", ".join(runs.file.kinds) or "none"
-                raise CaseError(f"The case has no parameter {name!r}; it has {known}.")
-            if runs.file.kinds[name] != "float":
-                raise CaseError(
-                    f"Parameter {name} is not a number with a decimal point ({runs.file.kinds[name]}): least squares "
-                    f"cannot vary it."
-                )
-        runs.file.ask([others | {name: text_of(one.at(one.first)) for name, one in sought.items()}])
-        runs.hold()
+    runs = Runs(path, place, FILES, ranks, jobs, options, retry, launcher)
+    refuse_unknown(sought, runs.file.kinds, "The case has no parameter")
+    for name in sought:
+        if runs.file.kinds[name] != "float":
+            raise CaseError(
+                f"Parameter {name} is not a number with a decimal point ({runs.file.kinds[name]}): least squares "
+                f"cannot vary it."
+            )
+    runs.file.plan([others | {name: text_of(float(one.at(one.first))) for name, one in sought.items()}])
 
-        def evaluate(sets: Sequence[Mapping[str, float]]) -> list[Point]:
-            asked: list[Set] = [others | {name: text_of(value) for name, value in one.items()} for one in sets]
-            return [_point(one) for one in runs.outcomes(runs.file.ask(asked), progress)]
+    def evaluate(sets: Sequence[Mapping[str, float]]) -> list[Point]:
+        planned = runs.file.plan([others | {name: text_of(value) for name, value in one.items()} for one in sets])
+        with contextlib.closing(runs.outcomes(planned, progress)) as so_far:
+            *_, outcomes = so_far
+        return [_point(outcome) for outcome in outcomes]
 
+    with runs.in_folder():
         found = fitted(evaluate, sought, curve, most)
         _write(place, found)
     return found
@@ -594,7 +537,7 @@ def _point(outcome: Outcome) -> Point:
     if outcome.changed:
         raise SolveError(f"The fit cannot go on: {outcome.said.rstrip('.')}; the same command begins anew with them.")
     if not outcome.finished:
-        return Point(outcome.folder, None, f"exit status {outcome.exit_status}: {outcome.said}")
+        return Point(outcome.folder, failure=f"exit status {outcome.exit_status}: {outcome.said}")
     return Point(outcome.folder, read_history(outcome.folder))
 
 
@@ -620,12 +563,9 @@ def _curve(to: Any, columns: tuple[str, str], sigma: Any) -> Curve:
 
 def _write(folder: Path, found: Fit) -> None:
     names = list(found.values)
-    text = io.StringIO(newline="")
-    table = csv.writer(text)
-    table.writerow([found.curve.x_name, found.curve.y_name, "fitted", "residual"])
-    for x, y, value in zip(found.curve.x.tolist(), found.curve.y.tolist(), found.fitted.tolist(), strict=True):
-        table.writerow([repr(x), repr(y), repr(value), repr(value - y)])
-    write_whole(folder / "fit.csv", text.getvalue())
+    curve = found.curve
+    columns = {curve.x_name: curve.x, curve.y_name: curve.y, "fitted": found.fitted, "residual": found.fitted - curve.y}
+    write_columns(folder / "fit.csv", {name: column.tolist() for name, column in columns.items()})
     rows = [[_finite(value) for value in row] for row in found.correlation.tolist()]
     correlation = {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
     whole = {

@@ -13,8 +13,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from pdpetsc.bounds import whole_number
 from pdpetsc.errors import CaseError
+from pdpetsc.machine import cores, threads
 
 PACKAGE = Path(__file__).parent.parent
 # What starts ranks, unless the user says otherwise.
@@ -129,19 +129,12 @@ def environment() -> dict[str, str]:
     return found
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def too_many(jobs: int, ranks: int) -> str:
     """Return a warning where runs side by side take more cores than there are; empty otherwise."""
-    text = os.environ.get("OMP_NUM_THREADS", "1")
-    threads = whole_number(text) or 1
-    wanted, there = jobs * ranks * threads, cores()
+    wanted, there = jobs * ranks * threads(), cores()
     if wanted <= there:
         return ""
-    of_threads = f" x {threads} threads" if threads > 1 else ""
+    of_threads = f" x {threads()} threads" if threads() > 1 else ""
     return f"{jobs} jobs x {ranks} ranks{of_threads} want {wanted} cores, and there are {there}: runs slow each other."
 
 

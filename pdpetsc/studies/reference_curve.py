@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.bounds import text_in
 from pdpetsc.errors import CaseError
+from pdpetsc.studies.sets import rows_of
 
 # How far a measured place may lie beyond the history of a run, over the length of that [-]: what adding steps leaves.
 SLACK = 1e-9
@@ -85,8 +84,7 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
     """
     text = text_in(path, "measured curve")
     names, there = zip(*((name, other or name) for name, _, other in (c.partition(":") for c in columns)), strict=True)
-    rows = [row for row in csv.reader(io.StringIO(text, newline="")) if any(word.strip() for word in row)]
-    header = [word.strip() for word in rows[0]] if rows else []
+    header, *rows = rows_of(text) or [[]]
     wanted = [*there, *([sigma] if sigma is not None else [])]
     for name in wanted:
         if header.count(name) != 1:
@@ -94,7 +92,7 @@ def read_curve(path: Path, columns: tuple[str, str], sigma: str | None = None) -
             raise CaseError(f"{path} must have one column {name!r}; it has {have or 'none'}.")
     at = [header.index(name) for name in wanted]
     found = []
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in enumerate(rows, 2):
         try:
             found.append([float(row[k]) for k in at])
         except (ValueError, IndexError):

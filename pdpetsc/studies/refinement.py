@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from pdpetsc.errors import CaseError
 
 # Differences of results below this share of them are of the solvers that found them, not of the size [-], where nobody
@@ -126,14 +128,13 @@ def _against(h: Sequence[float], f: Sequence[float], exact: float, noise: float)
         return {"note": "a result is exact up to what its solver leaves"}
     if min(errors) < 0.0 < max(errors):
         return {"note": "the error changes its sign"}
-    logs = [(math.log(size), math.log(abs(error))) for size, error in zip(h, errors, strict=True)]
-    orders = tuple((b[1] - a[1]) / (b[0] - a[0]) for a, b in itertools.pairwise(logs))
+    logs = np.log(np.array([h, [abs(error) for error in errors]]))
+    steps = np.diff(logs)
+    orders = tuple((steps[1] / steps[0]).tolist())
     if min(orders) <= 0.0:
         return {"orders": orders, "note": "the error does not fall with the size"}
     # Only the sizes that are judged below: larger ones are not small enough, or not known to be.
-    last = logs[-3:]
-    x, y = (sum(column) / len(last) for column in zip(*last, strict=True))
-    slope = sum((a - x) * (b - y) for a, b in last) / sum((a - x) ** 2 for a, _ in last)
+    slope = float(np.polyfit(logs[0, -3:], logs[1, -3:], 1)[0])
     if len(orders) == 1:
         note = "two sizes cannot tell whether they are small enough"
     elif _apart(orders[-2], orders[-1]):

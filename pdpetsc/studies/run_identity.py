@@ -15,7 +15,7 @@ from typing import Any
 
 from pdpetsc.command_line.start import files_of_options
 from pdpetsc.errors import CaseError
-from pdpetsc.studies.input_files import contents
+from pdpetsc.machine import digest_of
 from pdpetsc.studies.jobs import PACKAGE, environment
 
 # Rooms of the package that no number of a run depends on.
@@ -23,8 +23,8 @@ BESIDE = ("studies", "command_line")
 
 
 @dataclass(frozen=True)
-class Question:
-    """One run that is asked for.
+class PlannedRun:
+    """A run of a parameter set, and what identifies it.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Question:
 
 @dataclass(frozen=True)
 class CaseFile:
-    """A case file that another process reads anew for each question.
+    """A case file that another process reads anew for each list of parameter sets.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class CaseFile:
         kinds: dict[str, str] = self._answers([])[0]["kinds"]
         return kinds
 
-    def ask(self, sets: Iterable[Mapping[str, str]]) -> list[Question]:
+    def plan(self, sets: Iterable[Mapping[str, str]]) -> list[PlannedRun]:
         """Return the runs of some parameter sets, each once: 1 and 1.0 are one number.
 
         Raises
@@ -90,7 +90,7 @@ class CaseFile:
         answers: list[dict[str, Any]] = []
         while len(answers) < len(asked):
             answers += self._answers(asked[len(answers) :])[1:]
-        questions: dict[str, Question] = {}
+        planned: dict[str, PlannedRun] = {}
         for parameters, answer in zip(asked, answers, strict=True):
             if "wrong" in answer:
                 raise CaseError(answer["wrong"])
@@ -98,9 +98,9 @@ class CaseFile:
             identity = answer.get("identity", {})
             if identity:
                 identity = {**identity, **common, "files": identity["files"] | of_options}
-            question = Question(given, identity, answer.get("refused", ""), answer.get("expected", {}))
-            questions.setdefault(json.dumps(sorted(given.items())), question)
-        return list(questions.values())
+            run = PlannedRun(given, identity, answer.get("refused", ""), answer.get("expected", {}))
+            planned.setdefault(json.dumps(sorted(given.items())), run)
+        return list(planned.values())
 
     def _answers(self, sets: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
         """Return the description of the case and an answer for each set up to one that ends the process."""
@@ -128,3 +128,18 @@ def own_sources() -> str:
         if relative.parts[0] not in BESIDE:
             digest.update(f"{relative}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:24]
+
+
+def content(path: str | Path) -> str:
+    """Return the fingerprint of a file; empty for a file that cannot be read."""
+    return (digest_of(path) or "")[:24]
+
+
+def contents(paths: Iterable[str | Path], folder: Path) -> dict[str, str]:
+    """Return the fingerprints of files by their names relative to a folder."""
+    return {os.path.relpath(path, folder): content(path) for path in paths}
+
+
+def differing(fingerprints: Mapping[str, str], folder: Path) -> list[str]:
+    """Return the names of files relative to a folder whose content is not that of their fingerprints."""
+    return [name for name, fingerprint in fingerprints.items() if content(folder / name) != fingerprint]

@@ -8,12 +8,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from pdpetsc.declared import Declared, Finite
 from pdpetsc.errors import CaseError
 from pdpetsc.output.files import write_whole
-from pdpetsc.studies.input_files import contents, differing
 from pdpetsc.studies.refinement import NOISE
+from pdpetsc.studies.run_identity import contents, differing
 
 # Marks a folder that a study has made: nothing is written to another one that is not empty.
 MARK = ".pdpetsc-study"
@@ -23,12 +24,14 @@ RECORD = "outcome.json"
 LOG = "log.txt"
 # Files of a run that its record is true of.
 KEPT = ("summary.json", "history.csv")
+# What the record has of an outcome, beside the identity of the run and its files.
+RECORDED = ("parameters", "status", "exit_status", "said", "results", "seconds", "memory", "unstable", "noise")
 # A name longer than this is cut, and made unique by a fingerprint.
 LONGEST = 80
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Outcome(Declared):
     """How one run ended.
 
     Attributes
@@ -59,10 +62,10 @@ class Outcome:
 
     parameters: Mapping[str, str]
     folder: Path
-    status: str
+    status: Literal["finished", "failed"]
     exit_status: int = 0
     said: str = ""
-    results: Mapping[str, float] = field(default_factory=dict)
+    results: Mapping[str, Finite] = field(default_factory=dict)
     seconds: float = 0.0
     memory: float = 0.0
     unstable: int = 0
@@ -127,12 +130,8 @@ def take(folder: Path, writes: tuple[str, ...] = ()) -> None:
 
 def keep(outcome: Outcome, identity: Mapping[str, Any]) -> None:
     """Write how a run ended into its folder; raises OutputError."""
-    record = {
-        "identity": dict(identity), "parameters": dict(outcome.parameters), "status": outcome.status,
-        "exit_status": outcome.exit_status, "said": outcome.said, "results": dict(outcome.results),
-        "seconds": outcome.seconds, "memory": outcome.memory, "unstable": outcome.unstable, "noise": outcome.noise,
-        "files": contents([outcome.folder / name for name in KEPT], outcome.folder),
-    }  # fmt: skip
+    record = {name: getattr(outcome, name) for name in RECORDED}
+    record |= {"identity": identity, "files": contents([outcome.folder / name for name in KEPT], outcome.folder)}
     write_whole(outcome.folder / RECORD, json.dumps(record, indent=1) + "\n")
 
 
@@ -140,11 +139,7 @@ def kept(folder: Path, identity: Mapping[str, Any]) -> tuple[Outcome | None, str
     """Return the outcome of an earlier run with the same identity, or None and what differs."""
     try:
         record = json.loads((folder / RECORD).read_text())
-        outcome = Outcome(
-            dict(record["parameters"]), folder, str(record["status"]), int(record["exit_status"]), str(record["said"]),
-            {str(name): float(value) for name, value in record["results"].items()}, float(record["seconds"]),
-            float(record["memory"]), int(record["unstable"]), float(record["noise"]),
-        )  # fmt: skip
+        outcome = Outcome(folder=folder, **{name: record[name] for name in RECORDED})
         before, own = dict(record["identity"]), dict(record["files"])
         inputs_before = dict(before["files"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -4,29 +4,140 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import difflib
+import dataclasses
 import importlib
 import io
 import itertools
 import json
 import math
-import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from pdpetsc.bounds import MOST_SETS, refuse_deep, text_in
-from pdpetsc.declared import shown
+from pdpetsc.declared import Count, Declared, Finite, Natural, fits, refuse_unknown, shown
 from pdpetsc.errors import CaseError
 
 Set: TypeAlias = dict[str, str]
 
-# What a file of parameter sets may hold, and what a table of samples in it may.
-TABLES = ("sets", "grids", "samples")
-OF_SAMPLES = ("method", "n", "seed", "ranges")
-METHODS = ("latin_hypercube", "sobol")
-SCALES = ("linear", "log", "integer")
-_LARGEST = sys.float_info.max
+T = TypeVar("T", bound=Declared)
+
+
+@dataclass(frozen=True)
+class Range(Declared):
+    """Numbers between two ends.
+
+    Parameters
+    ----------
+    low, high : float
+        The ends.
+    start : float, optional
+        Where a search begins, the middle by default.
+    scale : {"linear", "log", "integer"}
+        What is even along the range: the number, its logarithm, or the whole numbers.
+
+    Raises
+    ------
+    CaseError
+        The ends are not finite numbers low < high, the start is not between them, or the scale does not fit them.
+    """
+
+    low: Finite
+    high: Finite
+    start: Finite | None = None
+    scale: Literal["linear", "log", "integer"] = "linear"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.low < self.high and math.isfinite(self.high - self.low)):
+            raise CaseError(f"A range needs numbers low < high, not {self.low} and {self.high}.")
+        if self.scale == "log" and self.low <= 0.0:
+            raise CaseError(f"A range has no logarithm from {self.low:g} on.")
+        if self.scale == "integer" and not (float(self.low).is_integer() and float(self.high).is_integer()):
+            raise CaseError(f"A range of whole numbers does not go from {self.low:g} to {self.high:g}.")
+        if self.start is not None and not self.low < self.start < self.high:
+            raise CaseError(f"The start {self.start:g} is not between {self.low:g} and {self.high:g}.")
+
+    def at(self, share: float) -> float:
+        """Return the number at a share in [0, 1] of the range; a share below 1 for whole numbers."""
+        if self.scale == "integer":
+            return int(self.low) + int(share * (self.high - self.low + 1))
+        if self.scale == "log":
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + share * (self.high - self.low))
+
+    def slope(self, share: float) -> float:
+        """Return the derivative of the number by the share."""
+        return self.at(share) * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
+
+    @property
+    def first(self) -> float:
+        """Return the share at which a search begins."""
+        if self.start is None:
+            return 0.5
+        if self.scale == "log":
+            return math.log(self.start / self.low) / math.log(self.high / self.low)
+        return (self.start - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Samples(Declared):
+    """Points that fill ranges evenly: those of a Latin hypercube or of Sobol's sequence.
+
+    Parameters
+    ----------
+    method : {"latin_hypercube", "sobol"}
+        How they are drawn.
+    n : int
+        Their number, a power of two for Sobol's.
+    ranges : mapping of str to table
+        A ``Range``, or its two ends, for each parameter.
+    seed : int
+        Points with the same seed are the same.
+    """
+
+    method: Literal["latin_hypercube", "sobol"]
+    n: Count
+    ranges: Mapping[str, Any]
+    seed: Natural = 0
+
+    def sets(self) -> list[Set]:
+        """Return the parameter sets."""
+        from scipy.stats import qmc
+
+        _refuse_many(self.n)
+        if self.method == "sobol" and self.n & (self.n - 1):
+            raise CaseError(f"Sobol's points fill their ranges evenly where n is a power of two, not {self.n}.")
+        ranges = {name: _range(name, one) for name, one in self.ranges.items()}
+        if not ranges:
+            raise CaseError("samples need ranges: a table of low and high for each parameter.")
+        engine = qmc.LatinHypercube if self.method == "latin_hypercube" else qmc.Sobol
+        points = engine(len(ranges), seed=self.seed).random(self.n).tolist()
+        return [
+            {name: text_of(one.at(share)) for (name, one), share in zip(ranges.items(), point, strict=True)}
+            for point in points
+        ]
+
+
+def _range(name: str, table: Any) -> Range:
+    table = {"low": table[0], "high": table[1]} if fits(table, tuple[Any, Any]) else table
+    return _made(Range, table, f"range of {name}")
+
+
+def _made(kind: type[T], table: Any, what: str) -> T:
+    """Return an object from a table of its fields."""
+    fields = {one.name: one for one in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    if not fits(table, Mapping[str, Any]):
+        raise CaseError(f"{what} must be a table of {', '.join(fields)}, not {shown(table)}.")
+    refuse_unknown(table, fields, f"{what} has no")
+    missing = [name for name, one in fields.items() if one.default is dataclasses.MISSING and name not in table]
+    if missing:
+        raise CaseError(f"{what} need {', '.join(missing)}.")
+    try:
+        return kind(**table)
+    except CaseError as error:
+        raise CaseError(f"{what}: {error}") from None
 
 
 def text_of(value: Any) -> str:
@@ -121,21 +232,20 @@ def read_sets(path: Path) -> list[Set]:
     return found
 
 
+def rows_of(text: str) -> list[list[str]]:
+    """Return the rows of a CSV without empty ones, and their words without spaces around them."""
+    rows = ([word.strip() for word in row] for row in csv.reader(io.StringIO(text, newline="")))
+    return [row for row in rows if any(row)]
+
+
 def _from_csv(text: str) -> list[Set]:
-    rows = list(csv.reader(io.StringIO(text, newline="")))
-    if not rows:
-        return []
-    header = [name.strip() for name in rows[0]]
+    header, *rows = rows_of(text) or [[]]
     if len(set(header)) < len(header) or not all(name.isidentifier() for name in header):
         raise CaseError("its first line must be the names of parameters, each once.")
-    found = []
-    for number, row in enumerate(rows[1:], 2):
-        if not any(word.strip() for word in row):
-            continue
-        if len(row) != len(header) or not all(word.strip() for word in row):
-            raise CaseError(f"line {number} must have {len(header)} values, one for each name.")
-        found.append({name: word.strip() for name, word in zip(header, row, strict=True)})
-    return found
+    for number, row in enumerate(rows, 2):
+        if len(row) != len(header) or not all(row):
+            raise CaseError(f"row {number} must have {len(header)} values, one for each name.")
+    return [dict(zip(header, row, strict=True)) for row in rows]
 
 
 def _refuse_many(count: int) -> None:
@@ -158,84 +268,34 @@ def _from_toml(text: str) -> list[Set]:
 
 
 def _from_tables(tables: Any) -> list[Set]:
-    if not isinstance(tables, Mapping):
+    if not fits(tables, Mapping[str, Any]):
         raise CaseError("it must be a list of parameter sets, or have sets, grids or samples.")
-    _refuse_unknown(tables, TABLES, "a table")
+    refuse_unknown(tables, _OF_TABLE, "it has no table")
     found: list[Set] = []
-    for one in _tables(tables, "sets"):
-        found.append({name: _single(name, value) for name, value in one.items()})
-    for one in _tables(tables, "grids"):
-        found += grid({n: v if isinstance(v, list) else [v] for n, v in one.items()})
-        _refuse_many(len(found))
-    for one in _tables(tables, "samples"):
-        found += _sampled(one)
-        _refuse_many(len(found))
+    for kind, sets_of in _OF_TABLE.items():
+        several = tables.get(kind, [])
+        several = several if fits(several, Sequence[Any]) else [several]
+        if not fits(several, Sequence[Mapping[str, Any]]):
+            raise CaseError(f"{kind} must be tables of parameters by name.")
+        for one in several:
+            found += sets_of(one)
+            _refuse_many(len(found))
     return found
 
 
-def _tables(tables: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
-    found = tables.get(name, [])
-    found = [found] if isinstance(found, Mapping) else found
-    if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
-        raise CaseError(f"{name} must be tables of parameters by name.")
-    return found
+def _set(table: Mapping[str, Any]) -> list[Set]:
+    for name, value in table.items():
+        if not fits(value, bool | float | str):
+            raise CaseError(f"parameter {name} of a set takes one value, not {value!r}; values to combine go to grids.")
+    return [{name: text_of(value) for name, value in table.items()}]
 
 
-def _single(name: str, value: Any) -> str:
-    if isinstance(value, list | Mapping) or value is None:
-        raise CaseError(f"parameter {name} of a set takes one value, not {value!r}; values to combine go to grids.")
-    return text_of(value)
+def _grid(table: Mapping[str, Any]) -> list[Set]:
+    return grid({name: values if fits(values, Sequence[Any]) else [values] for name, values in table.items()})
 
 
-def _refuse_unknown(found: Iterable[str], known: Sequence[str], kind: str) -> None:
-    for name in found:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}."
-            raise CaseError(f"{name!r} is not {kind} of it; {hint}")
+def _samples(table: Mapping[str, Any]) -> list[Set]:
+    return _made(Samples, table, "samples").sets()
 
 
-def _sampled(table: Mapping[str, Any]) -> list[Set]:
-    """Return samples of ranges, the same ones whenever they are asked for."""
-    from scipy.stats import qmc
-
-    _refuse_unknown(table, OF_SAMPLES, "a word of samples")
-    method, n, seed, ranges = (table.get(name, 0 if name == "seed" else None) for name in OF_SAMPLES)
-    if method not in METHODS:
-        raise CaseError(f"the method of samples is {' or '.join(METHODS)}, not {method!r}.")
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise CaseError(f"n of samples is a positive whole number, not {shown(n)}.")
-    _refuse_many(n)
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise CaseError(f"the seed of samples is a whole number >= 0, not {shown(seed)}.")
-    if method == "sobol" and n & (n - 1):
-        raise CaseError(f"Sobol's points fill their ranges evenly where n is a power of two, not {n}.")
-    if not isinstance(ranges, Mapping) or not ranges:
-        raise CaseError("samples need ranges: a table of low and high for each parameter.")
-    engine = (qmc.LatinHypercube if method == "latin_hypercube" else qmc.Sobol)(len(ranges), seed=seed)
-    points = engine.random(n)
-    columns = {name: _of_range(name, one, points[:, k].tolist()) for k, (name, one) in enumerate(ranges.items())}
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
-
-
-def _of_range(name: str, table: Any, shares: Sequence[float]) -> list[str]:
-    """Return the values at shares in [0, 1) of a range."""
-    table = dict(zip(("low", "high"), table, strict=False)) if isinstance(table, list) and len(table) == 2 else table
-    if not isinstance(table, Mapping):
-        raise CaseError(f"the range of {name} has low and high, not {table!r}.")
-    _refuse_unknown(table, ("low", "high", "scale"), f"a word of the range of {name}")
-    low, high, scale = table.get("low"), table.get("high"), table.get("scale", "linear")
-    numbers = [v for v in (low, high) if isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST]
-    if len(numbers) < 2 or not numbers[0] < numbers[1] or not math.isfinite(numbers[1] - numbers[0]):
-        raise CaseError(f"the range of {name} needs numbers low < high, not {shown(low)} and {shown(high)}.")
-    if scale not in SCALES:
-        raise CaseError(f"the scale of {name} is {', '.join(SCALES)}, not {scale!r}.")
-    if scale == "log":
-        if numbers[0] <= 0.0:
-            raise CaseError(f"the range of {name} has no logarithm from {low!r} on.")
-        return [text_of(float(numbers[0] * (numbers[1] / numbers[0]) ** share)) for share in shares]
-    if scale == "integer":
-        if not all(float(number).is_integer() for number in numbers):
-            raise CaseError(f"the range of {name} goes from one whole number to another, not {low!r} to {high!r}.")
-        return [str(int(numbers[0]) + int(share * (numbers[1] - numbers[0] + 1))) for share in shares]
-    return [text_of(float(numbers[0] + share * (numbers[1] - numbers[0]))) for share in shares]
+_OF_TABLE = {"sets": _set, "grids": _grid, "samples": _samples}

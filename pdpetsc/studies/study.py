@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pdpetsc.declared import Count, Declared, Finite, fits, refuse_unknown
 from pdpetsc.discrete.communicator import alone
 from pdpetsc.errors import CaseError, SolveError
 from pdpetsc.output.folder import holder_of, holding, set_aside
-from pdpetsc.running.comparison import working_seconds
+from pdpetsc.output.reading import read_summary
+from pdpetsc.running.comparison import mebibytes, working_seconds
 from pdpetsc.running.signals import held
 from pdpetsc.studies import table
-from pdpetsc.studies.input_files import differing
 from pdpetsc.studies.jobs import LOOK, Job, command, end_all, launched
 from pdpetsc.studies.refinement import NOISE, Convergence, converging
-from pdpetsc.studies.run_identity import CaseFile, Question
-from pdpetsc.studies.run_store import LOG, RECORD, Outcome, folder_of, keep, kept, named, take
-from pdpetsc.studies.sets import Set, grid, text_of
+from pdpetsc.studies.run_identity import CaseFile, PlannedRun, differing
+from pdpetsc.studies.run_store import LOG, RECORD, Outcome, folder_of, keep, kept, take
+from pdpetsc.studies.sets import grid, text_of
 
 # How long a run that an earlier study left behind may take to end [s].
 PATIENCE = 60.0
@@ -34,47 +36,16 @@ AMPLIFIED, LEAST_NOISE = 100.0, 1e-8
 LAUNCHED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK")
 
 
-@dataclass(frozen=True)
-class How:
-    """How the runs of a study are run.
-
-    Attributes
-    ----------
-    ranks : int
-        Of each run.
-    jobs : int
-        Runs side by side.
-    options : sequence of str
-        Words for the command line of every run: PETSc's options, ``--solver NAME``.
-    retry : bool
-        Run again what has failed.
-    launcher : str, optional
-        What starts ranks, ``mpirun -n {ranks}`` by default.
-    """
-
-    ranks: int = 1
-    jobs: int = 1
-    options: Sequence[str] = ()
-    retry: bool = False
-    launcher: str | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("ranks", "jobs"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise CaseError(f"The number of {name} is a positive whole number, not {value!r}.")
-
-
 class Progress:
     """Is told how a study goes on; this one keeps it to itself."""
 
     def asked(self, count: int) -> None:
         """Take how many runs there are."""
 
-    def again(self, question: Question, why: str) -> None:
+    def again(self, run: PlannedRun, why: str) -> None:
         """Take that a run is run again though there is one."""
 
-    def started(self, question: Question) -> None:
+    def started(self, run: PlannedRun) -> None:
         """Take that a run has been started."""
 
     def kept(self, outcome: Outcome) -> None:
@@ -84,8 +55,9 @@ class Progress:
         """Take how a run ended in this study."""
 
 
-class Runs:
-    """The runs of a case in one folder, which no other study is in meanwhile; a context manager.
+@dataclass(frozen=True)
+class Runs(Declared):
+    """The runs of a case in one folder.
 
     Parameters
     ----------
@@ -93,40 +65,74 @@ class Runs:
         The case file.
     folder : Path
         Of the study.
-    how : How
-        How they are run.
     writes : tuple of str
         Names of the files that the study writes into the folder beside those of its runs.
+    ranks, jobs : int
+        Ranks of each run, and runs side by side.
+    options : sequence of str
+        Words for the command line of every run: PETSc's options, ``--solver NAME``.
+    retry : bool
+        Run again what has failed.
+    launcher : str, optional
+        What starts ranks, ``mpirun -n {ranks}`` by default.
 
     Raises
     ------
     CaseError
-        The case file cannot be read, or the folder is another study's, holds other files under these names, or cannot
-        be written to.
+        A number is not positive, the launcher does not say where the number of ranks goes, or MPI has started this
+        process.
     """
 
-    def __init__(self, case: Path, folder: Path, how: How, writes: tuple[str, ...]) -> None:
-        self.case, self.folder, self.how, self._writes = Path(case), Path(folder), how, writes
-        self.file = CaseFile(self.case, how.options, how.ranks)
-        self._stack = contextlib.ExitStack()
+    case: Path
+    folder: Path
+    writes: tuple[str, ...]
+    ranks: Count = 1
+    jobs: Count = 1
+    options: Sequence[str] = ()
+    retry: bool = False
+    launcher: str | None = None
 
-    def __enter__(self) -> Runs:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if any(name in os.environ for name in LAUNCHED):
             raise CaseError("A study starts its runs itself: call it without mpirun and give --ranks N.")
-        launched((), self.how.ranks, self.how.launcher)
-        return self
+        launched((), self.ranks, self.launcher)
 
-    def hold(self) -> None:
-        """Take the folder; until then nothing is written."""
-        _refuse_symlink(self.folder)
-        self._stack.enter_context(holding(alone(), self.folder))
-        take(self.folder, self._writes)
+    @functools.cached_property
+    def file(self) -> CaseFile:
+        """Return the case file with the options and ranks of the runs."""
+        return CaseFile(self.case, self.options, self.ranks)
 
-    def __exit__(self, *error: Any) -> None:
-        self._stack.close()
+    @contextlib.contextmanager
+    def in_folder(self) -> Iterator[None]:
+        """Keep the folder for this study while the body runs; nothing is written before.
 
-    def outcomes(self, questions: Sequence[Question], progress: Progress | None = None) -> list[Outcome]:
-        """Return how the runs ended, in the order of the questions; run those that are not finished.
+        Raises
+        ------
+        CaseError
+            The folder is another study's, holds other files under names of this one, or cannot be written to.
+        """
+        with holding(alone(), self.folder):
+            take(self.folder, self.writes)
+            yield
+
+    def outcomes(
+        self, planned: Sequence[PlannedRun], progress: Progress | None = None
+    ) -> Generator[list[Outcome], None, None]:
+        """Carry out the runs that have not finished earlier; close the iterator to end those that go on.
+
+        Parameters
+        ----------
+        planned : sequence of PlannedRun
+            The runs, at least one.
+        progress : Progress, optional
+            Is told of every run.
+
+        Yields
+        ------
+        list of Outcome
+            How the runs that have ended so far ended, in the order of the planned runs: first the earlier ones, then
+            whenever a run has ended. The last list is complete.
 
         Raises
         ------
@@ -136,104 +142,103 @@ class Runs:
             How a run ended cannot be written.
         """
         tell = progress or Progress()
-        for question in questions:
-            if not question.refused:
-                take(folder_of(self.folder, question.parameters))
-        found: dict[int, Outcome] = {}
+        ended: dict[int, Outcome] = {}
         waiting: list[int] = []
-        tell.asked(len(questions))
-        for number, question in enumerate(questions):
-            folder = folder_of(self.folder, question.parameters)
-            if question.refused:
-                found[number] = Outcome(question.parameters, folder, "failed", CaseError.exit_status, question.refused)
-                continue
-            there, why = kept(folder, question.identity)
-            if there is not None and (there.finished or not self.how.retry):
-                found[number] = dataclasses.replace(there, parameters=question.parameters)
-                continue
-            if why:
-                tell.again(question, why)
-            waiting.append(number)
-        for number, outcome in found.items():
-            (tell.ended if questions[number].refused else tell.kept)(outcome)
+        for run in planned:
+            if not run.refused:
+                take(self._folder(run))
+        tell.asked(len(planned))
+        for number, run in enumerate(planned):
+            earlier, why = (None, "") if run.refused else kept(self._folder(run), run.identity)
+            if run.refused:
+                ended[number] = self._failed(run, CaseError.exit_status, run.refused)
+                tell.ended(ended[number])
+            elif earlier is not None and (earlier.finished or not self.retry):
+                ended[number] = dataclasses.replace(earlier, parameters=run.parameters)
+                tell.kept(ended[number])
+            else:
+                waiting.append(number)
+                if why:
+                    tell.again(run, why)
         running: dict[int, Job] = {}
         try:
-            for number, outcome in self._ended(questions, waiting, running, tell):
-                found[number] = outcome
-                tell.ended(outcome)
+            yield [ended[number] for number in sorted(ended)]
+            while waiting or running:
+                for number, outcome in self._next(planned, waiting, running, tell):
+                    ended[number] = outcome
+                    tell.ended(outcome)
+                    yield [ended[number] for number in sorted(ended)]
+                time.sleep(LOOK)
         except BaseException:
             end_all(list(running.values()))
             raise
-        return [found[number] for number in range(len(questions))]
 
-    def _ended(
-        self, questions: Sequence[Question], waiting: list[int], running: dict[int, Job], tell: Progress
+    def _next(
+        self, planned: Sequence[PlannedRun], waiting: list[int], running: dict[int, Job], tell: Progress
     ) -> Iterator[tuple[int, Outcome]]:
-        """Yield runs as they end."""
-        while waiting or running:
-            while waiting and len(running) < self.how.jobs:
-                number = waiting.pop(0)
-                if changed := differing(questions[number].files, self.case.parent):
-                    folder = folder_of(self.folder, questions[number].parameters)
-                    yield number, _of_changed(Outcome(questions[number].parameters, folder, "failed"), changed)
-                    continue
-                line, log = self._prepared(questions[number])
-                with held():
-                    running[number] = Job(line, log)
-                tell.started(questions[number])
-            for number, job in list(running.items()):
-                if (status := job.ended) is not None:
-                    outcome = self._judged(questions[number], job, status)
-                    del running[number]
-                    yield number, outcome
-            time.sleep(LOOK)
+        """Start runs that wait, and yield the number and outcome of those that have ended."""
+        while waiting and len(running) < self.jobs:
+            number = waiting.pop(0)
+            run = planned[number]
+            if changed := differing(run.files, self.case.parent):
+                yield number, self._changed(run, changed)
+                continue
+            line, log = self._prepared(run)
+            with held():
+                running[number] = Job(line, log)
+            tell.started(run)
+        for number, job in list(running.items()):
+            if (status := job.ended) is not None:
+                outcome = self._judged(planned[number], job, status)
+                del running[number]
+                yield number, outcome
 
-    def _prepared(self, question: Question) -> tuple[list[str], Path]:
+    def _folder(self, run: PlannedRun) -> Path:
+        return folder_of(self.folder, run.parameters)
+
+    def _failed(self, run: PlannedRun, exit_status: int, said: str) -> Outcome:
+        return Outcome(run.parameters, self._folder(run), "failed", exit_status, said)
+
+    def _changed(self, run: PlannedRun, names: Sequence[str], exit_status: int = 0) -> Outcome:
+        """Return the outcome of a run whose input files are not those it was planned with; it is not kept."""
+        said = f"the case or its files changed while the study ran: {', '.join(names)}."
+        failed = self._failed(run, exit_status or SolveError.exit_status, said)
+        return dataclasses.replace(failed, changed=True)
+
+    def _prepared(self, run: PlannedRun) -> tuple[list[str], Path]:
         """Make the folder of a run ready; return its command and where its output goes."""
-        folder = folder_of(self.folder, question.parameters)
+        folder = self._folder(run)
         _wait_for_others(folder)
         # Nothing of an earlier run is left to be taken for what this one gives.
         (folder / RECORD).unlink(missing_ok=True)
         set_aside(alone(), folder)
-        given = [f"{name}={value}" for name, value in question.parameters.items()]
-        line = command(self.case, given, folder, self.how.options)
-        return launched(line, self.how.ranks, self.how.launcher), folder / LOG
+        given = [f"{name}={value}" for name, value in run.parameters.items()]
+        return launched(command(self.case, given, folder, self.options), self.ranks, self.launcher), folder / LOG
 
-    def _judged(self, question: Question, job: Job, status: int) -> Outcome:
+    def _judged(self, run: PlannedRun, job: Job, status: int) -> Outcome:
         """Return how a run ended, by its exit status and its own summary, and keep that."""
-        folder = folder_of(self.folder, question.parameters)
-        summary = _summary(folder)
-        finished = status == 0 and summary.get("status") == "converged" and _is_asked(summary, question)
-        results = summary.get("results") if finished else {}
-        if finished and not _are_numbers(results):
-            finished, results = False, {}
-        steps = summary.get("steps")
+        if changed := differing(run.files, self.case.parent):
+            return self._changed(run, changed, status)
+        folder = self._folder(run)
+        try:
+            summary = read_summary(folder)
+        except CaseError:
+            summary = {}
+        results = summary.get("results") or {}
+        # A summary of other parameters is not of this run.
+        own = run.parameters.keys() <= (summary.get("parameters") or {}).keys()
+        finished = status == 0 and summary.get("status") == "converged" and own and fits(results, Mapping[str, Finite])
         outcome = Outcome(
-            question.parameters, folder, "finished" if finished else "failed", status,
+            run.parameters, folder, "finished" if finished else "failed", status,
             "" if finished else job.said if status else f"exit status 0 without a finished run: {job.said}",
-            {name: float(value) for name, value in (results or {}).items()}, working_seconds(summary),
-            sum(summary.get("peak_memory_bytes") or []) / 2**20,
-            sum(bool(step.get("negative_pivots")) for step in steps) if isinstance(steps, list) else 0,
-            _noise(summary),
+            {name: float(value) for name, value in results.items()} if finished else {},
+            working_seconds(summary), mebibytes(summary),
+            sum(bool(step.get("negative_pivots")) for step in summary.get("steps") or []), _noise(summary),
         )  # fmt: skip
-        if changed := differing(question.files, self.case.parent):
-            return _of_changed(outcome, changed)
         # A run that somebody has stopped has not failed: it is to be run.
         if summary.get("error") != "Interrupted":
-            keep(outcome, question.identity)
+            keep(outcome, run.identity)
         return outcome
-
-
-def _of_changed(outcome: Outcome, names: Sequence[str]) -> Outcome:
-    """Return a failed run, which is not kept: its input files are not those of the question."""
-    said = f"the case or its files changed while the study ran: {', '.join(names)}."
-    exit_status = outcome.exit_status or SolveError.exit_status
-    return dataclasses.replace(outcome, status="failed", said=said, results={}, exit_status=exit_status, changed=True)
-
-
-def _refuse_symlink(folder: Path) -> None:
-    if folder.is_symlink() and not folder.is_dir():
-        raise CaseError(f"{folder} is not a folder; give another one with -o.")
 
 
 def _wait_for_others(folder: Path) -> None:
@@ -245,35 +250,15 @@ def _wait_for_others(folder: Path) -> None:
         time.sleep(0.1)
 
 
-def _summary(folder: Path) -> dict[str, Any]:
-    try:
-        found = json.loads((folder / "summary.json").read_text())
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
 def _noise(summary: Mapping[str, Any]) -> float:
     """Return the share of a result that the solver of a run leaves open: its tolerance, and what makes of that more."""
+    if not str(summary.get("solver")).startswith("snes"):
+        return NOISE
     try:
-        if not str(summary["solver"]).startswith("snes"):
-            return NOISE
         tolerance = float(summary["options"]["snes_rtol"]["value"])
     except (KeyError, TypeError, ValueError):
         return NOISE
     return max(LEAST_NOISE, AMPLIFIED * tolerance) if math.isfinite(tolerance) else NOISE
-
-
-def _is_asked(summary: Mapping[str, Any], question: Question) -> bool:
-    """Return whether a summary is of a run with these parameters."""
-    of_run = summary.get("parameters")
-    return isinstance(of_run, Mapping) and question.parameters.keys() <= of_run.keys()
-
-
-def _are_numbers(results: Any) -> bool:
-    return isinstance(results, Mapping) and all(
-        isinstance(value, int | float) and math.isfinite(value) for value in results.values()
-    )
 
 
 @dataclass(frozen=True)
@@ -339,8 +324,7 @@ class Refinement:
 
     def check(self, kinds: Mapping[str, str], sets: Iterable[Mapping[str, str]]) -> None:
         """Raise CaseError where no parameter of the case is this one, or it is a number of something and no size."""
-        if self.name not in kinds:
-            raise CaseError(f"The case has no parameter {self.name!r} to refine; it has {', '.join(kinds) or 'none'}.")
+        refuse_unknown([self.name], kinds, "The case has no parameter")
         if kinds[self.name] not in ("int", "float"):
             raise CaseError(f"Parameter {self.name} is no number, so it is no size.")
         if kinds[self.name] == "int" and not self.of.startswith("1/"):
@@ -348,7 +332,7 @@ class Refinement:
         if any(self.name not in one for one in sets):
             raise CaseError(f"Every parameter set needs a value of {self.name}, which is to be refined.")
 
-    def found(self, outcomes: Sequence[Outcome], questions: Sequence[Question]) -> list[Convergence]:
+    def found(self, outcomes: Sequence[Outcome], planned: Sequence[PlannedRun]) -> list[Convergence]:
         """Return how each result converges, for each set of the other parameters.
 
         Raises
@@ -356,24 +340,23 @@ class Refinement:
         CaseError
             An exact value is of no result of the runs.
         """
-        groups: dict[str, list[tuple[Outcome, Question]]] = {}
-        for outcome, question in zip(outcomes, questions, strict=True):
+        groups: dict[str, list[tuple[Outcome, PlannedRun]]] = {}
+        for outcome, run in zip(outcomes, planned, strict=True):
             rest = {name: value for name, value in outcome.parameters.items() if name != self.name}
-            groups.setdefault(json.dumps(sorted(rest.items())), []).append((outcome, question))
+            groups.setdefault(json.dumps(sorted(rest.items())), []).append((outcome, run))
         names = list(dict.fromkeys(name for outcome in outcomes for name in outcome.results))
-        for name in self.exact:
-            if names and name not in names:
-                raise CaseError(f"The runs have no result {name!r}; they have {', '.join(names)}.")
+        if names:
+            refuse_unknown(self.exact, names, "The case has no result")
         return [self._one(name, members) for members in groups.values() for name in names]
 
-    def _one(self, name: str, members: Sequence[tuple[Outcome, Question]]) -> Convergence:
-        have = [(outcome, question) for outcome, question in members if name in outcome.results]
+    def _one(self, name: str, members: Sequence[tuple[Outcome, PlannedRun]]) -> Convergence:
+        have = [(outcome, run) for outcome, run in members if name in outcome.results]
         sizes = [float(outcome.parameters[self.name]) for outcome, _ in have]
         sizes = [1.0 / size if size else 0.0 for size in sizes] if self.of.startswith("1/") else sizes
         rest = {key: value for key, value in members[0][0].parameters.items() if key != self.name}
         exact, notes = self.exact.get(name), []
         if exact is None and self.expected:
-            wanted = {question.expected.get(name) for _, question in have}
+            wanted = {run.expected.get(name) for _, run in have}
             if len(wanted) == 1:
                 exact = wanted.pop()
             elif wanted:
@@ -396,7 +379,7 @@ def study(
     retry: bool = False,
     launcher: str | None = None,
     refine: Refinement | str | None = None,
-    progress: Callable[[Sequence[Question]], contextlib.AbstractContextManager[Progress]] | None = None,
+    progress: Progress | None = None,
     name: str = "study",
 ) -> Study:
     """Run a case with many parameter sets, each in a process of its own, and write one table.
@@ -423,8 +406,8 @@ def study(
         What starts ranks: ``"mpirun -n {ranks}"`` by default, and nothing on one rank.
     refine : Refinement or str, optional
         The parameter that makes the study finer: orders of convergence are found along it.
-    progress : callable, optional
-        Is given the questions and returns a context with what is told how the study goes on.
+    progress : Progress, optional
+        Is told of every run.
     name : str
         Of the tables.
 
@@ -453,66 +436,23 @@ def study(
     """
     path = Path(case)
     place = Path(folder) if folder is not None else Path("out") / f"{name}_{path.stem}"
-    listed: list[Set] = grid(sets) if isinstance(sets, Mapping) else [_texts(one) for one in sets]
+    if isinstance(sets, Mapping):
+        listed = grid(sets)
+    else:
+        listed = [{parameter: text_of(value) for parameter, value in one.items()} for one in sets]
     along = Refinement(refine) if isinstance(refine, str) else refine
-    with Runs(path, place, How(ranks, jobs, options, retry, launcher), table.names(name)) as runs:
-        if not listed:
-            raise CaseError("A study needs a parameter set.")
-        questions = runs.file.ask(listed)
-        if along is not None:
-            along.check(runs.file.kinds, [question.parameters for question in questions])
-        if all(question.refused for question in questions):
-            raise CaseError(questions[0].refused)
-        runs.hold()
-        with (progress or _silent)(questions) as told:
-            outcomes = runs.outcomes(questions, _Writing(told, place, name, questions))
-        found = along.found(outcomes, questions) if along is not None else []
-        table.write(place, name, outcomes, found)
-    return Study(place, outcomes, found)
-
-
-def _texts(one: Mapping[str, Any]) -> Set:
-    return {name: text_of(value) for name, value in one.items()}
-
-
-@contextlib.contextmanager
-def _silent(questions: Sequence[Question]) -> Iterator[Progress]:
-    yield Progress()
-
-
-class _Writing(Progress):
-    """Writes the table whenever a run has ended, and passes on what it is told."""
-
-    def __init__(self, to: Progress, folder: Path, name: str, questions: Sequence[Question]) -> None:
-        self._to, self._folder, self._name = to, folder, name
-        self._order = [named(question.parameters) for question in questions]
-        self._known: dict[str, Outcome] = {}
-
-    def asked(self, count: int) -> None:
-        self._to.asked(count)
-
-    def again(self, question: Question, why: str) -> None:
-        self._to.again(question, why)
-
-    def started(self, question: Question) -> None:
-        self._to.started(question)
-
-    def kept(self, outcome: Outcome) -> None:
-        self._known[named(outcome.parameters)] = outcome
-        self._to.kept(outcome)
-
-    def ended(self, outcome: Outcome) -> None:
-        self._known[named(outcome.parameters)] = outcome
-        table.write(self._folder, self._name, [self._known[one] for one in self._order if one in self._known], [])
-        self._to.ended(outcome)
-
-
-def refuse_failed(done: Study, name: str = "study") -> None:
-    """Raise SolveError if runs did not reach their end, with what the first of them said."""
-    if done.failed:
-        first = done.failed[0]
-        raise SolveError(
-            f"{len(done.failed)} of {len(done.outcomes)} runs failed, the first one, {first.name}, with exit status "
-            f"{first.exit_status}: {first.said.rstrip('.')}; all are in {done.folder / f'{name}.csv'}, and --retry "
-            f"runs them again."
-        )
+    runs = Runs(path, place, table.names(name), ranks, jobs, options, retry, launcher)
+    if not listed:
+        raise CaseError("A study needs a parameter set.")
+    planned = runs.file.plan(listed)
+    if along is not None:
+        along.check(runs.file.kinds, [run.parameters for run in planned])
+    if all(run.refused for run in planned):
+        raise CaseError(planned[0].refused)
+    outcomes: list[Outcome] = []
+    with runs.in_folder(), contextlib.closing(runs.outcomes(planned, progress)) as so_far:
+        for outcomes in so_far:
+            table.write(place, name, outcomes, [])
+        convergence = along.found(outcomes, planned) if along is not None else []
+        table.write(place, name, outcomes, convergence)
+    return Study(place, outcomes, convergence)

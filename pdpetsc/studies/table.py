@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
 from pdpetsc.output.files import write_whole
+from pdpetsc.output.tables import text_of
+from pdpetsc.running.comparison import columns_of
 from pdpetsc.studies.refinement import Convergence
 from pdpetsc.studies.run_store import Outcome
-
-# The columns after those of parameters and results.
-COSTS = ("seconds", "peak_MiB", "unstable_steps", "status", "exit_status", "said", "folder")
 
 
 def names(name: str) -> tuple[str, ...]:
     """Return the names of the files that ``write`` writes, and of the picture."""
     return f"{name}.csv", f"{name}.json", f"{name}_order.csv", f"{name}.png"
-
-
-def columns(outcomes: Sequence[Outcome]) -> tuple[list[str], list[str]]:
-    """Return the names of parameters and of results, in the order in which they first appear."""
-    parameters = dict.fromkeys(name for outcome in outcomes for name in outcome.parameters)
-    return list(parameters), list(dict.fromkeys(name for outcome in outcomes for name in outcome.results))
 
 
 def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[Convergence]) -> None:
@@ -40,15 +34,20 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
     OutputError
         A file cannot be written.
     """
-    parameters, results = columns(outcomes)
-    taken = {*parameters, *COSTS}
-    rows: list[list[Any]] = [[*parameters, *(f"{r} (result)" if r in taken else r for r in results), *COSTS]]
-    for one in outcomes:
-        values = [repr(one.results[key]) if key in one.results else "" for key in results]
-        costs = [f"{one.seconds:.3f}", f"{one.memory:.1f}", one.unstable]
-        given = [one.parameters.get(key, "") for key in parameters]
-        rows.append([*given, *values, *costs, one.status, one.exit_status, one.said, one.folder.name])
-    write_whole(folder / f"{name}.csv", _csv(rows))
+    costs: dict[str, list[Any]] = {
+        "seconds": [f"{one.seconds:.3f}" for one in outcomes],
+        "peak_MiB": [f"{one.memory:.1f}" for one in outcomes],
+        "unstable_steps": [one.unstable for one in outcomes],
+        "status": [one.status for one in outcomes],
+        "exit_status": [one.exit_status for one in outcomes],
+        "said": [one.said for one in outcomes],
+        "folder": [one.folder.name for one in outcomes],
+    }
+    write_columns(
+        folder / f"{name}.csv",
+        _columns(outcomes, costs),
+    )
+    # The same costs, but as numbers.
     runs = [
         {
             "parameters": dict(one.parameters), "status": one.status, "exit_status": one.exit_status, "said": one.said,
@@ -57,61 +56,65 @@ def write(folder: Path, name: str, outcomes: Sequence[Outcome], found: Sequence[
         }
         for one in outcomes
     ]  # fmt: skip
-    orders = [
-        {
-            "result": one.result, "parameters": dict(one.group), "sizes": one.sizes, "values": one.values,
-            "order": one.order, "orders": one.orders, "extrapolated": one.extrapolated, "error_bar": one.error_bar,
-            "exact": one.exact, "note": one.note,
-        }
-        for one in found
-    ]  # fmt: skip
-    whole = {"runs": runs, **({"convergence": orders} if found else {})}
-    write_whole(folder / f"{name}.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")
+    whole: dict[str, Any] = {"runs": runs}
     if found:
-        write_whole(folder / f"{name}_order.csv", _csv(_order_rows(found)))
+        orders = [dataclasses.asdict(one) for one in found]
+        whole["convergence"] = [{"parameters": one.pop("group"), **one} for one in orders]
+        write_columns(folder / f"{name}_order.csv", {**_order_columns(found), "note": [one.note for one in found]})
+    write_whole(folder / f"{name}.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")
 
 
-def _order_rows(found: Sequence[Convergence]) -> list[list[Any]]:
-    others = list(dict.fromkeys(name for one in found for name in one.group))
-    header = ["result", *others, "size", "value", "order", "extrapolated", "error_bar", "exact", "note"]
-    rows: list[list[Any]] = [header]
-    for one in found:
-        numbers = [one.sizes[-1] if one.sizes else None, one.values[-1] if one.values else None]
-        numbers += [one.order, one.extrapolated, one.error_bar, one.exact]
-        given = [one.group.get(name, "") for name in others]
-        rows.append([one.result, *given, *("" if v is None else repr(v) for v in numbers), one.note])
-    return rows
-
-
-def _csv(rows: Sequence[Sequence[Any]]) -> str:
+def write_columns(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+    """Write a CSV with columns by name, None as nothing; raises OutputError."""
     text = io.StringIO(newline="")
-    csv.writer(text).writerows(rows)
-    return text.getvalue()
+    csv.writer(text).writerows([list(columns), *zip(*columns.values(), strict=True)])
+    write_whole(path, text.getvalue())
 
 
-def on_terminal(outcomes: Sequence[Outcome]) -> Table:
-    """Return the table of runs."""
-    parameters, results = columns(outcomes)
+def _order_columns(found: Sequence[Convergence]) -> dict[str, list[Any]]:
+    others = list(dict.fromkeys(name for one in found for name in one.group))
+    return {
+        "result": [one.result for one in found],
+        **{name: [one.group.get(name) for one in found] for name in others},
+        "size": [one.sizes[-1] if one.sizes else None for one in found],
+        "value": [one.values[-1] if one.values else None for one in found],
+        "order": [one.order for one in found],
+        "extrapolated": [one.extrapolated for one in found],
+        "error_bar": [one.error_bar for one in found],
+        "exact": [one.exact for one in found],
+    }
+
+
+def on_terminal(columns: Mapping[str, Sequence[Any]]) -> Table:
+    """Return a table of columns by name, with numbers to six digits."""
     table = Table()
-    for name in (*parameters, *results, "seconds", "MiB", "status"):
+    for name in columns:
         table.add_column(name, justify="right")
-    for one in outcomes:
-        values = [f"{one.results[name]:.6g}" if name in one.results else "" for name in results]
-        status = "finished" if one.finished else f"failed, exit status {one.exit_status}"
-        if one.unstable:
-            status += f", {one.unstable} steps unstable"
-        given = [one.parameters.get(name, "") for name in parameters]
-        table.add_row(*given, *values, f"{one.seconds:.1f}", f"{one.memory:.0f}", status)
+    for row in zip(*columns.values(), strict=True):
+        table.add_row(*map(text_of, row))
     return table
+
+
+def of_runs(outcomes: Sequence[Outcome]) -> Table:
+    """Return the table of runs."""
+    costs: dict[str, list[Any]] = {
+        "seconds": [f"{one.seconds:.1f}" for one in outcomes],
+        "MiB": [f"{one.memory:.0f}" for one in outcomes],
+        "status": [
+            ("finished" if one.finished else f"failed, exit status {one.exit_status}")
+            + (f", {one.unstable} steps unstable" if one.unstable else "")
+            for one in outcomes
+        ],
+    }
+    return on_terminal(_columns(outcomes, costs))
+
+
+def _columns(outcomes: Sequence[Outcome], costs: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
+    """Return the table of a study by columns, with its costs last."""
+    return columns_of({}, [one.parameters for one in outcomes], [one.results for one in outcomes], costs)
 
 
 def of_orders(found: Sequence[Convergence]) -> Table:
     """Return the table of orders; their notes are sentences and stand below it."""
-    rows = _order_rows(found)
-    table = Table()
-    for name in rows[0][:-1]:
-        table.add_column({"extrapolated": "limit", "error_bar": "+/-"}.get(name, name), justify="right")
-    for row in rows[1:]:
-        given, numbers = row[: len(row) - 7], row[len(row) - 7 : -1]
-        table.add_row(*given, *(f"{float(value):.6g}" if value else "" for value in numbers))
-    return table
+    short = {"extrapolated": "limit", "error_bar": "+/-"}
+    return on_terminal({short.get(name, name): column for name, column in _order_columns(found).items()})

@@ -79,8 +79,8 @@ class BondForces(MaterialTerm):
         self.damage: Damage | None = None
         # The gradient points that drive damage, where it reads any.
         self._driving: DamagedPoints | None = None
-        # Whether bonds that shorten have their whole stiffness, however damaged.
-        self._closes = False
+        # Bonds that have their whole stiffness as they shorten, however damaged (n_bonds,); None if no law closes.
+        self._closing: Mask | None = None
         # Whether damage makes bonds depend on more than their own elongation.
         self._is_nonlocal = False
         self._elastic = [material.elastic(self.body.dim) for material in materials]
@@ -132,8 +132,8 @@ class BondForces(MaterialTerm):
             raise CaseError(
                 "Plastic strain drives damage, and bonds do not flow; take a body of deformation gradients."
             )
-        self._closes = damage.bonds.law.closes
-        if self._closes and self.a is not None:
+        self._closing = damage.bonds.laws.closing
+        if self._closing is not None and self.a is not None:
             raise CaseError("Cracks that close take bond-based materials: a dilatation is of a whole family.")
         self.damage = damage
         if damage.driving_variable.reads_points:
@@ -158,12 +158,12 @@ class BondForces(MaterialTerm):
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return whether bonds keep their directions, and their stiffness as they shorten."""
-        return not self.finite and not self._closes
+        """Return True if bonds keep their directions, and their stiffness as they shorten."""
+        return not self.finite and self._closing is None
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Return whether bonds also keep their degradation factor while the displacement changes."""
+        """Return True if bonds also keep their degradation factor while the displacement changes."""
         return self.piecewise_linear and (self.damage is None or not self.damage.bonds.softens)
 
     @property
@@ -215,7 +215,9 @@ class BondForces(MaterialTerm):
         if self.damage is None:
             return self.k
         T = self.damage.phi(state)
-        return np.asarray(self.k * (np.where(self.elongation(state) < 0.0, 1.0, T) if self._closes else T))
+        if self._closing is not None:
+            T = np.where(self._closing & (self.elongation(state) < 0.0), 1.0, T)
+        return np.asarray(self.k * T)
 
     def tangent(self, state: State) -> Float:
         """Return ``dt/de`` of every bond at the dilatation of its particle (n_bonds,) [force / length]."""
@@ -255,7 +257,7 @@ class BondForces(MaterialTerm):
     def _whole_tension(self, state: State) -> Float:
         """Return what the tension of every bond is proportional to as its own ``phi`` falls (n_bonds,) [force]."""
         e = self.elongation(state)
-        t = self.k * (np.maximum(e, 0.0) if self._closes else e)
+        t = self.k * (e if self._closing is None else np.where(self._closing, np.maximum(e, 0.0), e))
         if self.a is None or self.B is None:
             return t
         return np.asarray(t + self.a * (self.B * self.dilatation(state))[self.body.families.centres])

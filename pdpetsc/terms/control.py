@@ -67,7 +67,7 @@ class ControlForces(Term):
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Return whether no degradation factor scales its forces alone."""
+        """Return True if no degradation factor scales its forces alone."""
         return self.damage is None or not self._fades
 
     @property
@@ -99,7 +99,7 @@ class ControlForces(Term):
         self.at(state).force(state.u_local, f, self.body.families.everyone)
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
-        """Return what its forces take where no degradation factor scales them."""
+        """Return the data of its forces if no degradation factor scales them."""
         control = self.at(state)
         return control.shared_gradient(operator) if control is self.control else None
 
@@ -113,7 +113,7 @@ class ControlForces(Term):
         return [self.at(state), *self._softening(state, self.control)]
 
     def _softening(self, state: State, unfaded: Control) -> list[Product]:
-        """Return what bonds that lose force add, for the control without the degradation factor that fades."""
+        """Return the products of bonds that lose force, for the control without the present degradation factor."""
         if self.damage is None or not self._fades or not self.damage.bonds.softens:
             return []
         v, opposite = unfaded.bond_forces(state.u_local), self.damage.damageable.opposite

@@ -105,7 +105,7 @@ class DamagedPoints(MaterialPoints):
 
     @property
     def piecewise_linear(self) -> bool:
-        """Return whether materials are linear."""
+        """Return True if materials are linear."""
         return self._linear
 
     @property
@@ -187,7 +187,7 @@ class DamagedPoints(MaterialPoints):
         return [PointProduct(self.operator, A, h, lambda: self._share(T)), *softening]
 
     def _share(self, T: Float) -> Float:
-        """Return the mea degradation factor of the bonds that are left to each own particle (n_owned,) [-]."""
+        """Return the mean degradation factor of the bonds that are left to each own particle (n_owned,) [-]."""
         centres, n = self.body.families.centres, self.body.cloud.n_owned
         left = np.maximum(np.bincount(centres, self.damage.bonds.intact, n), 1)
         return np.asarray(np.bincount(centres, T, n) / left)
@@ -248,7 +248,7 @@ class DamagedPoints(MaterialPoints):
         return strain
 
     def energy(self, state: State) -> float:
-        """Return ``sum_p W_p T_p psi_p``, with the mea degradation factor of the bonds of a point."""
+        """Return ``sum_p W_p T_p psi_p``, with the mean degradation factor of the bonds of a point."""
         T = self.damage.phi(state)
         return float(self.operator.volume @ (self.point_energy(state) * self._at_points(T)))
 
@@ -262,7 +262,7 @@ class DamagedPoints(MaterialPoints):
         return self._mean(stress * T.reshape(-1, *(1,) * (stress.ndim - 1)))
 
     def _at_points(self, T: Float) -> Float:
-        """Return the mea degradation factor of the bonds of every point (n_points,)."""
+        """Return the mean degradation factor of the bonds of every point (n_points,)."""
         sums = np.add.reduceat(np.append(T, 0.0)[self.bond_of_entry], self.operator.point_ptr[:-1])
         return np.asarray(sums / np.maximum(np.diff(self.operator.point_ptr) - 1, 1))
 

@@ -140,6 +140,10 @@ class MaterialPoints(MaterialTerm):
         # The operator is kept too: while it lives no other object can have its id.
         return state.kept(("F", id(operator)), lambda: (operator, make()))[1]
 
+    def point_gradient(self, state: State) -> Float:
+        """Return F of the points (n_points, dim, dim) [-]; ``deformation`` is what materials see."""
+        return self.deformation(state)
+
     def strained(self, state: State) -> tuple[Float, Float | None]:
         """Return what is left of F without the stress-free deformation, and that deformation (n_points, dim, dim) [-].
 
@@ -194,21 +198,7 @@ class MaterialPoints(MaterialTerm):
 
         The stress is the derivative of the energy by F.
         """
-        return self.deformation(state), self.stress(state), self.point_energy(state)
-
-    def stress_by_temperature(self, state: State) -> Float:
-        """Return the derivative of the stress of the points by their temperature (n_points, dim, dim) (collective)."""
-        F, expansion, owner = self.deformation(state), state.expansion, self.operator.owner
-        assert expansion is not None
-        strain, factor, step = expansion.by_temperature()
-        temperature, change = expansion.temperature, np.zeros_like(F)
-        laws = self.laws(state)
-        with agreed(self.body.cloud.comm):
-            for law in laws.materials:
-                at = owner[law.points]
-                T = None if temperature is None else temperature[at]
-                change[law.points] = law.stress_along(F[law.points], strain[at], factor[at], T, step)
-        return change
+        return self.point_gradient(state), self.stress(state), self.point_energy(state)
 
     def energy_by_strain(self, state: State) -> Float:
         """Return the derivative of the energy density by the strain without stress at constant F (n_points, 3, 3)."""
@@ -231,9 +221,8 @@ class MaterialPoints(MaterialTerm):
         control = other.control_of(self.operator, state)
         if control is None or not self.operator.adds_together(control):
             return False
-        F = self.deformation(state)
-        same = ControlledGradient(control, F - np.eye(self.body.dim), state.u_local)
-        self.operator.divergence(self.laws(state).stress(F), f, same)
+        same = ControlledGradient(control, self.point_gradient(state) - np.eye(self.body.dim), state.u_local)
+        self.operator.divergence(self.stress(state), f, same)
         return True
 
     def linearise(self, state: State) -> list[Product]:
@@ -317,7 +306,7 @@ class MaterialPoints(MaterialTerm):
 
     def deformation_gradient(self, state: State) -> Float:
         """Return the mean of F over the points of each own particle (n_owned, dim, dim) [-]."""
-        return self._mean(self.deformation(state))
+        return self._mean(self.point_gradient(state))
 
     def first_piola_stress(self, state: State) -> Float:
         """Return the mean of P over the points of each own particle (n_owned, dim, dim) [stress]."""

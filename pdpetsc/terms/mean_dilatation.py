@@ -16,7 +16,7 @@ from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import sharing_stencil
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.axes import body_axes
-from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, Patches, Scheme, StencilMembers
+from pdpetsc.gradient.base import GradientOperator, Moduli, Patches, Scheme, StencilMembers
 from pdpetsc.gradient.mean_dilatation import boxes
 from pdpetsc.gradient.products import ConstraintProduct, PointProduct, Product, RankOneProduct
 from pdpetsc.kernels.gradient import determinant_kernel
@@ -24,7 +24,6 @@ from pdpetsc.kernels.sparsity import sum_by
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import Term
 from pdpetsc.terms.material_points import MaterialPoints
 
 # Moduli of one material whose quotient is larger, without others between them, are a jump apart.
@@ -159,7 +158,7 @@ class PatchPoints(MaterialPoints):
 
     def shared(self, state: State) -> Shared:
         """Return the gradients at an admissible state, with the dilatations of patches."""
-        F = self._own_gradient(state)
+        F = self.point_gradient(state)
         return state.kept(("shared", id(self.operator)), lambda: self._share(state, F, self._weight))
 
     def _share(self, state: State, F: Float, weight: Float) -> Shared:
@@ -197,10 +196,17 @@ class PatchPoints(MaterialPoints):
         """Return ``F_bar`` (n_points, dim, dim) [-], what materials see."""
         return self.shared(state).F_bar
 
-    def conjugates(self, state: State) -> tuple[Float, Float, Float]:
-        """Return F of the points, not what materials see, with the stress that forces have and the whole energy."""
-        shared = self.shared(state)
-        return shared.F, self.response(state).P, self.point_energy(state) + self._rest_energy(state)
+    def point_gradient(self, state: State) -> Float:
+        """Return F of the points (n_points, dim, dim) [-], not what materials see."""
+        return super().deformation(state)
+
+    def stress(self, state: State) -> Float:
+        """Return the stress that forces have (n_points, dim, dim) [stress]."""
+        return self.response(state).P
+
+    def point_energy(self, state: State) -> Float:
+        """Return ``psi_p + share mu (<theta> - theta_p)^2`` (n_points,) [energy / volume]."""
+        return np.asarray(super().point_energy(state) + 0.5 * self._rest * self.shared(state).missing ** 2)
 
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
         """Return the energy density of all points (n_points,) at other gradients F and volumes (n_points,)."""
@@ -220,23 +226,10 @@ class PatchPoints(MaterialPoints):
 
     def admissible(self, state: State) -> bool:
         """Return whether ``det F > 0`` at all points, unless all materials are linear, and materials are defined."""
-        F, _ = self._own_gradient(state), self.laws(state)  # on every rank before one returns
+        F, _ = self.point_gradient(state), self.laws(state)  # on every rank before one returns
         if not self._linear and not determinant_kernel(self.body.dim)(F) > 0.0:
             return False
         return super().admissible(state)
-
-    def add_force(self, state: State, f: Float) -> None:
-        """Add ``G^T (W P)``."""
-        self.operator.divergence(self.response(state).P, f)
-
-    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
-        """Add the forces of a control on the same gradient in the same loop."""
-        control = other.control_of(self.operator, state)
-        if control is None or not self.operator.adds_together(control):
-            return False
-        H = self.shared(state).F - np.eye(self.body.dim)
-        self.operator.divergence(self.response(state).P, f, ControlledGradient(control, H, state.u_local))
-        return True
 
     def linearise(self, state: State) -> list[Product]:
         """Return the tangent of points that keep their mean dilatation, and those of the patches."""
@@ -273,22 +266,6 @@ class PatchPoints(MaterialPoints):
             ConstraintProduct(*patches, b, volume * (stiff - soft), volume * soft),
         ]
 
-    def energy(self, state: State) -> float:
-        """Return ``sum_p W_p (psi_p + share mu (<theta> - theta_p)^2)``."""
-        return super().energy(state) + float(self.operator.volume @ self._rest_energy(state))
-
-    def energy_density(self, state: State) -> Float:
-        """Return the mean over the points of each own particle (n_owned,) [energy / volume]."""
-        return super().energy_density(state) + self._mean(self._rest_energy(state))
-
-    def deformation_gradient(self, state: State) -> Float:
-        """Return the mean of F, not of what materials see, over the points of each own particle (n_owned, dim, dim)."""
-        return self._mean(self.shared(state).F)
-
-    def first_piola_stress(self, state: State) -> Float:
-        """Return the mean of the stress that forces have (n_owned, dim, dim) [stress]."""
-        return self.mean_stress(self.response(state).P)
-
     def cauchy_stress(self, state: State) -> Float:
         """Return the mean of ``P F^T / det F`` (n_owned, dim, dim) [stress]; of P where the body is linear."""
         P, F = self.response(state).P, self.shared(state).F
@@ -306,13 +283,6 @@ class PatchPoints(MaterialPoints):
     def _sum(self, values: Float) -> Float:
         """Return the sums over the points of patches (n_patches,)."""
         return np.asarray(np.bincount(self.patch_of_point, values, self._n_patches))
-
-    def _own_gradient(self, state: State) -> Float:
-        """Return F of the points (n_points, dim, dim) [-]."""
-        return super().deformation(state)
-
-    def _rest_energy(self, state: State) -> Float:
-        return np.asarray(0.5 * self._rest * self.shared(state).missing ** 2)
 
 
 def material_points(

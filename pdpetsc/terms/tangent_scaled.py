@@ -89,7 +89,7 @@ class TangentScaledForces(ControlForces):
         return StencilMembers(np.arange(self.body.cloud.n_owned, dtype=np.int32), *self._whole.stencils)
 
     def arrays(self) -> Mapping[str, KeptArray]:
-        """Return what the families remember."""
+        """Return the history variables of the families."""
         return {"yielding": KeptArray(np.arange(self.body.cloud.n_owned, dtype=np.int32), self._yielding.kept)}
 
     def at(self, state: State) -> Control:

@@ -62,7 +62,7 @@ def test_what_cannot_be_loaded_is_said_in_one_sentence(tmp_path):
 
 def test_the_doctor_without_a_direct_solver(monkeypatch):
     monkeypatch.setattr(doctor, "DIRECT", "absent")
-    found = doctor.petsc(world())
+    found = list(doctor.petsc(world()))
     assert [one.verdict for one in found] == ["ok", "look"]
     assert "-pc_type gamg" in found[1].advice and "--download-mumps" in found[1].advice
 
@@ -82,7 +82,7 @@ def test_the_doctor_with_the_reference_blas_too_many_ranks_and_no_room(monkeypat
     monkeypatch.setattr(doctor, "SLOW_BLAS", 1e18)
     assert "apt-get install libopenblas0-serial" in words_of(doctor.blas(world()))
     monkeypatch.setenv("OMP_NUM_THREADS", "100000")
-    assert "look cores" in words_of(doctor.cores(world()))
+    assert "look cores" in words_of(doctor.core_counts(world()))
     monkeypatch.setattr(doctor, "LITTLE", 2**80)
     assert "look disk" in words_of(doctor.disk(world()))
 

@@ -228,8 +228,8 @@ def test_compare_never_touches_a_folder_that_it_did_not_make(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("compare", CLAMPED, "ny=3", "--restart", "x"), "compare takes no --restart"),
-        (("plot", "out", "-snes_monitor"), "plot takes a folder and NAME=VALUE only"),
+        (("compare", CLAMPED, "ny=3", "--restart", "x"), "compare has no option '--restart'"),
+        (("plot", "out", "-snes_monitor"), "plot has no option '-snes_monitor'"),
     ],
 )
 def test_words_that_a_tool_does_not_take_are_refused(words, message):

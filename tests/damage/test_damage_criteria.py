@@ -532,10 +532,10 @@ def test_rate_and_temperature_that_are_not_there_are_refused():
         ({"duration": None}, "step times are no times"),
         ({"melting": None}, "give melting"),
         ({"melting": 200.0}, "below that of melting"),
-        ({"D4": -0.1}, "D4 >= 0"),
+        ({"D4": -0.1}, "number >= 0 as D4"),
         ({"D5": -1.0}, "D5 > -1"),
-        ({"rate_0": 0.0}, "positive rate_0"),
-        ({"duration": -1.0}, "positive duration"),
+        ({"rate_0": 0.0}, "positive number as rate_0"),
+        ({"duration": -1.0}, "positive number or None as duration"),
     ):
         with pytest.raises(pd.CaseError, match=message):
             pd.JohnsonCookFailure(**(FAST | changes))

@@ -9,7 +9,7 @@ import pytest
 import pdpetsc as pd
 from tests.commands import ROOT, results
 from tests.damage.test_fracture import broken
-from tests.scenes import MATERIALS, damaged_body, dense_tangent, differences
+from tests.scenes import MATERIALS, bond_body, damaged_body, dense_tangent, differences
 from tests.solvers.test_events import history
 
 LEFT = pd.region.Slab("x", high=6.0)
@@ -194,7 +194,6 @@ EACH = {"left": SNAP, "right": SNAP}
     (TWO, {**EACH, ("left", "right"): SNAP, ("right", "left"): None}, "two laws of 'left' and 'right'"),
     (TWO, {"left": None, "right": None}, "needs a law"),
     (TWO, {**EACH, ("left", "right"): dataclasses.replace(SNAP, effect=pd.PresentStretch())}, "same effect"),
-    (TWO, {**EACH, ("left", "right"): dataclasses.replace(SNAP, protected=LEFT)}, "protects no region of its own"),
     (TWO, {"left": 1.0, "right": SNAP}, "laws"),
 ])  # fmt: skip
 def test_wrong_declarations_are_refused(regions, laws, why):
@@ -231,6 +230,57 @@ def test_protected_bonds_of_laws_by_region_do_not_fail(tmp_path):
             assert not 4.0 <= places[end][0] <= 8.0
 
 
+def test_a_law_protects_its_own_bonds_alone(tmp_path):
+    """Three laws with a region each are the body with the region; one of them spares the bonds of its part."""
+    middle, laws = pd.region.Slab("x", 4.0, 8.0), of(CRITICAL(0.01), CRITICAL(0.01), CRITICAL(0.01)).laws
+    spared = {name: dataclasses.replace(law, protected=middle) for name, law in laws.items()}
+    declared = {
+        "body": pd.DamageOf(TWO, laws, protected=middle),
+        "laws": pd.DamageOf(TWO, spared),
+        "left": pd.DamageOf(TWO, of(CRITICAL(0.01), CRITICAL(0.01), CRITICAL(0.002)).laws | {"left": spared["left"]}),
+    }
+    for name, damage in declared.items():
+        pd.run(bar(damage), output=tmp_path / name)
+    assert broken(tmp_path / "laws") == broken(tmp_path / "body")
+    rows = broken(tmp_path / "left")
+    places = np.array(list(itertools.product(np.arange(12) + 0.5, np.arange(4) + 0.5)))[:, 0]
+    ends = np.array([[places[int(row[2])], places[int(row[3])]] for row in rows])
+    touching = ((ends >= 4.0) & (ends <= 8.0)).any(axis=1)
+    assert touching.any()  # of the other two laws
+    assert not (touching & (ends < 6.0).all(axis=1)).any()
+
+
+@pytest.mark.parametrize("kinematics", ["small", "finite"])
+def test_cracks_of_one_law_close_and_those_of_another_stay_open(kinematics, rng):
+    """Bonds have the secant of a body whose cracks all close, or of one whose cracks all stay open, by their law."""
+    half = pd.region.Slab("x", high=1.5)
+    open_ = pd.LinearSoftening(CRITICAL(0.02), 3.0)
+    closing = dataclasses.replace(open_, closes=True)
+    by_law = pd.DamageOf({"left": half, "right": ~half}, {"left": closing, "right": open_, ("left", "right"): closing})
+    pull, models, seed = None, {}, rng.integers(1 << 30)
+    for name, law in {"both": by_law, "open": open_, "closing": closing}.items():
+        shaken = np.random.default_rng(seed)
+        model = bond_body(2, pd.BondBased(E=10.0, kinematics=kinematics), rng=shaken, damage=law)
+        if pull is None:
+            pull = 0.035 * (model.cloud.x - model.cloud.x.mean(axis=0))
+            pull += 0.002 * rng.standard_normal(model.cloud.x.shape)
+        model.soften(pull)
+        model.break_bonds(2.0 * pull, 8)
+        models[name] = model
+    u, x = pull * [1.1, -0.5], models["both"].cloud.x
+    model = models["both"]
+    stiff = {name: one.material_term.secant(one.problem.state(u)) for name, one in models.items()}
+    families = model.families
+    right = (x[families.centres, 0] > 1.5) & (x[families.neighbours, 0] > 1.5)
+    assert np.array_equal(stiff["both"], np.where(right, stiff["open"], stiff["closing"]))
+    assert (stiff["both"] != stiff["open"]).any()
+    assert (stiff["both"] != stiff["closing"]).any()
+    K = dense_tangent(model, u)
+    assert np.abs(K - K.T).max() < 1e-12 * np.abs(K).max()
+    columns = rng.choice(u.size, 8, replace=False)
+    assert np.abs(K[:, columns] - differences(model, u, columns)).max() < 1e-6 * np.abs(K).max()
+
+
 @pytest.mark.parametrize("model", ["bonds", pytest.param("gradients", marks=pytest.mark.long)])
 def test_a_fibre_debonds_from_its_poles(model, tmp_path):
     """Where the pull opens the interface most; it stops where the matrix presses on the fibre, some 70 degrees on."""
@@ -241,3 +291,36 @@ def test_a_fibre_debonds_from_its_poles(model, tmp_path):
     h = history(tmp_path)
     # Debonded all the same, the body carries more and more.
     assert h["force"][-1] > 20.0 * found["debonding_stress"] * 0.5
+
+
+@pytest.mark.parametrize("changes", [{"closes": True}, {"protected": pd.region.All()}])
+def test_a_law_of_one_region_closes_and_protects_its_own_bonds_alone(changes, tmp_path):
+    """Two separate bars, torn and then pressed, each as if it were alone."""
+    laws = {"low": pd.Brittle(CRITICAL(0.01)), "high": pd.Brittle(CRITICAL(0.01), **changes)}
+    parts = {"low": pd.region.Slab("y", high=5.0), "high": pd.region.Slab("y", low=5.0)}
+    path = pd.Table((0.0, 0.4, 0.5, 1.0), (0.0, 0.3, 0.0, -0.1))
+
+    def forces(damage, names, folder):
+        right = pd.region.Slab("x", low=10.0)
+        gap = pd.region.Slab("y", low=3.0, high=7.0)
+        whole = parts[names[0]] if len(names) == 1 else pd.region.All()
+        case = bar(
+            damage,
+            pd.BondBased(E=100.0),
+            particles=pd.Lattice((0.0, 0.0), (12.0, 10.0), 1.0, keep=whole & ~gap),
+            conditions=[
+                pd.Displacement(pd.region.Slab("x", high=2.0), x=0.0, y=0.0),
+                pd.Displacement(right, x=1.0, y=0.0, schedule=path),
+            ],
+            steps=pd.Steps(20),
+            history={name: pd.Reaction("x", right & parts[name]) for name in names},
+            results=None,
+        )
+        pd.run(case, output=tmp_path / folder)
+        return history(tmp_path / folder)
+
+    both = forces(pd.DamageOf(parts, laws), ["low", "high"], "both")
+    for name in parts:
+        alone = forces(laws[name], [name], name)[name]
+        assert np.allclose(both[name], alone, atol=1e-6 * np.abs(alone).max())
+    assert not np.allclose(both["low"], both["high"], atol=1e-2 * np.abs(both["high"]).max())

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.command_line.import_deck import import_deck, main
+from pdpetsc.command_line.commands import command
+from pdpetsc.command_line.import_deck import import_deck
 from pdpetsc.control.base import Stiffness
 from pdpetsc.decks.expressions import parse, parse_peridigm
 from pdpetsc.decks.sections import read
@@ -889,20 +890,19 @@ def test_the_command_writes_a_case_that_runs(folder, capsys):
     answer = pdpetsc("import", "plate.yaml", "-o", "bent.py", cwd=folder)
     assert (answer.returncode, answer.stderr) == (0, "")
     assert answer.stdout.splitlines()[0] == "bent.py"
-    command = main
     for words, message in (
         (["plate.yaml", "-o", "bent.py"], "is there already"),
         (["plate.yaml", "-o", "bent.txt"], "ends in .py"),
         (["none.yaml"], "Cannot read the deck none.yaml"),
         (["plate.txt"], "Cannot read the deck plate.txt"),
-        (["plate.yaml", "--ignore"], "needs a name"),
-        (["plate.yaml", "block.yaml"], "does not know 'block.yaml'"),
+        (["plate.yaml", "--ignore"], "needs a value"),
+        (["plate.yaml", "block.yaml"], "'block.yaml' is neither"),
         (["--static"], "No deck"),
     ):
         with pytest.raises(pd.CaseError, match=message) as error:
-            command(words)
+            command("import", words)
         assert "\n" not in str(error.value)
-    assert command(["-h"]) == 0
+    assert command("import", ["-h"]) == 0
     assert "--overwrite" in capsys.readouterr().out
 
 

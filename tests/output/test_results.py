@@ -22,7 +22,7 @@ from pdpetsc.output.reading import StoredFields
 from pdpetsc.output.scene import scene_of
 from pdpetsc.post.point_location import inside_of
 from pdpetsc.post.sampling import sampled
-from pdpetsc.running.comparison import Comparison, Outcome, columns_of
+from pdpetsc.running.comparison import Comparison
 from pdpetsc.running.result import Result
 from tests.commands import ROOT, TIMEOUT, called, results, run
 
@@ -464,12 +464,14 @@ def test_forces_on_particles_have_no_values_between_them(tmp_path):
 
 
 def test_no_column_of_a_table_takes_that_of_another():
-    parameters = {"run": "a", "n": 4, "seconds": 3}
     results = {"seconds": 123.0, "MiB": 5.0, "status": 7.0, "n": 4.5, "error": 0.1}
-    assert columns_of([Outcome(parameters, "converged", results, 0.5, 10.0)]) == {
-        "run": ["a"], "n": [4], "seconds (parameter)": [3], "seconds (result)": [123.0], "MiB (result)": [5.0],
-        "status (result)": [7.0], "n (result)": [4.5], "error": [0.1],
-        "seconds": [0.5], "MiB": [10.0], "status": ["converged"],
+    costs = {"status": "converged", "timings": {"solve": 0.5, "compile": 9.0}, "peak_memory_bytes": [10 * 2**20]}
+    one = Result(Path("one"), results, {}, {"parameters": {"n": 4, "seconds": 3}, **costs})
+    other = Result(Path("other"), {}, {}, {"parameters": {"n": 5, "seconds": 2}, **costs})
+    assert Comparison({"one": one, "other": other}).table == {
+        "run": ["one", "other"], "n": [4, 5], "seconds (parameter)": [3, 2], "seconds (result)": [123.0, None],
+        "MiB (result)": [5.0, None], "status (result)": [7.0, None], "n (result)": [4.5, None], "error": [0.1, None],
+        "seconds": [0.5, 0.5], "MiB": [10.0, 10.0], "status": ["converged", "converged"],
     }  # fmt: skip
     # The name of a run is not that of its folder's parameter.
     runs = {name: Result(Path(name), {}, {}, {"parameters": {"run": n}}) for n, name in enumerate("ab")}

@@ -230,10 +230,10 @@ def test_damage_while_running_gives_the_results_of_the_assembled_tangent(tmp_pat
     """A notched strip that softens, tears and comes apart."""
     law = pd.LinearSoftening(pd.ConstantCritical(0.01), ratio=3.0)
     case = box(
-        2, (16, 8), m=2.015, material=pd.BondBased(E=1.0), damage=law, strain=0.05,
-        cracks=[pd.Segment((8.0, 0.0), (8.0, 3.0))], steps=pd.Steps(6),
+        2, (10, 6), m=2.015, material=pd.BondBased(E=1.0), damage=law, strain=0.05,
+        cracks=[pd.Segment((5.0, 0.0), (5.0, 2.0))], steps=pd.Steps(6),
     )  # fmt: skip
-    case = dataclasses.replace(case, history={"force": pd.Reaction("x", pd.region.Slab("x", low=15.0))})
+    case = dataclasses.replace(case, history={"force": pd.Reaction("x", pd.region.Slab("x", low=9.0))})
     found = [pd.run(case, tmp_path / name, options=options) for name, options in (("a", FREE), ("b", DIRECT))]
     forces = [result.history["force"] for result in found]
     assert np.abs(forces[0]).max() > 10.0 * np.abs(forces[0][-1])
@@ -341,7 +341,7 @@ def test_any_number_of_ranks_gives_the_same(tmp_path):
     script.write_text(RANKS)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     found = {}
-    for ranks in (1, 2, 3):
+    for ranks in (1, 3):
         words = [str(ROOT / ".ci" / "mpirun"), str(ranks), sys.executable, str(script), str(tmp_path)]
         done = subprocess.run(
             words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False

@@ -35,7 +35,7 @@ SATELLITES = {
     "studies": {"studies", *(f"command_line.{name}" for name in ("compare", "fit", "identify", "study"))},
     "event-driven solver": {"solvers.event_driven"},
     "fracture quantities": {
-        "post.contour", "post.crack_path", "post.fracture", "post.inhomogeneity", "post.opening",
+        "post.contour", "post.crack_path", "post.fracture", "post.inhomogeneity", "post.integrands", "post.opening",
     },
     "report": {"output.report", "command_line.report"},
 }  # fmt: skip

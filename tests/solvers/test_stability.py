@@ -80,6 +80,81 @@ def test_an_iterative_solver_does_not_tell(tmp_path):
     assert [step["negative_pivots"] for step in steps_of(tmp_path)] == [None, None]
 
 
+UNKNOWN = {
+    "the factor is that of nearest neighbours": {"pd_jacobian": "matfree", "pc_type": "cholesky"},
+    "the factor is no symmetric one": {"pc_type": "lu"},
+    "the factor is that of the first iteration": {"snes_lag_preconditioner": -2, "snes_max_it": 200},
+    "the tangent is that of the first iteration": {"snes_lag_jacobian": -2, "snes_max_it": 200},
+    "pivots are shifted": {"pc_factor_mat_solver_type": "petsc", "pc_factor_shift_type": "positive_definite"},
+    "steps are not those of Newton's method": {"snes_type": "qn", "snes_max_it": 5000},
+}
+
+
+@pytest.mark.parametrize("why", UNKNOWN)
+def test_where_the_tangent_is_not_what_was_factored_its_pivots_are_unknown(why, tmp_path):
+    pd.run(column(load=0.5, steps=2), output=tmp_path, options=UNKNOWN[why])
+    assert [step["negative_pivots"] for step in steps_of(tmp_path)] == [None, None]
+
+
+def test_the_factor_of_petsc_counts_as_well(tmp_path):
+    pd.run(column(steps=6), output=tmp_path / "one")
+    pd.run(column(steps=6), output=tmp_path / "other", options={"pc_factor_mat_solver_type": "petsc"})
+    one, other = ([step["negative_pivots"] for step in steps_of(tmp_path / name)] for name in ("one", "other"))
+    assert one == other
+    assert one[0] == 0
+    assert one[-1] > 0
+
+
+def test_an_unsymmetric_tangent_has_no_pivots_that_count(tmp_path):
+    """A Cholesky factor would be that of its upper triangle."""
+    low, high = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=7.0)
+    law = pd.LinearSoftening(pd.ConstantCritical(0.5), 3.0)
+    case = pd.Case(
+        pd.Lattice((0.0, 0.0), (8.0, 4.0), 1.0), horizon=2.015, material=pd.LinearElastic(10.0, 0.3),
+        scheme=pd.Correspondence(), control=pd.Silling(0.5), damage=law, fields=[],
+        conditions=[pd.Displacement(low, x=0.0, y=0.0), pd.Displacement(high, x=0.01)],
+    )  # fmt: skip
+    pd.run(case, output=tmp_path / "lu")
+    pd.run(case, output=tmp_path / "cholesky", options={"pc_type": "cholesky"})
+    for name in ("lu", "cholesky"):
+        assert [step["negative_pivots"] for step in steps_of(tmp_path / name)] == [None]
+
+
+def stretched(step):
+    """Return the steps of a path along which a softening bond opens, in series with an elastic one."""
+    law = pd.CriticalFunction(lambda length, middle: np.where(middle[:, 0] > 1.0, 0.01, 1e9))
+    left, middle, right = (pd.region.Nearest((x,)) for x in (0.5, 1.5, 2.5))
+    case = pd.Case(
+        pd.Arrays([[0.5], [1.5], [2.5]], 1.0), horizon=1.1, material=pd.BondBased(E=100.0, calibration="lattice"),
+        damage=pd.LinearSoftening(law, 1.5), fields=[],
+        solver=pd.PathFollowing(pd.Opening("x", right, against=middle, step=step, end=0.014)),
+        conditions=[pd.Displacement(left, x=0.0), pd.Displacement(right, x=0.1)],
+    )  # fmt: skip
+    prepared = pd.prepare(case)
+    solver = prepared.make_solver()
+    found = list(prepared.march(solver))
+    solver.destroy()
+    return found
+
+
+def test_with_damage_held_a_path_does_not_call_the_secant_stable():
+    """The tangent has a negative pivot; the secant, with which large steps settle the damage, has none."""
+    small, large = stretched(0.0005), stretched(0.004)
+    softening = [step for step in small if not step.sweeps and step.u[2] - step.u[1] > 0.0101]
+    assert softening
+    assert all(step.result.negative_pivots == 1 for step in softening)
+    assert small[0].result.negative_pivots == 0
+    assert large[-1].sweeps
+    assert large[-1].result.negative_pivots is None
+
+
+@pytest.mark.parametrize("unstable", ["shorten", "refuse"])
+def test_a_run_ends_where_nothing_tells(tmp_path, unstable):
+    with pytest.raises(pd.SolveError, match="nothing tells whether the equilibrium is stable"):
+        pd.run(column(load=1.0, steps=2, unstable=unstable), output=tmp_path, options={"pc_type": "gamg"})
+    assert steps_of(tmp_path) == []
+
+
 @pytest.mark.processors
 def test_ranks_count_the_same_pivots(tmp_path):
     case = tmp_path / "column.py"

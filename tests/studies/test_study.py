@@ -1,6 +1,5 @@
 """Studies: parameter sets, tables that resume, orders of convergence, parameters fitted to curves."""
 
-import contextlib
 import csv
 import json
 import os
@@ -14,17 +13,16 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
-from pdpetsc.command_line import fit, study
+from pdpetsc.command_line.commands import command
 from pdpetsc.command_line.start import files_of_options
 from pdpetsc.output.fingerprint import fingerprint
-from pdpetsc.studies.fit import Point, Range, _write, fitted
-from pdpetsc.studies.input_files import differing
+from pdpetsc.studies.fit import Point, _write, fitted
 from pdpetsc.studies.jobs import launched, too_many
 from pdpetsc.studies.reference_curve import Curve, read_curve, read_off
 from pdpetsc.studies.refinement import converging
-from pdpetsc.studies.run_identity import CaseFile, Question
+from pdpetsc.studies.run_identity import CaseFile, PlannedRun, differing
 from pdpetsc.studies.run_store import Outcome, folder_of, kept
-from pdpetsc.studies.sets import combined, grid, read_sets, values_in
+from pdpetsc.studies.sets import Range, combined, grid, read_sets, values_in
 from pdpetsc.studies.study import Progress, _noise
 from tests.command_line.test_tools import ENVIRONMENT, tool
 from tests.commands import ROOT, wait_until
@@ -106,8 +104,8 @@ def test_sets_from_csv_and_json(tmp_path):
     ("name", "text", "message"),
     [
         ("s.csv", "dx,dx\n1,2\n", "names of parameters, each once"),
-        ("s.csv", "dx,n\n1\n", "line 2 must have 2 values"),
-        ("s.csv", "dx,n\n1,\n", "line 2 must have 2 values"),
+        ("s.csv", "dx,n\n1\n", "row 2 must have 2 values"),
+        ("s.csv", "dx,n\n1,\n", "row 2 must have 2 values"),
         ("s.csv", "", "holds no parameter set"),
         ("s.csv", "dx\n", "holds no parameter set"),
         ("s.json", "{", "is no JSON file"),
@@ -115,9 +113,9 @@ def test_sets_from_csv_and_json(tmp_path):
         ("s.json", '[{"dx": [1, 2]}]', "takes one value"),
         ("s.toml", "[[sampels]]\nn = 3\n", "did you mean samples"),
         ("s.toml", '[[samples]]\nmethod = "sobol"\nn = 6\nranges = {E = [1, 2]}\n', "power of two"),
-        ("s.toml", '[[samples]]\nmethod = "random"\nn = 6\nranges = {E = [1, 2]}\n', "method of samples"),
+        ("s.toml", '[[samples]]\nmethod = "random"\nn = 6\nranges = {E = [1, 2]}\n', "'sobol' as method"),
         ("s.toml", '[[samples]]\nmethod = "sobol"\nn = 4\nranges = {E = [2, 1]}\n', "numbers low < high"),
-        ("s.toml", '[[samples]]\nmethod = "sobol"\nn = 4\n', "need ranges"),
+        ("s.toml", '[[samples]]\nmethod = "sobol"\nn = 4\n', "samples need ranges"),
         ("s.toml", "[[grids]]\ndx = []\n", "has no value"),
         ("s.yaml", "", "must end in .csv, .json or .toml"),
     ],
@@ -215,8 +213,8 @@ def test_differences_below_what_solvers_leave_have_no_order():
 
 def test_expected_values_that_differ_between_sizes_are_told():
     runs = [(Outcome({"dx": str(h)}, Path(), "finished", results={"v": 1.0 + h}), h) for h in (0.4, 0.2, 0.1)]
-    questions = [Question(one.parameters, expected={"v": 1.0 + h}) for one, h in runs]
-    (found,) = pd.Refinement("dx", expected=True).found([one for one, _ in runs], questions)
+    planned = [PlannedRun(one.parameters, expected={"v": 1.0 + h}) for one, h in runs]
+    (found,) = pd.Refinement("dx", expected=True).found([one for one, _ in runs], planned)
     assert found.exact is None and "what the case expects differs between the sizes" in found.note
 
 
@@ -292,7 +290,7 @@ def evaluated(law, x, fails=lambda p: False):
 
     def evaluate(sets):
         return [
-            Point(Path(), None, "exit status 1: it broke.") if fails(p) else Point(Path(), {"u": x, "F": law(x, **p)})
+            Point(Path(), failure="exit status 1: it broke.") if fails(p) else Point(Path(), {"u": x, "F": law(x, **p)})
             for p in sets
         ]
 
@@ -322,7 +320,7 @@ def hardening(u, E, yield_stress, H):
     return np.where(E * u < yield_stress, E * u, yield_stress + E * H / (E + H) * (u - yield_stress / E))
 
 
-RANGES = {"E": Range(500.0, 3000.0), "yield_stress": Range(1.0, 30.0), "H": Range(10.0, 1000.0, log=True)}
+RANGES = {"E": Range(500.0, 3000.0), "yield_stress": Range(1.0, 30.0), "H": Range(10.0, 1000.0, scale="log")}
 
 
 def test_standard_errors_are_those_of_many_measurements(rng):
@@ -526,10 +524,10 @@ def test_what_a_run_is_of_is_all_that_its_case_declares_and_imports(tmp_path, mo
     Path("later.py").write_text("a = 1\n")
 
     def identities(file, *sets):
-        return [question.identity for question in file.ask(sets)]
+        return [run.identity for run in file.plan(sets)]
 
     file = CaseFile(Path("case.py"), (), 1)
-    first, late, killed, last = file.ask([{"E": "1"}, {"label": "'late'"}, {"kill": "yes"}, {"E": "2"}])
+    first, late, killed, last = file.plan([{"E": "1"}, {"label": "'late'"}, {"kill": "yes"}, {"E": "2"}])
     first, late = first.identity, late.identity
     # A number is the same however it is written; one that is asked for and a default are one parameter.
     assert identities(file, {"E": "1.0", "n": "4"}) == [first]
@@ -600,7 +598,7 @@ def test_what_is_asked_for_and_is_not_there_is_refused_before_anything_is_writte
         (("n=4", "--jobs", "1", "--jobs", "2"), "--jobs is given twice"),
     ):
         with pytest.raises(pd.CaseError, match=message):
-            study.main([str(case), *words, "-o", str(out)])
+            command("study", [str(case), *words, "-o", str(out)])
         assert not out.exists()
 
 
@@ -616,7 +614,7 @@ def test_a_fit_that_cannot_begin_is_refused(tmp_path):
         (("--to", tmp_path / "m.csv"), "fit needs --columns"),
     ):
         with pytest.raises(pd.CaseError, match=message):
-            fit.main([str(case), *map(str, words)])
+            command("fit", [str(case), *map(str, words)])
         assert not out.exists()
 
 
@@ -820,7 +818,7 @@ def test_a_run_whose_input_files_have_changed_is_run_again(ranks, tmp_path, monk
     assert first.finished and first.results["value"] == pytest.approx(0.2)
 
     def question():
-        return CaseFile(case, (), ranks).ask([{"n": "4"}])[0].identity
+        return CaseFile(case, (), ranks).plan([{"n": "4"}])[0].identity
 
     assert set(question()["files"]) == {"case.py", "beside.py", "cloud.txt"}
     assert kept(first.folder, question())[0] is not None
@@ -841,19 +839,15 @@ def test_what_is_changed_while_a_study_runs_gives_no_row(name, tmp_path):
     (tmp_path / "wait").touch()
 
     class Edit(Progress):
-        def started(self, question):
-            log = out / f"n={question.parameters['n']}" / "history.csv"
+        def started(self, run):
+            log = out / f"n={run.parameters['n']}" / "history.csv"
             wait_until(lambda: log.exists() and log.read_text().count("\n") > 1, "The last step")
             if (tmp_path / "wait").exists():
                 with (tmp_path / name).open("a") as file:
                     file.write("# a remark\n")
                 (tmp_path / "wait").unlink()
 
-    @contextlib.contextmanager
-    def progress(questions):
-        yield Edit()
-
-    done = pd.study(case, [{"n": 4}, {"n": 8}], out, progress=progress)
+    done = pd.study(case, [{"n": 4}, {"n": 8}], out, progress=Edit())
     assert [one.status for one in done.outcomes] == ["failed", "failed"]
     assert f"the case or its files changed while the study ran: {name}" in done.failed[0].said
     # It is not kept as failed either.
@@ -886,12 +880,12 @@ def test_files_of_options_and_of_meshes_are_part_of_what_a_run_is_of(tmp_path, m
     Path("case.py").write_text(MESHED.replace('pd.TextFile("cloud.txt", dim=1)', 'pd.Mesh("plate.inp")'))
     Path("table.txt").write_text("1.0 2.0\n")
     file = CaseFile(Path("case.py"), ["-options_file", "q.txt"], 1)
-    (one,) = file.ask([{"E": "1"}])
+    (one,) = file.plan([{"E": "1"}])
     assert one.files.keys() == {"case.py", "plate.inp", "nodes.inp", "more.inp", "q.txt", "r.txt"}
     assert one.identity["versions"]["numpy"] == np.__version__
     Path("case.py").write_text(Path("case.py").read_text() + "# a remark\n")
     assert differing(one.files, Path()) == ["case.py"]
     Path("r.txt").write_text("-pc_type jacobi\n")
-    (other,) = file.ask([{"E": "1"}])
+    (other,) = file.plan([{"E": "1"}])
     assert {name for name in other.identity if other.identity[name] != one.identity[name]} == {"files"}
     assert {name for name in other.files if other.files[name] != one.files[name]} == {"case.py", "r.txt"}

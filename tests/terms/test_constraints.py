@@ -1,5 +1,6 @@
 """Displacements in any direction and displacements that depend on others, from outside the package."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -75,10 +76,11 @@ def turned(angle):
     return np.array([[c, -s], [s, c]])
 
 
-def pulled(angle, material, normals=True, **given):
+def pulled(angle, material, normals=True, shaken=0.0, **given):
     """Return a plate turned by an angle that rolls along one side and is pulled at the other."""
     axes = [np.arange(8.0) + 0.5, np.arange(5.0) + 0.5]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    x += shaken * np.random.default_rng(1).uniform(-1.0, 1.0, x.shape)
     R = turned(angle)
 
     def side(test):
@@ -150,14 +152,17 @@ import sys
 import numpy as np
 import pdpetsc as pd
 from tests.terms.test_constraints import bent, pulled
-case = bent() if sys.argv[1] == "bent" else pulled(0.7, pd.Hencky(10.0, 0.3))
+cases = {
+    "bent": bent(), "pulled": pulled(0.7, pd.Hencky(10.0, 0.3)), "relaxed": bent(solver=pd.DynamicRelaxation(1e-10))
+}
+case = cases[sys.argv[1]]
 u = pd.run(case, output=sys.argv[2]).gathered(pd.displacement)
 if u is not None:
     np.save(sys.argv[3], u)
 """
 
 
-@pytest.mark.parametrize("name", ["bent", "pulled"])
+@pytest.mark.parametrize("name", ["bent", "pulled", "relaxed"])
 def test_two_ranks_find_the_same(name, tmp_path):
     for ranks in (1, 2):
         script_on(ranks, BENT, name, tmp_path / f"run{ranks}", tmp_path / f"u{ranks}.npy")
@@ -177,8 +182,56 @@ def test_what_is_tied_twice_or_in_a_chain_is_refused(tmp_path):
         pd.run(bent(conditions=[held, Along(corner, (0.6, 0.8)), rigid, load]), output=tmp_path)
 
 
-def test_solvers_without_constraints_refuse_tied_displacements(tmp_path):
-    opening = pd.Opening("y", pd.region.Slab("x", low=11.0), step=0.01, end=0.1)
-    for solver in (pd.DynamicRelaxation(), pd.PathFollowing(opening)):
-        with pytest.raises(pd.CaseError, match="tied displacements"):
-            pd.run(bent(solver=solver), output=tmp_path)
+def test_relaxation_keeps_tied_displacements(tmp_path):
+    for name, case in {"bent": bent(), "pulled": pulled(0.7, pd.Hencky(10.0, 0.3))}.items():
+        newton = pd.run(case, output=tmp_path / name)
+        relaxed = pd.run(
+            dataclasses.replace(case, solver=pd.DynamicRelaxation(1e-8)), output=tmp_path / f"{name}_relaxed"
+        )
+        u, v = newton.solution.u, relaxed.solution.u
+        assert np.abs(v - u).max() < 1e-6 * np.abs(u).max()
+        force = newton.solution.reaction
+        assert np.abs(relaxed.solution.reaction - force).max() < 1e-6 * np.abs(force).max()
+
+
+def test_a_linear_body_with_a_rigid_region_follows_a_straight_path(tmp_path):
+    end = pd.region.Slab("x", low=11.0)
+    newton = pd.run(bent(), output=tmp_path / "newton").solution.u
+    falls = float(-newton[-1, 1])
+    opening = pd.Opening("y", pd.region.Slab("x", high=1.0), against=end, step=0.3 * falls, end=falls)
+    found = pd.run(bent(solver=pd.PathFollowing(opening)), output=tmp_path / "path")
+    assert len(found.history["t"]) > 3
+    load = found.history["t"][-1]
+    assert np.abs(found.solution.u - load * newton).max() < 1e-8 * np.abs(newton).max()
+
+
+@pytest.mark.parametrize(
+    "solver", [pd.EventDriven(), pd.PathFollowing(pd.BondStretch(0.2), until=0.7)], ids=["events", "path"]
+)
+def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
+    """Its rollers are tied displacements in one case and prescribed components in the other."""
+    breaking = {
+        "scheme": None, "control": None, "solver": solver,
+        "damage": pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0),
+        "history": {"broken": pd.BrokenBonds()},
+    }  # fmt: skip
+    straight = pd.run(
+        pulled(0.0, pd.BondBased(10.0), normals=False, shaken=0.1, **breaking), output=tmp_path / "straight"
+    )
+    turned = pd.run(pulled(0.7, pd.BondBased(10.0), shaken=0.1, **breaking), output=tmp_path / "turned")
+    assert straight.history["broken"][-1] > 0
+    assert np.array_equal(turned.history["broken"], straight.history["broken"])
+    assert np.allclose(turned.history["t"], straight.history["t"], rtol=0.0, atol=1e-7 * straight.history["t"].max())
+
+
+def test_temperature_and_tied_displacements_are_found_together(tmp_path):
+    warm = pd.Thermal(pd.Hencky(10.0, 0.3), lambda T: 0.05 + 0.01 * T, conductivity=1.0, capacity=2.0)
+    fields = []
+    for coupling in ("staggered", "monolithic"):
+        case = pulled(0.7, warm, heat=pd.HeatConduction(duration=1.0, coupling=coupling))
+        source = pd.HeatSource(pd.region.All(), 1.0, schedule=pd.Hold())
+        case = dataclasses.replace(case, conditions=[*case.conditions, source])
+        solution = pd.run(case, output=tmp_path / coupling).solution
+        fields.append((solution.u, pd.temperature(solution)))
+    for staggered, monolithic in zip(*fields, strict=True):
+        assert np.abs(monolithic - staggered).max() < 1e-8 * np.abs(staggered).max()

@@ -97,6 +97,15 @@ def test_a_lattice_of_arrays_has_the_faces_of_a_lattice(rng):
         np.testing.assert_allclose(arrays.faces(0, 1, normal), lattice.faces(0, 1, normal)[order], rtol=1e-12)
 
 
+def test_arrays_have_the_faces_of_their_facets():
+    x = np.array([[0.5, 0.4], [1.6, 0.6]])
+    facets = pd.Facets([[0.0, 0.5], [2.0, 0.5], [0.5, 1.0]], [[-1.0, 0.0], [0.8, 0.6], [0.0, 1.0]], [0, 1, 0])
+    arrays = pd.Arrays(x, 1.0, facets=facets)
+    assert arrays.faces(0, 1, np.array([1.0, 0.0])) == pytest.approx([0.0, 0.8])
+    assert arrays.faces(0, 1, np.array([0.0, 1.0])) == pytest.approx([1.0, 0.6])
+    assert arrays.faces(1, 2, np.array([1.0, 0.0])) == pytest.approx([0.8])
+
+
 def test_two_layers_carry_the_load_of_one(tmp_path):
     x, volume = grid((12, 6), (1.0, 1.0))
     traction = pd.Traction(region.Slab("x", low=10.0), x=2.0, normal=(1.0, 0.0))
@@ -108,7 +117,7 @@ def test_a_face_of_which_nothing_is_known_is_refused(rng, tmp_path):
     x, volume = grid((12, 6), (1.0, 1.0))
     shaken = pd.Arrays(x + rng.uniform(-0.1, 0.1, x.shape), volume)
     traction = pd.Traction(region.Slab("x", low=11.0), x=2.0, normal=(1.0, 0.0))
-    with pytest.raises(pd.CaseError, match="give the Traction the area of its face"):
+    with pytest.raises(pd.CaseError, match="give the Traction a normal and the area of its face"):
         resultant(strip(shaken, (1.2, 1.2), traction), tmp_path)
     for distribution in ("layer", "consistent"):
         given = pd.Traction(

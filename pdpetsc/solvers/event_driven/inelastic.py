@@ -57,8 +57,8 @@ class InelasticForces:
         self._body = problem.body
         self._pairs = pairs
         fixed = problem.supports.fixed
-        self._free = ~fixed
-        self._prescribed = problem.supports.prescribed(1.0)
+        # What prescribed and tied unknowns are where the independent ones do not move.
+        self._held = problem.supports.completed(np.zeros(fixed.shape), problem.supports.prescribed(1.0))
         self._external = problem.external_force(problem.state(np.zeros(fixed.shape), 1.0))
         self._scales = scales_of(problem.body, problem.material_term)
         self.matrix = TangentMatrix(assembler, fixed, self._scales.stiffness)
@@ -75,11 +75,11 @@ class InelasticForces:
 
     def factor(self) -> None:
         """Factor the present stiffness; no bond differs from it then."""
-        zero = np.zeros(self._free.shape)
+        zero = np.zeros(self._problem.supports.fixed.shape)
         self.matrix.update(self._problem.state(zero))
         self.numbers, self.local = {}, []
-        load = self._external - self._problem.linearised(self._problem.state(zero))(self._prescribed)
-        self.elastic = self._solve(load) + self._prescribed
+        load = self._external - self._problem.linearised(self._problem.state(zero))(self._held)
+        self.elastic = self._solve(load) + self._held
         if self._pairs is not None:
             self._elongated = self._pairs.elongation(self._body.with_ghosts(self.elastic))
 
@@ -128,9 +128,10 @@ class InelasticForces:
         self.matrix.destroy()
 
     def _solve(self, load: Float) -> Float:
-        self._b.array = np.where(self._free, load, 0.0).ravel() / self._scales.force
+        supports = self._problem.supports
+        self._b.array = supports.reduced(load).ravel() / self._scales.force
         self.ksp.solve(self._b, self._x)
-        u: Float = np.where(self._free, self._scales.length * self._x.array.reshape(self._free.shape), 0.0)
+        u = supports.completed(self._scales.length * self._x.array.reshape(supports.fixed.shape))
         if self.ksp.getConvergedReason() < 0 or not self._solved():
             raise SolveError(
                 "The linear solver failed: a piece of the body may have come free, or the iterations did not converge; "

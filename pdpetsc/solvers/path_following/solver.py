@@ -12,17 +12,16 @@ from pdpetsc.arrays import Float
 from pdpetsc.declare.solvers import PathFollowing
 from pdpetsc.discrete.communicator import total
 from pdpetsc.errors import CaseError, Interrupted, SolveError
-from pdpetsc.petsc.library import linear_solver, negative_pivots, set_domain_error
+from pdpetsc.petsc.library import linear_solver
 from pdpetsc.problem.assembly import Filler
 from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.balance import EnergyBalance, judged
-from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.load_steps import GROWTH, LAST, damage_of, equilibrium, followed, settle
 from pdpetsc.solvers.path_following.bordered import Bordered
 from pdpetsc.solvers.path_following.constraint import Constraint
 from pdpetsc.solvers.path_following.measures import BAND, measure_of
-from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult, StepSolver
-from pdpetsc.solvers.unique import refuse_mechanism
+from pdpetsc.solvers.protocol import Converged, OnFailure, Setting, Start, StepResult
+from pdpetsc.solvers.snes import SnesSolver
 
 # A load factor this many times the highest one so far is that of a body which carries nothing any more.
 LEAP = 10.0
@@ -38,7 +37,7 @@ BACK = 20
 RESUMED = ("measure_step", "largest_reference", "highest_load", "last_reference")
 
 
-class PathSolver(StepSolver):
+class PathSolver(SnesSolver):
     """Newton's method for ``f_int(u) = lambda f_ext`` with ``u = lambda U`` where prescribed, and one constraint.
 
     Unknowns are the displacements and the load factor ``lambda``; each linear solve takes two with the tangent, for the
@@ -67,23 +66,20 @@ class PathSolver(StepSolver):
     deBorst1987 on control by chosen displacements; Chen1990 on control by the zone that softens.
     """
 
-    unit = "Newton"
     advice = "take smaller steps of the measure, or a measure that grows all along the path"
 
     def __init__(self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]) -> None:
-        self.problem = problem
-        self._comm = problem.body.cloud.comm
+        super().__init__(problem, assembler, stop)
         fixed = problem.supports.fixed
         self.load = 0.0
         self._options = options
-        self._stop = stop
         self._whole = (
             problem.supports.prescribed(1.0),
             problem.external_force(problem.state(np.zeros(fixed.shape), 1.0)),
         )
+        # Change of the unknowns with the load factor where the independent ones do not move [length].
+        self._held = problem.supports.completed(np.zeros(fixed.shape), self._whole[0])
         self._measure = measure_of(problem, options.measure)
-        self._equilibrium = Equilibrium(problem, assembler)
-        self._scales = self._equilibrium.scales
         self._force = 1.0
         self._highest = 0.0
         self._target = 0.0
@@ -91,19 +87,8 @@ class PathSolver(StepSolver):
         self._begun = 0.0, np.zeros(fixed.shape)
         self._constraint = Constraint(np.zeros(fixed.shape), 1.0, np.zeros(fixed.shape), 0.0)
         self._bordered = Bordered(self._equilibrium.tangent)
-        self._r, self._x = self._bordered.vector(), self._bordered.vector()
-        self.snes = PETSc.SNES().create(comm=self._comm)
-        self.snes.setFunction(self._residual, self._r)
-        self.snes.setJacobian(self._jacobian, self._bordered.mat)
-        self.snes.setConvergenceTest(self._test)
         self._bordered.solve_in(self.snes.getKSP())
-        read_options(self.destroy, self.snes, self._bordered.ksp, equip=self._bordered.equip)
-        self.snes.setLineSearchPreCheck(self._shorten)
-
-    @property
-    def matrix_bytes(self) -> int:
-        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
-        return self._equilibrium.tangent.bytes
+        self._set_up(self._bordered.vector(), self._bordered.mat, self._bordered.mat, self._bordered.ksp)
 
     def description(self) -> str:
         """Return the measure, the nonlinear and the linear solver in a few words."""
@@ -113,10 +98,8 @@ class PathSolver(StepSolver):
     def destroy(self) -> None:
         """Free the PETSc objects, in order."""
         self.snes.destroy()
-        self._r.destroy()
-        self._x.destroy()
         self._bordered.free()
-        self._equilibrium.destroy()
+        super().destroy()
 
     @classmethod
     def make(cls, setting: Setting) -> PathSolver:
@@ -162,7 +145,7 @@ class PathSolver(StepSolver):
             if result.converged:
                 balance.pass_by(self.state(attempt))
                 result = judged(result, balance.broken_by(self.state(attempt)))
-            if self._stop():
+            if self.stop():
                 self.problem.revert()
                 raise Interrupted(f"Stopped by a signal; results are complete up to load factor {load:.6g}.")
             if not result.converged:
@@ -211,42 +194,26 @@ class PathSolver(StepSolver):
         sought.impose(self.load, *(self.load * one for one in self._whole))
         if sought.begin(u):
             self._bordered.renew()
-        sought.resist(np.where(sought.free, 0.0, self._whole[0]))
+        sought.resist(self._held)
         self._begun = self.load, sought.resisted
-        self._bordered.iterations = 0
         self._bordered.put(self._x, u / self._scales.length, self.load)
-        self.snes.solve(None, self._x)
-        resting = sought.resting
-        for _ in range(RESTS):
-            if resting or self.snes.getConvergedReason() <= 0:
-                break
-            # Solve again from this state, to which the springs move: they have no force there.
-            sought.move_springs(self._displacement(self._x))
-            sought.reason = ""
-            self.snes.solve(None, self._x)
-            resting = sought.at_rest(self._take(self._x)[0], self._rtol)
+        linear = self._iterate(u)
+        resting, more = self._rested()
         reason = self.snes.getConvergedReason()
         values, load = self._take(self._x)
         # Only the convergence test of this solver includes the constraint.
         converged = reason > 0 and resting and sought.reason != "" and sought.judge(values, self._rtol)
         self.load = self.t = load if converged else of.load0
-        result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), self._bordered.iterations)
+        result = sought.result(converged, reason, self._bordered.ksp.getConvergedReason(), linear + more)
         if converged:
-            result = replace(result, negative_pivots=negative_pivots(self._bordered.ksp))
+            result = replace(result, negative_pivots=self._pivots())
         return sought.at_prescribed(values), result
-
-    def refuse_mechanism(self, u: Float) -> None:
-        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` leaves a mechanism."""
-        sought = self._equilibrium
-        if not sought.tangent.holds():
-            sought.tangent.update(self.state(u))
-        refuse_mechanism(self.problem, sought.tangent, self._bordered.ksp, self._scales.stiffness, self.t)
 
     def _advance(self, u: Float, size: float) -> tuple[Float, StepResult, int, int]:
         """Let the measure grow by ``size``; return the equilibrium, how it went, bonds broken and sweeps."""
         options, problem, broken, swept = self._options, self.problem, 0, 0
         if self._measure.holds_while_bonds_break:
-            return equilibrium(self, options.bonds_at_once, u, size, self._stop)
+            return equilibrium(self, options.bonds_at_once, u, size, self.stop)
         attempt, result, sweeps = self._settle(u, size)
         most = self._measure.reached(attempt, self.load) if result.converged else 0.0
         while result.converged:
@@ -300,12 +267,12 @@ class PathSolver(StepSolver):
         problem, load = self.problem, self.load
         problem.freeze(False)
         attempt, result = self.solve(u, size)
-        if not problem.softens or self._stop():
+        if not problem.softens or self.stop():
             return attempt, result, 0
         stored = damage_of(self).stored()
         if result.converged:
             attempt, result, change = followed(self, attempt, result, size)
-            if self._stop() or (result.converged and change <= LAST):
+            if self.stop() or (result.converged and change <= LAST):
                 return attempt, result, 0
         problem.reset_bonds(stored)
         self.load = load
@@ -329,72 +296,39 @@ class PathSolver(StepSolver):
         return values * self._scales.length, load
 
     @property
-    def _rtol(self) -> float:
-        return float(self.snes.getTolerances()[0])
+    def _tangent_solver(self) -> PETSc.KSP:
+        return self._bordered.ksp
 
-    def _displacement(self, x: PETSc.Vec) -> Float:
-        return self._equilibrium.at_prescribed(self._take(x)[0])
+    def _equip(self) -> None:
+        self._bordered.equip()
 
-    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        sought = self._equilibrium
+    def _iterate(self, start: Float) -> int:
+        self._bordered.iterations = 0
+        self._x.array_w[: self._n_u] = start.ravel() / self._scales.length
+        self.snes.solve(None, self._x)
+        return self._bordered.iterations
+
+    def _read(self, x: PETSc.Vec) -> Float:
+        return self._take(x)[0]
+
+    def _other_residuals(self, x: PETSc.Vec) -> Float:
+        """Return the residual of the constraint, on the last rank."""
         values, load = self._take(x)
-        residual = sought.residual(values)
-        if residual is None:
-            set_domain_error(snes)
-            r.set(np.inf)
-            return
-        grown = self._constraint.grown(self._comm, sought.at_prescribed(values), load)
-        force = self._scales.force
-        self._bordered.put(r, residual / force, self._force / force * (grown - self._target))
+        grown = self._constraint.grown(self._comm, self._equilibrium.at_prescribed(values), load)
+        residual = self._force / self._scales.force * (grown - self._target)
+        return np.full(x.getLocalSize() - self._n_u, residual)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        sought, row, free, scales = self._equilibrium, self._constraint, self._equilibrium.free, self._scales
-        u = self._displacement(x)
+        sought, row, scales, supports = self._equilibrium, self._constraint, self._scales, self.problem.supports
+        u = self._read(x)
         state = sought.state(u)
         sought.assemble(u)
         whole, external = self._whole
-        held = np.where(free, 0.0, whole)
-        column = self.problem.linearised(state)(held) - external
-        along = row.share + float(total(self._comm, float((row.of * held).sum())))
+        column = supports.reduced(self.problem.linearised(state)(self._held) - external)
+        along = row.share + float(total(self._comm, float((row.of * self._held).sum())))
         share = self._force / scales.force
         self._bordered.border(
-            np.where(free, column, -scales.stiffness * whole) / scales.force,
-            share * scales.length * np.where(free, row.of, 0.0),
+            np.where(sought.supported, -scales.stiffness * whole, column) / scales.force,
+            share * scales.length * supports.reduced(row.of),
             share * along,
         )
-
-    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0."""
-        if not self._equilibrium.resting:
-            step = np.append(*self._bordered.split(y)) * self._scales.length
-            step = self._equilibrium.held_in_place(step, self._displacement(x), self._answer, self._rtol)
-            self._bordered.put(y, step[:-1] / self._scales.length, step[-1] / self._scales.length)
-        moved = x.duplicate()
-
-        def after(part: float) -> Float:
-            moved.waxpy(-part, y, x)
-            return self._displacement(moved)
-
-        part = self._equilibrium.admissible_part(after)
-        moved.destroy()
-        if part < 1.0:
-            y.scale(part)
-
-    def _answer(self, b: Float) -> Float:
-        """Return displacements and load factor (n + 1,), both times the length scale, that forces ``b`` lead to."""
-        forces, found = self._bordered.vector(), self._bordered.vector()
-        self._bordered.put(forces, b / self._scales.force, 0.0)
-        ksp = self.snes.getKSP()
-        ksp.solve(forces, found)
-        if ksp.getConvergedReason() < 0:
-            found.set(0.0)
-        answer = np.append(*self._bordered.split(found)) * self._scales.length
-        forces.destroy()
-        found.destroy()
-        return answer
-
-    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
-        if self._stop():
-            return self._equilibrium.interrupted()
-        values, _ = self._take(snes.getSolution())
-        return self._equilibrium.verdict(values, iteration, norms[2] * self._scales.force, self._rtol)

@@ -1,0 +1,37 @@
+"""Tables of values by columns, as text and as HTML."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+
+def text_of(value: Any, digits: int = 6) -> str:
+    """Return a value as a cell has it: floating-point numbers with so many digits, nothing for None."""
+    if value is None:
+        return ""
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> list[str]:
+    """Return a line of text for each row, with columns of one width; numbers of columns in ``left`` begin there."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = [f"{word:{'<' if n in left else '>'}{widths[n]}}" for n, word in enumerate(row)]
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
+def cell(value: Any, digits: int = 6) -> str:
+    """Return a value as a cell of an HTML table."""
+    return f"<td>{html.escape(text_of(value, digits))}</td>"
+
+
+def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return an HTML table of cells, with a header unless all heads are empty."""
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in heads)
+    top = f"<thead><tr>{head}</tr></thead>" if any(heads) else ""
+    body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+    return f"<table>{top}<tbody>{body}</tbody></table>"

@@ -1,0 +1,329 @@
+"""What integrals about a crack tip read of a plane body: at gradient points, or along bonds."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.errors import CaseError
+from pdpetsc.kernels.sparsity import sum_by
+from pdpetsc.material.base import IsotropicMaterial
+from pdpetsc.material.linear_elastic import LinearElastic
+from pdpetsc.post.solution import Solution
+from pdpetsc.problem.expansion import FreeDeformation
+from pdpetsc.terms.bond_forces import BondForces
+from pdpetsc.terms.material_points import MaterialPoints
+
+# A temperature is changed by this share of its range for the derivative of the energy of a law by it.
+LAW_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Continuum:
+    """What the integrals read of every own particle.
+
+    Attributes
+    ----------
+    H : (n_owned, 2, 2) float64
+        Gradient of the displacement [-].
+    P : (n_owned, 2, 2) float64
+        First Piola-Kirchhoff stress [stress].
+    psi : (n_owned,) float64
+        Energy density [energy / volume].
+    momentum : (n_owned, 2, 2) float64
+        ``psi I - H^T P``, the energy-momentum tensor [energy / volume].
+    """
+
+    H: Float
+    P: Float
+    psi: Float
+    momentum: Float
+
+
+class Integrands(ABC):
+    """What the integrals read of a body in one state.
+
+    Attributes
+    ----------
+    remembers : bool
+        Whether a material at gradient points has a history; the same on all ranks.
+
+    Notes
+    -----
+    Methods are collective but where they say otherwise.
+    """
+
+    remembers = False
+
+    def __init__(self, solution: Solution) -> None:
+        self.solution = solution
+        self.state = solution.state
+
+    @abstractmethod
+    def continuum(self) -> Continuum:
+        """Return gradient, stress and energy-momentum tensor of the own particles."""
+
+    @abstractmethod
+    def materials(self) -> tuple[GlobalIndex, Float]:
+        """Return the number of the material of each own particle, and the factor of its moduli by place [-]."""
+
+    @abstractmethod
+    def law(self, number: int, inside: Mask) -> object:
+        """Return the law of a material in a part of the body (n_owned,) bool, None if it has none at small strain."""
+
+    def elastic_law(self, number: int, inside: Mask) -> LinearElastic | None:
+        """Return the isotropic linear law that a material is at small strain in a part of the body, None for others."""
+        law = self.law(number, inside)
+        return LinearElastic(law.E, law.nu, law.plane) if isinstance(law, IsotropicMaterial) else None
+
+    def directions(self) -> Float:
+        """Return a number (n_owned,) that differs between particles whose laws have different axes (not collective)."""
+        return np.zeros(len(self.solution.x))
+
+    def strain_of_body(self, expansion: FreeDeformation) -> Float:
+        """Return the strain without stress as the body has it (n_owned, 3, 3) [-] (not collective)."""
+        return expansion.strain
+
+    def trace(self, fields: Continuum, free: Float | None) -> Float:
+        """Return the trace of the energy-momentum tensor (n_owned,), which is zero in a linear body without strain.
+
+        Parameters
+        ----------
+        fields : Continuum
+            What ``continuum`` returns.
+        free : (n_owned, 2, 2) float64 or None
+            Strain without stress within the plane [-].
+        """
+        return np.asarray(np.einsum("pii->p", fields.momentum))
+
+    @abstractmethod
+    def slopes(self, values: Float) -> Float:
+        """Return the slopes (n_owned, columns, dim) of numbers of the local particles (n_local, columns)."""
+
+    @abstractmethod
+    def explicit_derivative(self, moduli: Float, strain: Float | None, temperature: Float | None) -> Float:
+        """Return the derivative of the energy density by place at constant F (n_owned, 2) [energy / volume / length].
+
+        Parameters
+        ----------
+        moduli : (n_local,) float64
+            Factor of the moduli [-].
+        strain : (n_local, 4) float64 or None
+            Strain without stress, xx, yy, xy and zz [-].
+        temperature : (n_local,) float64 or None
+            If a law depends on it otherwise.
+        """
+
+    @abstractmethod
+    def released(self, shifts: Sequence[Float], step: float) -> Float:
+        """Return the energy that each gradient point releases per length of a move of the particles (n_points,).
+
+        Parameters
+        ----------
+        shifts : sequence of (n_local, dim) float64
+            Moves in the undeformed body, over their length [-]; what they release is summed.
+        step : float
+            Length of the moves forwards and backwards [length].
+
+        Raises
+        ------
+        CaseError
+            The body has no gradient points.
+        """
+
+
+class OfPoints(Integrands):
+    """Of a body with gradient points: each field is computed at the points and summed over the points of a particle."""
+
+    def __init__(self, solution: Solution, term: MaterialPoints) -> None:
+        super().__init__(solution)
+        self.term = term
+        self.remembers = any(material.has_history for material in term.materials)
+
+    @property
+    def share(self) -> Float:
+        """Return the volume of each point over that of its particle (n_points,) [-]."""
+        return self.term.operator.volume / self.solution.volume[self.term.operator.owner]
+
+    def continuum(self) -> Continuum:
+        """Return the sums over the points with their volumes, over the volume of the particle."""
+        operator, one, share = self.term.operator, np.eye(self.solution.problem.dim), self.share
+        F, P, psi = self.term.conjugates(self.state)
+        H = F - one
+        tensors = [H, P, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P)]
+        H, P, momentum = (operator.sum_over_points(share[:, None, None] * T) for T in tensors)
+        return Continuum(H, P, operator.sum_over_points(share * psi), momentum)
+
+    def materials(self) -> tuple[GlobalIndex, Float]:
+        """Return the number of the material at the points of each particle, and its factor."""
+        numbers, factor = np.zeros(len(self.solution.x), dtype=np.int64), np.ones(len(self.solution.x))
+        for number, at_points in enumerate(self.term.materials):
+            of = self.term.operator.owner[at_points.points]
+            numbers[of] = number
+            if at_points.factor is not None:
+                factor[of] = at_points.factor
+        return numbers, factor
+
+    def law(self, number: int, inside: Mask) -> object:
+        """Return the law at the temperature that the particles have, which is one: others are refused."""
+        law = self.term.materials[number].material
+        expansion, temperature = self.solution.problem.body.expansion, self.state.temperature
+        thermal = None if expansion is None else expansion.thermals[number]
+        if thermal is None or thermal.law is None or temperature is None:
+            return law
+        return thermal.material_at(self.solution.largest(float(temperature[inside].max(initial=-np.inf))), law)
+
+    def directions(self) -> Float:
+        """Return a number made of those that laws without history read of the place, as directions of fibres."""
+        number = np.zeros(len(self.solution.x))
+        for one in self.term.materials:
+            if not one.has_history and one.history.shape[1]:
+                # Any that differ will do.
+                weights = np.arange(1.0, 1.0 + one.history.shape[1])
+                number[self.term.operator.owner[one.points]] = one.history @ weights
+        return number
+
+    def slopes(self, values: Float) -> Float:
+        """Return the means of the slopes at the points of each particle."""
+        return self.term.operator.mean_over_points(self._slopes_at_points(values), len(self.solution.x))
+
+    def explicit_derivative(self, moduli: Float, strain: Float | None, temperature: Float | None) -> Float:
+        """Return the sum over the points of each particle."""
+        term, owner = self.term, self.term.operator.owner
+        psi = term.conjugates(self.state)[2]
+        found = (psi / moduli[owner])[:, None] * self._slopes_at_points(moduli[:, None])[:, 0]
+        if strain is not None:
+            S, slope = term.energy_by_strain(self.state), self._slopes_at_points(strain)
+            by_strain = np.stack([S[:, 0, 0], S[:, 1, 1], S[:, 0, 1] + S[:, 1, 0], S[:, 2, 2]], axis=1)
+            found += np.einsum("pc,pcm->pm", by_strain, slope)
+        if temperature is not None:
+            F = term.deformation(self.state)
+            by, slope = np.zeros(len(F)), self._slopes_at_points(temperature[:, None])[:, 0]
+            low, high = range_on_ranks(self.solution, temperature)
+            step = LAW_STEP * (high - low) if high > low else 1.0
+            for law in term.laws(self.state).materials:
+                by[law.points] = law.energy_by_temperature(F[law.points], temperature[owner[law.points]], step)
+            found += by[:, None] * slope
+        return term.operator.sum_over_points(self.share[:, None] * found)
+
+    def released(self, shifts: Sequence[Float], step: float) -> Float:
+        """Return the difference of the energies of both moves, from the gradients that the points then have."""
+        operator, one = self.term.operator, np.eye(2)
+        F, _, _ = self.term.conjugates(self.state)
+        H, found = F - one, np.zeros(len(F))
+        for shift in shifts:
+            D = operator.gradient(np.ascontiguousarray(shift))
+            moved = np.flatnonzero(np.abs(D).max(axis=(1, 2)) > 0.0)
+            for d in (step, -step):
+                by = one + d * D[moved]
+                at = F.copy()
+                at[moved] = one + np.einsum("pij,pjk->pik", H[moved], np.linalg.inv(by))
+                volume = operator.volume.copy()
+                volume[moved] *= np.linalg.det(by)
+                found -= volume * self.term.energy_at(self.state, at, volume) / (2.0 * d)
+        return found
+
+    def _slopes_at_points(self, values: Float) -> Float:
+        """Return the slopes (n_points, columns, dim) of numbers of the local particles (n_local, columns)."""
+        dim, n = self.term.body.dim, values.shape[1]
+        padded = np.zeros((len(values), -(-n // dim) * dim))
+        padded[:, :n] = values
+        parts = [
+            self.term.operator.gradient(np.ascontiguousarray(padded[:, first : first + dim]))
+            for first in range(0, padded.shape[1], dim)
+        ]
+        return np.concatenate(parts, axis=1)[:, :n]
+
+
+class OfBonds(Integrands):
+    """Of a body of bonds: the gradient that fits its families best, with their stress and energy density."""
+
+    def __init__(self, solution: Solution, term: BondForces) -> None:
+        super().__init__(solution)
+        self.term = term
+        self.families = solution.problem.body.families
+
+    def continuum(self) -> Continuum:
+        """Return the means of the families."""
+        one = np.eye(self.solution.problem.dim)
+        H, P = self.term.deformation_gradient(self.state) - one, self.term.first_piola_stress(self.state)
+        psi = self.term.energy_density(self.state)
+        return Continuum(H, P, psi, psi[:, None, None] * one - np.einsum("pki,pkj->pij", H, P))
+
+    def materials(self) -> tuple[GlobalIndex, Float]:
+        """Return the numbers and factors of the particles."""
+        return self.term.material_of.astype(np.int64), self.term.factor
+
+    def law(self, number: int, inside: Mask) -> object:
+        """Return the solid that the bonds stand for."""
+        return self.term.materials[number].elastic(self.solution.problem.dim)
+
+    def strain_of_body(self, expansion: FreeDeformation) -> Float:
+        """Return the strain with what the plane of the bonds shows of it."""
+        strain = expansion.strain.copy()
+        strain[:, :2, :2] = expansion.in_body()
+        return strain
+
+    def trace(self, fields: Continuum, free: Float | None) -> Float:
+        """Return that of the strain without stress in a linear body.
+
+        The trace of a tip's bonds is what their best gradient misses of their energy.
+        """
+        if not self.term.linear:
+            return super().trace(fields, free)
+        return np.zeros(len(fields.P)) if free is None else -np.einsum("pik,pik->p", fields.P, free)
+
+    def slopes(self, values: Float) -> Float:
+        """Return the slopes that fit families of bonds best, over bonds that are left."""
+        cloud, families, damage = self.solution.cloud, self.families, self.solution.problem.damage
+        xi = families.bonds(cloud.x)
+        weight = self.term.omega * cloud.volume[families.neighbours]
+        if damage is not None:
+            weight = weight * damage.bonds.intact
+        change = values[families.neighbours] - values[families.centres]
+        K = sum_by(families.centres, np.einsum("b,bi,bj->bij", weight, xi, xi), cloud.n_owned)
+        N = sum_by(families.centres, np.einsum("b,bc,bj->bcj", weight, change, xi), cloud.n_owned)
+        return np.asarray(N @ np.linalg.pinv(K, rcond=1e-10, hermitian=True))
+
+    def explicit_derivative(self, moduli: Float, strain: Float | None, temperature: Float | None) -> Float:
+        """Return the sum over the bonds of each particle.
+
+        Bonds have the energy of their elongation beyond ``|(I + eps) xi| - |xi|``, or ``n . eps xi`` at small strain.
+        """
+        cloud, centres, n = self.solution.cloud, self.families.centres, len(self.solution.x)
+        by_moduli = (self.term.energy_density(self.state) / moduli[:n])[:, None] * self.slopes(moduli[:, None])[:, 0]
+        expansion = self.state.expansion
+        if strain is None or expansion is None:
+            return np.asarray(by_moduli)
+        along = xi = self.families.bonds(cloud.x)
+        if self.term.finite:
+            along = xi + np.einsum("bij,bj->bi", expansion.in_body()[centres], xi)
+        direction = along / np.linalg.norm(along, axis=1)[:, None]
+        moment = sum_by(centres, np.einsum("b,bi,bj->bij", self.term.tension(self.state), direction, xi), n)
+        moment /= cloud.volume[:n, None, None]
+        shear = moment[:, 0, 1] + moment[:, 1, 0]
+        by_strain = np.stack([moment[:, 0, 0], moment[:, 1, 1], shear, np.zeros(n)], axis=1)
+        return np.asarray(by_moduli - np.einsum("pc,pcm->pm", by_strain, self.slopes(strain)))
+
+    def released(self, shifts: Sequence[Float], step: float) -> Float:
+        """Refuse: bonds have no gradient points."""
+        raise CaseError("An EnergyReleaseRate moves gradient points, and a body of bonds has none; take a JIntegral.")
+
+
+def integrands_of(solution: Solution) -> Integrands:
+    """Return what integrals read of the body of a solution (not collective)."""
+    term = solution.problem.material_term
+    return OfPoints(solution, term) if isinstance(term, MaterialPoints) else OfBonds(solution, cast(BondForces, term))
+
+
+def range_on_ranks(solution: Solution, values: Float) -> tuple[float, float]:
+    """Return the least and the largest of numbers on all ranks (collective)."""
+    return (
+        -solution.largest(float((-values).max(initial=-np.inf))),
+        solution.largest(float(values.max(initial=-np.inf))),
+    )

@@ -1,0 +1,206 @@
+"""Newton's method on PETSc's SNES: what load stepping, temperatures as unknowns and path following share."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+from petsc4py import PETSc
+
+from pdpetsc.arrays import Float
+from pdpetsc.petsc.library import forces_iteration, set_domain_error
+from pdpetsc.problem.assembly import Filler
+from pdpetsc.problem.problem import Problem
+from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
+from pdpetsc.solvers.protocol import StepSolver
+from pdpetsc.solvers.unique import refuse_mechanism
+
+
+class SnesSolver(StepSolver):
+    """Finds a zero of the residual of ``Equilibrium`` and of whatever else is solved for, with SNES.
+
+    A vector of PETSc holds the displacements of a rank over their scale, and after them its other unknowns.
+
+    Parameters
+    ----------
+    problem, assembler
+        What is solved, and what fills its matrix.
+    stop : callable
+        Asked after every iteration, collectively; True ends the solve (a signal arrived).
+
+    Attributes
+    ----------
+    snes : SNES
+        PETSc's solver.
+
+    Notes
+    -----
+    Construction and every method are collective. Call ``destroy`` before MPI ends.
+    """
+
+    unit = "Newton"
+
+    def __init__(self, problem: Problem, assembler: Filler, stop: Callable[[], bool]) -> None:
+        self.problem = problem
+        self.stop = stop
+        self._comm = problem.body.cloud.comm
+        self._n_u = problem.supports.fixed.size
+        self._equilibrium = Equilibrium(problem, assembler)
+        self._scales = self._equilibrium.scales
+        self.snes = PETSc.SNES().create(comm=self._comm)
+
+    def _set_up(self, x: PETSc.Vec, mat: PETSc.Mat, preconditioner: PETSc.Mat, *linear: PETSc.KSP) -> None:
+        """Give SNES its functions, and SNES and linear solvers their options."""
+        self._x, self._r = x, x.duplicate()
+        self.snes.setFunction(self._residual, self._r)
+        self.snes.setJacobian(self._jacobian, mat, preconditioner)
+        self.snes.setConvergenceTest(self._test)
+        read_options(self.destroy, self.snes, *linear, equip=self._equip)
+        self.snes.setLineSearchPreCheck(self._shorten)
+
+    @property
+    def matrix_bytes(self) -> int:
+        """Return the memory of the entries that PETSc allocated, over all ranks [bytes]."""
+        return self._equilibrium.tangent.bytes
+
+    def refuse_mechanism(self, u: Float) -> None:
+        """Raise SolveError on all ranks if the tangent at the equilibrium ``u`` leaves a mechanism."""
+        sought, ksp = self._equilibrium, self._tangent_solver
+        if ksp is None:
+            return
+        anew = not sought.tangent.holds()
+        if anew:
+            sought.update(self.state(u))
+        refuse_mechanism(self.problem, sought.tangent, ksp, self._scales.stiffness, self.t)
+        if anew:  # the next step begins as if nobody had looked
+            sought.forget()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects, in order."""
+        self.snes.destroy()
+        self._r.destroy()
+        self._x.destroy()
+        self._equilibrium.destroy()
+
+    @property
+    @abstractmethod
+    def _tangent_solver(self) -> PETSc.KSP | None:
+        """Return the linear solver of the tangent, None if there is none."""
+
+    @abstractmethod
+    def _equip(self) -> None:
+        """Give the linear solver what options alone do not."""
+
+    @abstractmethod
+    def _iterate(self, start: Float) -> int:
+        """Run SNES from displacements (n_rows, dim) [length]; return the linear iterations."""
+
+    @abstractmethod
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        """Update the matrices to those at ``x``."""
+
+    def _read(self, x: PETSc.Vec) -> Float:
+        """Return the displacements (n,) of a vector [length]; its other unknowns become those of the problem."""
+        return self._displacement(x)
+
+    def _other_residuals(self, x: PETSc.Vec) -> Float:
+        """Return the residuals of the other unknowns of this rank, as PETSc sees them."""
+        return np.empty(0)
+
+    def _others_converged(self, x: PETSc.Vec) -> bool:
+        """Return whether the residuals of the other unknowns count as zero."""
+        return True
+
+    def _norm(self, norm: float) -> float:
+        """Return the norm that the convergence test judges [force], from that of the whole residual of PETSc."""
+        return norm * self._scales.force
+
+    @property
+    def _rtol(self) -> float:
+        return float(self.snes.getTolerances()[0])
+
+    def _displacement(self, x: PETSc.Vec) -> Float:
+        """Return the displacements (n,) of a vector [length]."""
+        return np.asarray(x.array_r[: self._n_u] * self._scales.length)
+
+    def _rested(self) -> tuple[bool, int]:
+        """Solve again with the springs of loose particles moved along, until they have no force.
+
+        Return whether forces balance without them, and the linear iterations.
+        """
+        sought, linear = self._equilibrium, 0
+        resting = sought.resting
+        for _ in range(RESTS):
+            if resting or self.snes.getConvergedReason() <= 0:
+                break
+            # Solve again from this state, to which the springs move: they have no force there.
+            rest = sought.at_prescribed(self._read(self._x))
+            sought.move_springs(rest)
+            sought.reason = ""
+            linear += self._iterate(rest)
+            resting = sought.at_rest(self._read(self._x), self._rtol)
+        return resting, linear
+
+    def _judged(self, x: PETSc.Vec) -> bool:
+        """Return whether the residuals at a vector count as zero."""
+        return self._equilibrium.judge(self._read(x), self._rtol) and self._others_converged(x)
+
+    def _pivots(self) -> int | None:
+        """Return the negative pivots of the tangent, None unless it is what was factored."""
+        ksp = self._tangent_solver
+        return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
+
+    def _answer(self, b: Float) -> Float:
+        """Return the unknowns (n,) that the tangent, which was solved with last, answers forces ``b`` with [length]."""
+        forces, found = self._r.duplicate(), self._x.duplicate()
+        forces.set(0.0)
+        forces.array_w[: b.size] = b.ravel() / self._scales.force
+        ksp = self.snes.getKSP()
+        ksp.solve(forces, found)
+        if ksp.getConvergedReason() < 0:
+            found.set(0.0)
+        answer = np.asarray(found.array_r * self._scales.length)
+        forces.destroy()
+        found.destroy()
+        return answer
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        residual = self._equilibrium.residual(self._read(x))
+        if residual is None:
+            set_domain_error(snes)
+            r.set(np.inf)
+            return
+        r.array = np.concatenate([residual.ravel() / self._scales.force, self._other_residuals(x)])
+
+    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Remove what only springs of loose particles resist, and halve a Newton step until it keeps det F > 0."""
+        sought = self._equilibrium
+        if not sought.resting:
+            step = y.array_r * self._scales.length
+            y.array = sought.held_in_place(step, self._read(x), self._answer, self._rtol) / self._scales.length
+        moved = x.duplicate()
+
+        def after(part: float) -> Float:
+            moved.waxpy(-part, y, x)
+            return sought.at_prescribed(self._read(moved))
+
+        part = sought.admissible_part(after)
+        moved.destroy()
+        self._read(x)
+        if part < 1.0:
+            y.scale(part)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int | None:
+        sought, x = self._equilibrium, snes.getSolution()
+        if self.stop():
+            return sought.interrupted()
+        values, others = self._read(x), self._others_converged(x)
+        verdict = sought.verdict(values, iteration, self._norm(norms[2]), self._rtol)
+        if verdict is None or verdict < 0:
+            return verdict
+        if not others:
+            sought.reason = ""
+            return None
+        # -snes_force_iteration: no solve is done before its first iteration.
+        return None if iteration == 0 and forces_iteration(snes) else verdict

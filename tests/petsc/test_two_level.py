@@ -227,16 +227,16 @@ def test_iterations_hardly_grow_with_the_body(tmp_path):
 
 @pytest.mark.long
 def test_damage_while_running_gives_the_results_of_the_assembled_tangent(tmp_path):
-    """A notched strip that softens, tears and comes apart."""
+    """A notched strip that softens and tears until it carries a fiftieth. Further on the equilibrium is unstable."""
     law = pd.LinearSoftening(pd.ConstantCritical(0.01), ratio=3.0)
     case = box(
-        2, (10, 6), m=2.015, material=pd.BondBased(E=1.0), damage=law, strain=0.05,
-        cracks=[pd.Segment((5.0, 0.0), (5.0, 2.0))], steps=pd.Steps(6),
+        2, (10, 6), m=2.015, material=pd.BondBased(E=1.0), damage=law, strain=0.05 * 5.0 / 6.0,
+        cracks=[pd.Segment((5.0, 0.0), (5.0, 2.0))], steps=pd.Steps(5),
     )  # fmt: skip
     case = dataclasses.replace(case, history={"force": pd.Reaction("x", pd.region.Slab("x", low=9.0))})
     found = [pd.run(case, tmp_path / name, options=options) for name, options in (("a", FREE), ("b", DIRECT))]
     forces = [result.history["force"] for result in found]
-    assert np.abs(forces[0]).max() > 10.0 * np.abs(forces[0][-1])
+    assert np.abs(forces[0]).max() > 50.0 * np.abs(forces[0][-1])
     assert forces[0] == pytest.approx(forces[1], abs=1e-6 * np.abs(forces[1]).max())
 
 

@@ -169,43 +169,36 @@ class BondDamage(Declared, ABC):
 
 @dataclass(frozen=True)
 class PiecewiseLinear(BondDamage):
-    """A law whose force falls linearly to zero with a drive linear in the elongation, which events can follow."""
+    """A law whose force falls linearly to zero at the drive ``final``, 1 for a bond that snaps; events can follow it.
 
-    @property
-    @abstractmethod
-    def final_ratio(self) -> float:
-        """Return the drive at which no force is left [-]: 1 for a bond that snaps."""
-
-    @property
-    def final(self) -> float:
-        """Return the final ratio."""
-        return self.final_ratio
+    The drive is linear in the elongation of the bond.
+    """
 
     def phi(self, x: Float) -> Float:
         """Return ``(r - x) / ((r - 1) x)``, 1 for a bond that snaps."""
-        r = self.final_ratio
+        r = self.final
         return np.ones_like(x) if r == 1.0 else np.asarray((r - x) / ((r - 1.0) * x))
 
     def slope(self, x: Float) -> Float:
         """Return ``-r / ((r - 1) x^2)``, 0 for a bond that snaps."""
-        r = self.final_ratio
+        r = self.final
         return np.zeros_like(x) if r == 1.0 else np.asarray(-r / ((r - 1.0) * x**2))
-
-    def reached(self, phi: Float) -> Float:
-        """Return x at which bonds of this degradation factor fail further (n,) [-].
-
-        On the envelope ``q = k l (r - x) / (r - 1)``, with the final ratio ``r``, ``q = T k l x``.
-        """
-        r = self.final_ratio
-        return np.asarray(r / (1.0 + phi * (r - 1.0)))
 
     def dissipated(self, phi: Float, x: Float, energy: Float, degree: float = 2.0) -> Float:
         """Return what linear bonds have dissipated (n,) [energy]; from their degradation factor alone for degree 2."""
         if degree != 2.0:
             return super().dissipated(phi, x, energy, degree)
-        y = self.reached(phi)
+        y = reached(phi, self.final)
         force = phi * y
         return np.asarray(energy * (1.0 + (1.0 + force) * (y - 1.0) - force * y))
+
+
+def reached(phi: Float, final: Float | float) -> Float:
+    """Return x at which bonds of ``PiecewiseLinear`` laws with this degradation factor fail further (n,) [-].
+
+    On the envelope ``q = k l (r - x) / (r - 1)``, with the final drive ``r``, ``q = T k l x``.
+    """
+    return np.asarray(final / (1.0 + phi * (final - 1.0)))
 
 
 @dataclass(frozen=True)
@@ -224,7 +217,7 @@ class Brittle(PiecewiseLinear):
     """
 
     @property
-    def final_ratio(self) -> float:
+    def final(self) -> float:
         """Return 1."""
         return 1.0
 
@@ -247,7 +240,7 @@ class LinearSoftening(PiecewiseLinear):
     ratio: AboveOne = 2.0
 
     @property
-    def final_ratio(self) -> float:
+    def final(self) -> float:
         """Return the ratio."""
         return self.ratio
 

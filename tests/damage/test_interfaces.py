@@ -212,9 +212,44 @@ def test_wrong_regions_are_refused():
             pd.prepare(bar(pd.DamageOf(regions, laws)))
 
 
-def test_events_take_one_law(tmp_path):
-    with pytest.raises(pd.CaseError, match="piecewise linear: DamageOf is not"):
-        pd.run(bar(of(CRITICAL(0.1), CRITICAL(0.1), CRITICAL(0.1)), solver=pd.EventDriven()), output=tmp_path)
+def two_springs(law_of_left, law_of_right, solver, folder):
+    """Return the largest force of three particles in a row whose two bonds have laws of their own, and all of it."""
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=2.0)
+    middle = ~left & ~right
+    laws = {
+        "left": None,
+        "middle": None,
+        "right": None,
+        ("left", "middle"): law_of_left,
+        ("middle", "right"): law_of_right,
+    }
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (3.0,), 1.0), horizon=1.015, material=pd.BondBased(E=1.0),
+        damage=pd.DamageOf({"left": left, "middle": middle, "right": right}, laws),
+        conditions=[pd.Displacement(left, x=0.0), pd.Displacement(right, x=0.2)],
+        steps=pd.Steps(40), solver=solver, history={"force": pd.Reaction("x", right)},
+    )  # fmt: skip
+    return pd.run(case, output=folder).history
+
+
+def test_events_follow_each_bond_by_its_own_law(tmp_path):
+    """Two bonds in a row: the one with the lower limit softens alone, along its law, and the other unloads."""
+    weak, strong = pd.LinearSoftening(CRITICAL(0.01), ratio=8.0), pd.Brittle(CRITICAL(0.02))
+    h = two_springs(weak, strong, pd.EventDriven(), tmp_path / "events")
+    # Stretches at the events, of the total elongation: both reach .01; the weak one fails at .08 with the other at 0.
+    assert np.asarray(h["t"])[1:3] == pytest.approx([0.1, 0.4], rel=1e-9)
+    assert np.asarray(h["force"])[1:3] / h["force"][1] == pytest.approx([1.0, 0.0], abs=1e-9)
+    mirrored = two_springs(strong, weak, pd.EventDriven(), tmp_path / "mirrored")
+    assert mirrored["force"] == pytest.approx(h["force"], rel=1e-9, abs=1e-12 * np.abs(h["force"]).max())
+    newton = two_springs(weak, strong, pd.Newton(), tmp_path / "newton")
+    along = np.interp(newton["t"], h["t"], h["force"])
+    assert newton["force"] == pytest.approx(along, abs=1e-9 * np.abs(h["force"]).max())
+
+
+def test_events_refuse_laws_that_are_not_piecewise_linear(tmp_path):
+    bent = pd.DamageOf(TWO, {**EACH, ("left", "right"): pd.ExponentialSoftening(CRITICAL(0.1))})
+    with pytest.raises(pd.CaseError, match="piecewise linear: ExponentialSoftening is not"):
+        pd.run(bar(bent, solver=pd.EventDriven()), output=tmp_path)
 
 
 def test_protected_bonds_of_laws_by_region_do_not_fail(tmp_path):

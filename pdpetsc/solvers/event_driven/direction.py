@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdpetsc.arrays import Float
+from pdpetsc.damage.laws import reached
 from pdpetsc.errors import SolveError
 
 # A rate below this share of the largest one counts as zero.
@@ -73,6 +74,11 @@ class Changed:
     def elongation(self) -> Float:
         """Return the present elongations (n,) [length]."""
         return self._columns[6, : self.n]
+
+    @property
+    def reach(self) -> Float:
+        """Return the elongations at which they fail further (n,) [length]; ``r - 1`` of a law is ``-softness k``."""
+        return self.limit * reached(self.phi, 1.0 - self.softness * self.k)
 
     @property
     def force(self) -> Float:

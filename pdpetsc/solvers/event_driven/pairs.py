@@ -36,6 +36,8 @@ class Pairs:
         Stiffness from both ends [force / length].
     limit : (n,) float64
         Elongation at which each first fails [length].
+    final : (n,) float64
+        Drive at which no force is left, 1 for a bond that snaps or does not fail [-].
     order : (n,) float64
         Number by which equal bonds fail one after the other: it follows from the places of both ends in units of the
         horizon, and not from the numbers of the particles [-].
@@ -49,6 +51,7 @@ class Pairs:
     n: Float
     k: Float
     limit: Float
+    final: Float
     order: Float
     reported: Mask
 
@@ -99,7 +102,9 @@ def make_pairs(term: BondForces) -> Pairs:
     last[of_bond] = np.arange(len(of_bond))
     stiffness: Float = np.asarray(k, dtype=float)
     order = _by_place(cloud, ends, xi)
-    return Pairs(keys, np.stack([first, last], axis=1), ends, n, stiffness, limit[first], order, reported)
+    final = failure.laws.final()[first]
+    final[np.isinf(final)] = 1.0
+    return Pairs(keys, np.stack([first, last], axis=1), ends, n, stiffness, limit[first], final, order, reported)
 
 
 def _by_place(cloud: Cloud, ends: LocalIndex, xi: Float) -> Float:

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.damage import PiecewiseLinear
+from pdpetsc.damage.laws import PiecewiseLinear, reached
 from pdpetsc.declare.solvers import EventDriven
 from pdpetsc.discrete.communicator import smallest
 from pdpetsc.errors import CaseError, Interrupted, SolveError
@@ -73,13 +73,13 @@ class EventSolver(Solver):
         # Only events change the degradation factor; between them the body is linear.
         problem.freeze(True)
         damage = problem.damage
-        self._law = None if damage is None else _law_of(damage)
         self._problem = problem
         self._comm = problem.body.cloud.comm
         self._options = options
         self._stop = stop
         self._pairs: Pairs | None = None
         if damage is not None:
+            _refuse_laws(damage)
             assert isinstance(problem.material_term, BondForces)
             self._pairs = make_pairs(problem.material_term)
         self.solver = InelasticForces(problem, assembler, self._pairs)
@@ -195,10 +195,8 @@ class EventSolver(Solver):
         """Return the direction of the path; bonds that it leaves out no longer fail."""
         bonds = self._changed
         waiting = []
-        if bonds.failing and self._law is not None:
-            near = np.flatnonzero((bonds.elongation >= bonds.limit * (1.0 - TIED)) & (bonds.phi > 0.0))
-            reach = bonds.limit[near] * self._law.reached(bonds.phi[near])
-            at_limit = near[bonds.elongation[near] >= reach * (1.0 - TIED)].tolist()
+        if bonds.failing:
+            at_limit = np.flatnonzero((bonds.elongation >= bonds.reach * (1.0 - TIED)) & (bonds.phi > 0.0)).tolist()
             waiting = [m for m in at_limit if m not in bonds.failing]
         try:
             ahead = find_direction(bonds, waiting)
@@ -234,7 +232,8 @@ class EventSolver(Solver):
         if found >= 0:
             key = (int(pairs.keys[found, 0]), int(pairs.keys[found, 1]), int(pairs.keys[found, 2]))
             state = float(self._reach[found]), float(self._phi[found]), float(pairs.order[found])
-            mine = _Candidate(key, float(pairs.k[found]), float(pairs.limit[found]), *state)
+            k, limit, final = float(pairs.k[found]), float(pairs.limit[found]), float(pairs.final[found])
+            mine = _Candidate(key, k, limit, final, *state)
         found_by = [c for c in self._comm.allgather(mine) if c is not None]
         first: _Candidate = min(found_by, key=lambda c: c.order)
         return first
@@ -253,8 +252,7 @@ class EventSolver(Solver):
         bonds = self._changed
         m = self.solver.numbers.get(found.key, -1)
         if m < 0:
-            assert self._law is not None
-            softness = -(self._law.final_ratio - 1.0) / found.k
+            softness = -(found.final - 1.0) / found.k
             row, E = self.solver.add(found.key)
             m = bonds.append(row, E, found.k, found.limit, found.phi, softness)
             self._keys.append(found.key)
@@ -275,21 +273,21 @@ class EventSolver(Solver):
         here = self.solver.local[m]
         if here < 0:
             return
-        assert self._law is not None
         bonds = self._changed
         self._phi[here] = bonds.phi[m]
         self._touched.append(here)
-        self._reach[here] = bonds.limit[m] * self._law.reached(bonds.phi[m : m + 1])[0]
+        self._reach[here] = bonds.reach[m]
         self._able[here] = bonds.phi[m] > 0.0 and m not in bonds.failing
 
     def _store(self) -> None:
         """Give the body the present degradation factor of the bonds that have changed."""
         if self._pairs is not None:
             damage = self._problem.damage
-            assert damage is not None and self._law is not None
+            assert damage is not None
             touched = np.array(self._touched, dtype=np.int64)
             damage.bonds.phi[self._pairs.bonds[touched]] = self._phi[touched, None]
-            damage.bonds.kappa[self._pairs.bonds[touched]] = self._law.reached(self._phi[touched])[:, None]
+            drive = reached(self._phi[touched], self._pairs.final[touched])
+            damage.bonds.kappa[self._pairs.bonds[touched]] = drive[:, None]
             damage.version += 1
             self._touched.clear()
 
@@ -301,21 +299,23 @@ class _Candidate:
     key: Key
     k: float
     limit: float
+    final: float
     reach: float
     phi: float
     order: float
 
 
-def _law_of(damage: Damage) -> PiecewiseLinear:
-    law = damage.bonds.law
-    if not isinstance(law, PiecewiseLinear):
-        raise CaseError(
-            f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take Brittle, "
-            f"LinearSoftening, or Newton."
-        )
+def _refuse_laws(damage: Damage) -> None:
+    laws = damage.bonds.laws.laws
+    for law in laws:
+        if not isinstance(law, PiecewiseLinear):
+            raise CaseError(
+                f"The event-driven solver needs laws that are piecewise linear: {type(law).__name__} is not; take "
+                f"Brittle, LinearSoftening, or Newton."
+            )
     if damage.driving_variable.limit is None:
+        names = ", ".join(type(law.criterion).__name__ for law in laws)
         raise CaseError(
             f"The event-driven solver needs what drives damage to be linear in the elongation of the bond itself: "
-            f"{type(law.criterion).__name__} is not; take a critical stretch, or Newton."
+            f"{names} is not; take a critical stretch, or Newton."
         )
-    return law

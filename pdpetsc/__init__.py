@@ -26,10 +26,12 @@ from pdpetsc.damage import (
     LinearSoftening,
     MazarsStrain,
     PlasticStrain,
+    PointDamage,
     PresentStretch,
     PrincipalStress,
     SmoothDegradation,
     VonMisesStrain,
+    softening,
 )
 from pdpetsc.declare import influence, region
 from pdpetsc.declare.cell import Cell
@@ -199,6 +201,7 @@ __all__ = [
     "PlaneCrack",
     "PlasticStrain",
     "PointBlocks",
+    "PointDamage",
     "PolygonCrack",
     "Polyline",
     "Prepared",
@@ -256,6 +259,7 @@ __all__ = [
     "reaction",
     "region",
     "run",
+    "softening",
     "stress",
     "study",
     "temperature",

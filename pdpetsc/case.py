@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, cast
 from pdpetsc.arrays import Float
 from pdpetsc.bond_based import BondMaterial
 from pdpetsc.control import ZeroEnergyControl
-from pdpetsc.damage import BondDamage, DamageOf
+from pdpetsc.damage import BondDamage, DamageOf, PointDamage
 from pdpetsc.declare.cell import Cell
 from pdpetsc.declare.conditions import Condition
 from pdpetsc.declare.cracks import Crack
@@ -100,7 +100,7 @@ class Case(Declared):
         ``ByShear(Silling(0.5))``.
     cracks : sequence of Crack
         What cuts bonds from the start; let it run between particles.
-    damage : BondDamage or DamageOf, optional
+    damage : BondDamage, DamageOf or PointDamage, optional
         How bonds fail, of materials of bonds or of deformation gradients, and by region and pair of regions where they
         fail differently; they do not where absent.
     cell : Cell, optional
@@ -143,7 +143,7 @@ class Case(Declared):
     weights: Weights | None = None
     control: ZeroEnergyControl | None = None
     cracks: Sequence[Crack] = ()
-    damage: BondDamage | DamageOf | None = None
+    damage: BondDamage | DamageOf | PointDamage | None = None
     cell: Cell | None = None
     symmetry: Sequence[Symmetry] = ()
     steps: Steps | AdaptiveSteps = field(default_factory=Steps)
@@ -347,6 +347,11 @@ class Case(Declared):
             for name, given in (("scheme", self.scheme), ("control", self.control), ("weights", weights)):
                 if given is not None:
                     raise CaseError(f"A body of bonds has no {name}; leave {type(given).__name__} out.")
+            if isinstance(self.damage, PointDamage):
+                raise CaseError(
+                    "PointDamage is for deformation gradients; a body of bonds takes a law of bonds, such as "
+                    "LinearSoftening."
+                )
             if self.damage is not None and self.damage.effect.reversible:
                 effect = type(self.damage.effect).__name__
                 raise CaseError(f"{effect} is for deformation gradients; bonds of a body of bonds do not heal.")

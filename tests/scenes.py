@@ -20,6 +20,7 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints
 from pdpetsc.terms.mean_dilatation import material_points
 from pdpetsc.terms.tangent_scaled import control_forces
 
@@ -183,6 +184,15 @@ def dense_tangent(small, u, assembler=None):
 def small_points(cloud, families, omega, scheme, materials, material_of, control, law=None, expands=False):
     """Return a small problem of deformation gradients, whose bonds fail where there is a law."""
     whole = Body(cloud, families, thermals=[None] * len(materials) if expands else None)
+    built = None
+    if control is not None:
+        stiffness = control.sees(stiffness_of(whole, materials, material_of, None))
+        built = control.build(cloud, families, omega, stiffness)
+    if isinstance(law, pd.PointDamage):
+        operator, spared = scheme.build(cloud, families, omega), np.zeros(cloud.n_owned, dtype=bool)
+        points = DegradedPoints(whole, operator, materials, material_of, None, law, spared, built)
+        terms = [] if built is None else [DegradedControl(whole, type(control).__name__, built, points)]
+        return Small(Problem(whole, points, terms, Supports(whole), points))
     damage = None
     if law is not None:
         alike = pd.BondBased(materials[0].E, calibration="lattice")
@@ -196,8 +206,6 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         material_term = DamagedPoints(whole, omega, scheme, materials, material_of, None, damage)
     terms = []
     if control is not None:
-        stiffness = control.sees(stiffness_of(whole, materials, material_of, None))
-        built = control.build(cloud, families, omega, stiffness)
         terms = [control_forces(control, whole, built, material_term, damage)]
     return Small(Problem(whole, material_term, terms, Supports(whole), damage))
 

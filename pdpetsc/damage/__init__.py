@@ -1,7 +1,8 @@
-"""Damage of bonds: what drives it, and how a bond loses its force."""
+"""Damage of bonds and of gradient points: what drives it, and how a bond loses its force."""
 
 from typing import Any
 
+from pdpetsc.damage import softening
 from pdpetsc.damage.at_points import JohnsonCookFailure, MazarsStrain, PlasticStrain, PrincipalStress, VonMisesStrain
 from pdpetsc.damage.criterion import (
     Criterion,
@@ -25,7 +26,9 @@ from pdpetsc.damage.laws import (
     PiecewiseLinear,
     SmoothDegradation,
 )
+from pdpetsc.damage.point_damage import PointDamage
 from pdpetsc.damage.several import DamageOf
+from pdpetsc.damage.softening import SofteningCurve
 from pdpetsc.renamed import warn
 
 __all__ = [
@@ -55,10 +58,13 @@ __all__ = [
     "NonlocalPart",
     "PiecewiseLinear",
     "PlasticStrain",
+    "PointDamage",
     "PresentStretch",
     "PrincipalStress",
     "SmoothDegradation",
+    "SofteningCurve",
     "VonMisesStrain",
+    "softening",
 ]
 
 # New name of each old one.

@@ -13,6 +13,7 @@ from scipy.special import roots_legendre
 
 from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.criterion import Criterion, DamageableBonds
+from pdpetsc.damage.critical import ConstantCritical
 from pdpetsc.damage.evolution import DamageEvolution, LargestStretch
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Bound, Declared, Fraction, Positive, shown
@@ -144,6 +145,10 @@ class BondDamage(Declared, ABC):
     def all_laws(self) -> list[BondDamage]:
         """Return the law itself, as ``DamageOf`` returns its laws."""
         return [self]
+
+    def rehearsed(self) -> BondDamage:
+        """Return damage of another body with which its loops can be compiled."""
+        return LinearSoftening(ConstantCritical(1.0), effect=self.effect)
 
     def assign(self, bonds: DamageableBonds, mark: Marking) -> GlobalIndex:
         """Return the number of the law of each bond (n_bonds,): 0, or -1 for a protected bond (collective)."""

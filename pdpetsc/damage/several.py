@@ -90,6 +90,10 @@ class DamageOf(Declared):
         """Return the laws, without the bonds that do not fail."""
         return [law for law in self.laws.values() if law is not None]
 
+    def rehearsed(self) -> BondDamage:
+        """Return damage of another body with which its loops can be compiled."""
+        return self.all_laws[0].rehearsed()
+
     @property
     def effect(self) -> DamageEvolution:
         """Return the effect of the laws."""

@@ -1,6 +1,6 @@
 """Materials: one file each, giving energy, first Piola-Kirchhoff stress and tangent at a point."""
 
-from pdpetsc.material import hardening, rate
+from pdpetsc.material import hardening, rate, split
 from pdpetsc.material.anisotropic import AnisotropicElastic, Orthotropic
 from pdpetsc.material.base import (
     ElasticMaterial,
@@ -55,4 +55,5 @@ __all__ = [
     "Yeoh",
     "hardening",
     "rate",
+    "split",
 ]

@@ -66,6 +66,8 @@ class Material(Declared, ABC):
     # Whether the stress is linear in F, so that the tangent is constant.
     linear: ClassVar[bool] = False
     has_history: ClassVar[bool] = False
+    # Of which strain its energy is lambda / 2 (tr eps)^2 + mu eps : eps; None for another energy.
+    strain_measure: ClassVar[Literal["small", "logarithmic", "green"] | None] = None
     # Whether its local iteration may find no stress, which is NaN then; a step that leads there is cut back.
     may_fail: ClassVar[bool] = False
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -36,6 +37,8 @@ class Hencky(ElasticMaterial):
     >>> pd.Hencky(E=1000.0, nu=0.3)
     Hencky(E=1000.0, nu=0.3, plane='strain')
     """
+
+    strain_measure: ClassVar[Literal["logarithmic"]] = "logarithmic"
 
     def kernels(self, dim: int) -> PointKernels:
         """Return the compiled loops for dimension ``dim``."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class LinearElastic(IsotropicMaterial):
     """
 
     linear: ClassVar[bool] = True
+    strain_measure: ClassVar[Literal["small"]] = "small"
 
     def constants(self, dim: int) -> Float:
         """Return the stiffness (dim^4)."""

@@ -124,7 +124,7 @@ class LogarithmicMaterial(SteppedMaterial):
 
     def _write_tangent(self, step: Step, A: Float) -> None:
         axes, (tau, moduli, _, _), dim = step.frame, step.response, A.shape[-1]
-        shear, moduli = _shear(axes.strain, tau, moduli, dim), np.ascontiguousarray(condensed(moduli, step.kind))
+        shear, moduli = shear_factors(axes.strain, tau, moduli, dim), np.ascontiguousarray(condensed(moduli, step.kind))
         loops = logarithmic_loops(dim)
         loops.tangent(step.points, step.history, tau, moduli, shear, axes.stretch, axes.N, axes.n, A)
 
@@ -145,7 +145,7 @@ class LogarithmicMaterial(SteppedMaterial):
         return np.asarray(total * (3 - dim))
 
 
-def _shear(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:
+def shear_factors(strain: Float, tau: Float, moduli: Float, dim: int) -> Float:
     """Return ``(tau_a - tau_b) / (eps_a - eps_b)`` (n, dim, dim) [stress], its limit where strains are equal."""
     shear = np.zeros((len(strain), dim, dim))
     nearly = np.maximum(EQUAL * np.ptp(strain, axis=1), ROUND_OFF * np.abs(strain).max(axis=1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -35,6 +36,8 @@ class SaintVenantKirchhoff(ElasticMaterial):
     >>> pd.SaintVenantKirchhoff(E=1000.0, nu=0.3)
     SaintVenantKirchhoff(E=1000.0, nu=0.3, plane='strain')
     """
+
+    strain_measure: ClassVar[Literal["green"]] = "green"
 
     def kernels(self, dim: int) -> PointKernels:
         """Return the compiled loops for dimension ``dim``."""

@@ -188,8 +188,8 @@ def write_checkpoint(
     # Name, rows and parts of what the ranks hold; root receives the parts in this order.
     streams: list[tuple[str, NDArray[Any], int, Iterator[tuple[slice, NDArray[Any]]]]]
     streams = [(name, table, cloud.n_global, order.parts_on_root(table)) for name, table in tables.items()]
-    if problem.damage is not None:
-        keys, states = problem.damage.bonds.damaged()
+    if problem.bond_damage is not None:
+        keys, states = problem.bond_damage.bonds.damaged()
         counts = comm.gather(len(keys)) or []
         for name, rows in (("bonds/keys", keys), ("bonds/states", states)):
             streams.append((name, rows, sum(counts), rank_by_rank(comm, rows, counts)))
@@ -259,7 +259,7 @@ def _check_seal(path: Path) -> None:
 def _head(solution: Solution, run: str, declared: Mapping[str, str], identity: Float, virtual: Sequence[Float]) -> Head:
     """Return what the checkpoint of a solution says beside its tables."""
     damage = solution.problem.damage
-    frozen = damage is not None and damage.bonds.frozen
+    frozen = damage is not None and damage.frozen
     return Head(
         run, solution.t, solution.step, solution.work, solution.resume, identity.tolist(), virtual[0].tolist(),
         virtual[1].tolist(), _law(solution.problem), frozen, declared,
@@ -315,7 +315,7 @@ def read_checkpoint(
     CaseError
         The file is missing, damaged, of another version, body or case.
     """
-    cloud, damage = problem.body.cloud, problem.damage
+    cloud, damage = problem.body.cloud, problem.bond_damage
     comm, rank = cloud.comm, cloud.comm.rank
     identity = _identity(cloud)
     n_virtual = comm.bcast(cloud.n_virtual, root=comm.size - 1)
@@ -341,7 +341,7 @@ def read_checkpoint(
                     _refuse_other_body(path, head.identity, identity)
                     _refuse_other_case(path, head, problem, declared)
                 _must(any_load or 0.0 <= head.t <= 1.0, f"its step time {head.t:g} is not in 0 to 1")
-                _check_datasets(file, cloud, widths, head, n_virtual * cloud.dim)
+                _check_datasets(file, cloud, widths, head, n_virtual * cloud.dim, damage is not None)
                 steps = _steps(file, head.step)
                 if is_root(comm):
                     texts = {name: _text(file, name) for name in file["texts"] if name != STEPS}
@@ -365,8 +365,8 @@ def read_checkpoint(
         raise CaseError(
             f"Cannot read the checkpoint {path}: this body has {lacking} of its damaged bonds not or twice."
         )
+    problem.freeze(head.frozen)
     if damage is not None:
-        damage.bonds.frozen = head.frozen
         problem.bonds_restored()
     for name, kept in arrays.items():
         _put(kept, cloud, order.from_parts(tables[name]), f"{path}: {name}")
@@ -424,7 +424,9 @@ def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int], head: Head, n_virtual: int) -> None:
+def _check_datasets(
+    file: h5py.File, cloud: Cloud, widths: Mapping[str, int], head: Head, n_virtual: int, of_bonds: bool
+) -> None:
     """Raise if datasets or virtual rows are missing, too many, elsewhere, or of a wrong type or shape."""
     # Links to elsewhere are not visited.
     is_dataset: dict[str, bool] = {}
@@ -443,7 +445,7 @@ def _check_datasets(file: h5py.File, cloud: Cloud, widths: Mapping[str, int], he
     _must(is_dataset == expected, f"it holds {', '.join(sorted(is_dataset))}")
     of_cell = (len(head.virtual), len(head.tangent_virtual))
     _must(of_cell == (n_virtual, n_virtual if "tangent" in is_dataset else 0), f"it has {of_cell} numbers of a cell")
-    _must(head.damage == "none" or "bonds" in is_dataset, f"it lacks the bonds of {head.damage}")
+    _must(not of_bonds or "bonds" in is_dataset, f"it lacks the bonds of {head.damage}")
     for name, (width, dtype) in columns.items():
         data = file[name]
         _must(data.ndim == 1 + len(width) and data.shape[1:] == width, f"{name} has the wrong shape")
@@ -479,7 +481,7 @@ def _identity(cloud: Cloud) -> Float:
 
 
 def _law(problem: Problem) -> str:
-    return "none" if problem.damage is None else type(problem.damage.bonds.law).__name__
+    return "none" if problem.damage is None else problem.damage.name
 
 
 def _place(array: KeptArray) -> GlobalIndex:

@@ -58,7 +58,7 @@ def pairs_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Float,
 
 def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex, Float]:
     """Return both ends of the bonds of some own particles, and their degradation factor (n,) [-]."""
-    families, damage = solution.problem.body.families, solution.problem.damage
+    families, damage = solution.problem.body.families, solution.problem.bond_damage
     lattice = families.lattice
     if lattice is not None:
         indptr, neighbours = lattice.families(zone.astype(np.int32))

@@ -162,7 +162,7 @@ def _cut_from_the_start(solution: Solution) -> GlobalIndex:
 
 def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float, list[Float]]:
     """Return rows (n, 3 + 2 dim + 1) of the faces of own particles: key, middle, normal, area; and their corners."""
-    cloud, damage, families = solution.cloud, solution.problem.damage, solution.problem.body.families
+    cloud, damage, families = solution.cloud, solution.problem.bond_damage, solution.problem.body.families
     dim = cloud.dim
     none = np.empty((0, 4 + 2 * dim)), list[Float]()
     zone = np.empty(0, dtype=np.int64)

@@ -280,7 +280,7 @@ class OfBonds(Integrands):
 
     def slopes(self, values: Float) -> Float:
         """Return the slopes that fit families of bonds best, over bonds that are left."""
-        cloud, families, damage = self.solution.cloud, self.families, self.solution.problem.damage
+        cloud, families, damage = self.solution.cloud, self.families, self.solution.problem.bond_damage
         xi = families.bonds(cloud.x)
         weight = self.term.omega * cloud.volume[families.neighbours]
         if damage is not None:

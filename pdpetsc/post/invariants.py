@@ -65,7 +65,7 @@ def damage_dissipation(solution: Solution) -> Float:
     CaseError
         The damage laws do not tell: bodies of deformation gradients, and drives that are not of linear bonds.
     """
-    n, material_term, damage = len(solution.x), solution.problem.material_term, solution.problem.damage
+    n, material_term, damage = len(solution.x), solution.problem.material_term, solution.problem.bond_damage
     if damage is None:
         return np.zeros(n)
     lost = damage.bonds.weakened

@@ -130,7 +130,7 @@ class Solution:
     @property
     def broken_bonds(self) -> int:
         """Return how many pairs of particles have lost their bond (collective)."""
-        damage = self.problem.damage
+        damage = self.problem.bond_damage
         return 0 if damage is None else damage.bonds.count_broken()
 
     @cached_property
@@ -290,7 +290,7 @@ def lost_bonds(solution: Solution) -> Float:
     ----------
     Hashim, Eq. (46).
     """
-    damage = solution.problem.damage
+    damage = solution.problem.bond_damage
     return np.zeros(len(solution.u)) if damage is None else damage.lost_bonds()
 
 

@@ -182,7 +182,7 @@ class BackgroundGrid(Filler):
         cloud = problem.body.cloud
         self._cloud, self._dim = cloud, cloud.dim
         self.cells = cells = Cells.of(problem)
-        damage = problem.damage
+        damage = problem.bond_damage
         kept = np.empty(0, dtype=bool) if damage is None else damage.bonds.intact
         cell, self._at = cells.locate(cloud.x[: cloud.n_owned])
         element, of_element = self._elements(kept, cell)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 import numpy as np
 
@@ -24,7 +25,93 @@ from pdpetsc.problem.state import State
 AT_LARGEST = 1e-4
 
 
-class Damage:
+class DamageModel(ABC):
+    """Damage as the march from one equilibrium to the next sees it.
+
+    Attributes
+    ----------
+    version, breaks : int
+        Grow whenever a degradation factor changes; and whenever bonds break or mend.
+
+    Notes
+    -----
+    Every method is collective but where it says otherwise. Methods that change damage are called by ``Problem``, which
+    lets terms follow.
+    """
+
+    version: int = 0
+    breaks: int = 0
+    # Whether bonds also break by the strain of a family, and whether what has not failed may regain force.
+    breaks_by_family_strain: bool = False
+    reversible: bool = False
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Return the name of the law (not collective)."""
+
+    @property
+    def of_bonds(self) -> Damage | None:
+        """Return it as the damage of bonds, None where no bond fails (not collective)."""
+        return None
+
+    @property
+    def timed(self) -> bool:
+        """Return whether the drive depends on time (not collective)."""
+        return False
+
+    @property
+    @abstractmethod
+    def softens(self) -> bool:
+        """Return whether force is lost gradually (not collective)."""
+
+    @property
+    @abstractmethod
+    def frozen(self) -> bool:
+        """Return whether damage stays while the displacement changes (not collective)."""
+
+    @abstractmethod
+    def freeze(self, frozen: bool) -> None:
+        """Let damage stay, or follow the displacement (not collective)."""
+
+    @abstractmethod
+    def loading(self) -> AbstractContextManager[None]:
+        """Let what is at its largest drive lose force in the tangent of the body (not collective)."""
+
+    @abstractmethod
+    def keep(self, state: State) -> None:
+        """Keep the damage at a converged state."""
+
+    @abstractmethod
+    def revert(self) -> bool:
+        """Take back what failed since the last ``keep``; return whether bonds have mended."""
+
+    def break_bonds(self, state: State, most: int | None = None) -> int:
+        """Break bonds past their final drive, about ``most`` at once, the worst first; return how many pairs."""
+        return 0
+
+    def break_families(self, strain: Float, most: int | None = None) -> int:
+        """Break bonds by the tensile strain of their families (n_bonds,) [-], likewise; return how many pairs."""
+        return 0
+
+    @abstractmethod
+    def fading(self, state: State) -> float:
+        """Return by how much a degradation factor would change at most [-]."""
+
+    @abstractmethod
+    def soften(self, state: State) -> float:
+        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+
+    @abstractmethod
+    def stored(self) -> tuple[Float, Float]:
+        """Return a copy of the state, degradation factors and largest drives, for ``reset`` (not collective)."""
+
+    @abstractmethod
+    def reset(self, stored: tuple[Float, Float]) -> None:
+        """Go back to a stored state (not collective)."""
+
+
+class Damage(DamageModel):
     """The bonds of a body that can fail.
 
     Parameters
@@ -40,15 +127,9 @@ class Damage:
     damageable : DamageableBonds
         The bonds as the drive reads them.
 
-    Attributes
-    ----------
-    version, breaks : int
-        Grow whenever the degradation factor of a bond changes; and whenever bonds break or mend.
-
     Notes
     -----
-    Every method is collective but where it says otherwise. Methods that change bonds are called by ``Problem``, which
-    lets terms follow.
+    Every method is collective but where it says otherwise.
     """
 
     def __init__(
@@ -64,8 +145,26 @@ class Damage:
         self.driving_variable = driving_variable
         self.finite = finite
         self.damageable = damageable
-        self.version = 0
-        self.breaks = 0
+
+    @property
+    def name(self) -> str:
+        """Return the name of the declared law (not collective)."""
+        return type(self.bonds.law).__name__
+
+    @property
+    def of_bonds(self) -> Damage:
+        """Return itself (not collective)."""
+        return self
+
+    @property
+    def frozen(self) -> bool:
+        """Return whether the degradation factor stays while the displacement changes (not collective)."""
+        return self.bonds.frozen
+
+    @property
+    def timed(self) -> bool:
+        """Return whether the drive depends on time (not collective)."""
+        return self.driving_variable.timed
 
     @property
     def softens(self) -> bool:
@@ -73,12 +172,12 @@ class Damage:
         return self.bonds.laws.softens
 
     @property
-    def breaks_by_family_strain(self) -> bool:
+    def breaks_by_family_strain(self) -> bool:  # type: ignore[override]
         """Return True if bonds also break by the strain of a family (not collective)."""
         return self.bonds.law.effect.breaks_by_family_strain
 
     @property
-    def reversible(self) -> bool:
+    def reversible(self) -> bool:  # type: ignore[override]
         """Return whether bonds that have not broken may regain force (not collective)."""
         return self.bonds.law.effect.reversible
 
@@ -148,13 +247,13 @@ class Damage:
             bonds.slack, bonds.frozen = 0.0, frozen
             self.version += 1
 
-    def commit(self, state: State) -> None:
+    def keep(self, state: State) -> None:
         """Keep the bonds, and what the driving variable remembers, at a converged state."""
         self.driving_variable.commit(state)
         self.bonds.commit()
 
     def revert(self) -> bool:
-        """Take back what failed since the last ``commit``; return whether bonds have mended."""
+        """Take back what failed since the last ``keep``; return whether bonds have mended."""
         intact = self.bonds.intact
         self.bonds.revert()
         mended = int(np.any(intact != self.bonds.intact))

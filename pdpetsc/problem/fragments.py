@@ -19,8 +19,8 @@ def pieces_left(problem: Problem) -> tuple[int, int]:
     Collective.
     """
     cloud, families = problem.body.cloud, problem.body.families
-    if problem.damage is not None:
-        intact = problem.damage.bonds.intact
+    if problem.bond_damage is not None:
+        intact = problem.bond_damage.bonds.intact
         before = np.concatenate([[0], np.cumsum(intact)])
         families = Families(before[families.indptr], families.neighbours[intact])
     pieces = find_pieces(cloud, families)

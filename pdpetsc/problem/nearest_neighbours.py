@@ -92,7 +92,7 @@ def near_families(problem: Problem) -> Families:
     Near is what is within the reach of one of the ends: 1.25 times the length of its ``dim``-th shortest bond, and more
     where what is near lies in a plane or on a line. Broken bonds do not count.
     """
-    cloud, families, dim, damage = problem.body.cloud, problem.body.families, problem.dim, problem.damage
+    cloud, families, dim, damage = problem.body.cloud, problem.body.families, problem.dim, problem.bond_damage
     kept = np.ones(len(families.neighbours), dtype=bool) if damage is None else damage.bonds.intact
     reach = np.zeros(cloud.n_local)
     reach_kernel(dim, dim)(families.indptr, families.neighbours, kept, cloud.x, reach[: cloud.n_owned])

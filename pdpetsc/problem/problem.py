@@ -13,7 +13,7 @@ from pdpetsc.discrete.communicator import largest, total
 from pdpetsc.discrete.sparsity import build_sparsity, positions_of_own_blocks
 from pdpetsc.gradient.products import ConstraintProduct, Entries, Loop, Product
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.damage import Damage, DamageModel
 from pdpetsc.problem.expansion import FreeDeformation
 from pdpetsc.problem.last_step import LastStep
 from pdpetsc.problem.loose_springs import LooseSprings
@@ -37,13 +37,15 @@ class Problem:
         The others: zero-energy control, loads, whatever a case adds.
     supports : Supports
         Prescribed unknowns.
-    damage : Damage, optional
-        The bonds that can fail.
+    damage : DamageModel, optional
+        What can fail.
     duration : float
         Physical time from load parameter 0 to 1 [time].
 
     Attributes
     ----------
+    bond_damage : Damage or None
+        The damage of bonds, if it is bonds that fail.
     springs : LooseSprings or None
         The term that holds loose particles, whose springs solvers move; None where bonds cannot fail.
     fields : list of SolvedField
@@ -62,7 +64,7 @@ class Problem:
         material_term: MaterialTerm,
         terms: Sequence[Term],
         supports: Supports,
-        damage: Damage | None = None,
+        damage: DamageModel | None = None,
         duration: float = 1.0,
     ) -> None:
         self.body = body
@@ -73,14 +75,15 @@ class Problem:
         self.terms: list[Term] = [material_term, *terms]
         self.supports = supports
         self.damage = damage
+        self.bond_damage: Damage | None = None if damage is None else damage.of_bonds
         self.springs: LooseSprings | None = None
         self.fields: list[SolvedField] = []
         # What has been cut off a cell, heated or damaged does not go on as in the step before.
         goes_on = damage is None and body.expansion is None and not body.cloud.n_virtual
         self.last_step = LastStep(self) if goes_on and material_term.has_history else None
         points = material_term.driving_points
-        if damage is not None and points is not None:
-            damage.driving_variable.take(points)
+        if self.bond_damage is not None and points is not None:
+            self.bond_damage.driving_variable.take(points)
         self._last: State | None = None
         self._last_version = -1
         # Stress-free deformation and rebuilds with the forces without strain that they give.
@@ -156,7 +159,7 @@ class Problem:
     @property
     def parts(self) -> list[str]:
         """Return what it is made of, for the record (not collective)."""
-        damage = [] if self.damage is None else [f"damage {type(self.damage.bonds.law).__name__}"]
+        damage = [] if self.damage is None else [f"damage {self.damage.name}"]
         return ["families", *(part for term in self.terms for part in term.parts), *damage]
 
     def clock(self, t: float) -> Clock:
@@ -273,7 +276,7 @@ class Problem:
         """Commit a converged state: update all history variables."""
         if self.damage is not None:
             self.soften(state)
-            self.damage.commit(state)
+            self.damage.keep(state)
         for term in self.terms:
             term.before_commit(state)
         for term in self.terms:
@@ -335,8 +338,8 @@ class Problem:
 
     def bonds_restored(self) -> None:
         """Follow the state of the bonds, set from outside, and keep it."""
-        assert self.damage is not None
-        self.damage.bonds.commit()
+        assert self.bond_damage is not None
+        self.bond_damage.bonds.commit()
         self._bonds_changed(rebuild=True)
 
     def _bonds_changed(self, rebuild: bool) -> None:

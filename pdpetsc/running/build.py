@@ -15,7 +15,7 @@ from pdpetsc.case import AnyMaterial, Case, isothermal, ungraded
 from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
-from pdpetsc.damage import BondDamage, ConstantCritical, DamageOf, LinearSoftening
+from pdpetsc.damage import BondDamage, DamageOf, PointDamage
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
@@ -49,7 +49,7 @@ from pdpetsc.petsc.options import Options
 from pdpetsc.petsc.scalar import solve_scalar
 from pdpetsc.problem.assembly import Assembler, Filler
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import Damage, make_damage
+from pdpetsc.problem.damage import Damage, DamageModel, make_damage
 from pdpetsc.problem.extra import build_extra
 from pdpetsc.problem.loose_springs import LooseSprings
 from pdpetsc.problem.material_term import MaterialTerm
@@ -62,6 +62,7 @@ from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
+from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints
 from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.heat import heat_of
 from pdpetsc.terms.lattice_bonds import LatticeBonds
@@ -226,9 +227,7 @@ def rehearse(comm: Comm, case: Case, dim: int, filling: Callable[[Problem], Fill
                 cloud = distribute(alone(), x, np.ones(len(x)), {}, 2.1)
                 alternating = (np.arange(len(x)) % len(materials)).astype(np.int32)
                 # The case's critical stretches are those of another body, its conditions and terms know that body only.
-                damage = None
-                if case.damage is not None:
-                    damage = LinearSoftening(ConstantCritical(1.0), effect=case.damage.effect)
+                damage = None if case.damage is None else case.damage.rehearsed()
                 weights = case.chosen_weights
                 strained = [Eigenstrain(All(), xx=1e-3)] if case.expands else []
                 scheme = None if case.scheme is None else case.scheme.of_unit_spacing()
@@ -295,7 +294,7 @@ class OfParticles:
 
 
 def _problem(case: Case, body: Body, materials: OfParticles, options: Options | None = None) -> Problem:
-    damage: Damage | None = None
+    damage: DamageModel | None = None
     material_term: MaterialTerm
     others: list[Term]
     bonds: Neighbourhood | None = None
@@ -317,8 +316,9 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     if case.expands:
         if case.heat is not None:
             assert bonds is not None
+            failing = None if damage is None else damage.of_bonds
             operator = None if case.of_bonds else lambda: cast(MaterialPoints, material_term).operator
-            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, damage)
+            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, failing)
         field = None if heat is None else heat.field
         body.expansion = stress_free(body, applied, case.thermals, materials.index, materials.materials, field)
     extra = []
@@ -433,6 +433,7 @@ def _bonds(
     k = material_term.k
     if material_term.a is not None:  # what a bond stores depends on the others of its family
         k = materials.bond_stiffness(bonds, [one.E for one in materials.of_bonds])
+    assert not isinstance(case.damage, PointDamage)  # the case refuses it
     damage = _failing(case.damage, body, bonds, k, material_term.finite, materials)
     material_term.take_damage(damage)
     return material_term, [], damage
@@ -440,7 +441,7 @@ def _bonds(
 
 def _points(
     case: Case, body: Body, bonds: Neighbourhood, materials: OfParticles, options: Options | None
-) -> tuple[MaterialTerm, list[Term], Damage | None]:
+) -> tuple[MaterialTerm, list[Term], DamageModel | None]:
     """Return the terms of a body with deformation gradients (collective)."""
     laws, index, factor = materials.at_points, materials.index, materials.factor
     damage: Damage | None = None
@@ -450,9 +451,11 @@ def _points(
         solve = partial(solve_scalar, options=options)
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
+    if case.damage is not None and case.gradients.patches is not None:
+        raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
+    if isinstance(case.damage, PointDamage):
+        return _degraded(case, case.damage, body, bonds, materials, weigh)
     if case.damage is not None:
-        if case.gradients.patches is not None:
-            raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
         # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
         reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
         moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
@@ -467,6 +470,27 @@ def _points(
     stiffness = control.sees(stiffness_of(body, laws, index, factor))
     built = control.build(body.cloud, body.families, bonds.omega, stiffness)
     return material_term, [control_forces(control, body, built, material_term, damage)], damage
+
+
+def _degraded(
+    case: Case, declared: PointDamage, body: Body, bonds: Neighbourhood, materials: OfParticles,
+    weigh: Callable[[GradientOperator], GradientOperator],
+) -> tuple[MaterialTerm, list[Term], DamageModel]:  # fmt: skip
+    """Return the terms of a body whose gradient points fail (collective)."""
+    laws, index, factor = materials.at_points, materials.index, materials.factor
+    operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
+    control, built = None if case.control is None else case.control.elastic, None
+    if control is not None:
+        stiffness = control.sees(stiffness_of(body, laws, index, factor))
+        built = control.build(body.cloud, body.families, bonds.omega, stiffness)
+    spared = np.zeros(body.cloud.n_owned, dtype=bool)
+    if declared.protected is not None:
+        spared = select(body.cloud, declared.protected, "what damage is protected from")
+    term = DegradedPoints(body, operator, laws, index, factor, declared, spared, built)
+    controls: list[Term] = []
+    if control is not None and built is not None:
+        controls.append(DegradedControl(body, type(control).__name__, built, term))
+    return term, controls, term
 
 
 def _failing(

@@ -45,7 +45,7 @@ class Fragments(Observer):
     def end(self) -> None:
         """Print the pieces if bonds are broken."""
         problem, steps = self.observed.problem, self.observed.steps
-        if self._pieces or problem.damage is None or not problem.damage.bonds.count_broken():
+        if self._pieces or problem.bond_damage is None or not problem.bond_damage.bonds.count_broken():
             return
         pieces, lone = pieces_left(problem)
         forces = [float(step["reference"] or 0.0) for step in steps]

@@ -23,7 +23,7 @@ from pdpetsc.running.unbalanced_surface import UnbalancedForces
 
 def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> tuple[History, list[Observer]]:
     """Return the history, and all observers of a run in the order in which they record a step."""
-    damage, fields = problem.damage, [*case.recorded, *fields_of_terms(problem)]
+    damage, fields = problem.bond_damage, [*case.recorded, *fields_of_terms(problem)]
     history = History({**numbers_of_terms(problem), **case.history})
     broken = [] if damage is None else [BrokenBonds(damage.bonds)]
     return history, [

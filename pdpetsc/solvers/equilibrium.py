@@ -189,7 +189,7 @@ class Equilibrium:
     def update(self, state: State, effort: float | None = None) -> None:
         """Update the tangent to that at a state (``PetscTangent.update``)."""
         damage = self.problem.damage
-        held = damage is not None and damage.softens and damage.bonds.frozen
+        held = damage is not None and damage.softens and damage.frozen
         self._factored_with = held, self.problem.rebuilds
         self.tangent.update(state, effort)
 

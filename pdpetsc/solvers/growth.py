@@ -46,7 +46,7 @@ def growth_of_deviation(
     damage, supports = problem.damage, problem.supports
     free = ~supports.fixed
     assert damage is not None
-    frozen = damage.bonds.frozen
+    frozen = damage.frozen
     damage.freeze(True)
     tangent.update(problem.state(u, t))
     with damage.loading():

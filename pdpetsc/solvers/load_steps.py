@@ -8,7 +8,7 @@ from dataclasses import replace
 from pdpetsc.arrays import Float
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.errors import CaseError, Interrupted, SolveError
-from pdpetsc.problem.damage import Damage
+from pdpetsc.problem.damage import DamageModel
 from pdpetsc.solvers.protocol import Converged, OnFailure, Start, StepResult, StepSolver
 
 # Step times that differ by less are the same.
@@ -179,8 +179,8 @@ def equilibrium(
     return attempt, replace(result, growth=solver.growth(attempt) if result.converged else 0.0), broken, sweeps
 
 
-def damage_of(solver: StepSolver) -> Damage:
-    """Return the damage of what a solver solves, whose bonds soften."""
+def damage_of(solver: StepSolver) -> DamageModel:
+    """Return the damage of what a solver solves, which softens."""
     assert solver.problem.damage is not None
     return solver.problem.damage
 

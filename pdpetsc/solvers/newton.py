@@ -71,7 +71,7 @@ class StaticSolver(SnesSolver, LoadStepSolver):
     def tangent_at(self) -> Float | None:
         """Return the displacement of the last Newton iteration but one, whose tangent the next step begins with."""
         damage = self.problem.damage
-        held = not self.problem.linear and (damage is None or not damage.bonds.frozen)
+        held = not self.problem.linear and (damage is None or not damage.frozen)
         return self._filled_at if held and self._equilibrium.tangent.holds() else None
 
     @classmethod

@@ -71,7 +71,7 @@ def refuse_unmet(problem: Problem, declared: DeclaredSolver) -> None:
             f"{declared.title} needs laws that are piecewise linear: LinearElastic, or bonds with small kinematics; "
             f"this body has a law that is not linear between failures, so take Newton."
         )
-    timed = problem.material_term.timed or (problem.damage is not None and problem.damage.driving_variable.timed)
+    timed = problem.material_term.timed or (problem.damage is not None and problem.damage.timed)
     if declared.finds_load and timed:
         raise CaseError(
             f"{declared.title} finds the load, which is no time; a material that depends on its rate, or fails by it, "

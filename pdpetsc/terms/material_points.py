@@ -88,7 +88,7 @@ class MaterialPoints(MaterialTerm):
             return PointLaws(laws, self.body.dim)
 
         # The operator is kept too: while it lives no other object can have its id.
-        return state.kept(("laws", id(operator)), lambda: (operator, make()))[1]
+        return state.kept(("laws", id(self), id(operator)), lambda: (operator, make()))[1]
 
     def _conditions_at(self, expansion: FreeDeformation) -> list[Conditions]:
         """Return stress-free deformation and laws of the points of each material, computed once for a temperature."""

@@ -72,7 +72,7 @@ class EventSolver(Solver):
     def __init__(self, problem: Problem, assembler: Assembler, options: EventDriven, stop: Callable[[], bool]) -> None:
         # Only events change the degradation factor; between them the body is linear.
         problem.freeze(True)
-        damage = problem.damage
+        damage = problem.bond_damage
         self._problem = problem
         self._comm = problem.body.cloud.comm
         self._options = options
@@ -114,7 +114,7 @@ class EventSolver(Solver):
     @classmethod
     def rehearse(cls, problem: Problem) -> None:
         """Compile or load the loops that go from event to event (collective on the problem's ranks)."""
-        if problem.damage is not None and isinstance(problem.material_term, BondForces):
+        if problem.bond_damage is not None and isinstance(problem.material_term, BondForces):
             rehearse_pairs(problem.material_term)
 
     @classmethod
@@ -282,7 +282,7 @@ class EventSolver(Solver):
     def _store(self) -> None:
         """Give the body the present degradation factor of the bonds that have changed."""
         if self._pairs is not None:
-            damage = self._problem.damage
+            damage = self._problem.bond_damage
             assert damage is not None
             touched = np.array(self._touched, dtype=np.int64)
             damage.bonds.phi[self._pairs.bonds[touched]] = self._phi[touched, None]

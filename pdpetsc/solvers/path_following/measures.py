@@ -65,11 +65,11 @@ class StretchMeasure(Measure):
     holds_while_bonds_break = False
 
     def __init__(self, problem: Problem, declared: BondStretch) -> None:
-        if problem.damage is None:
+        if problem.bond_damage is None:
             raise CaseError("Path following by bond stretches needs bonds that can fail; give damage, or an Opening.")
         self._problem = problem
-        self._damage = problem.damage
-        bonds = problem.damage.bonds
+        self._damage = problem.bond_damage
+        bonds = problem.bond_damage.bonds
         if not int(total(problem.body.cloud.comm, len(bonds.length) - len(bonds.protected))):
             raise CaseError(
                 "Path following by bond stretches needs bonds that can fail, and all of them are protected; protect a "

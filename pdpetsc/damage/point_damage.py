@@ -1,0 +1,169 @@
+"""Damage as a law at gradient points, with a declared strength and fracture energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.damage.laws import BondDamage
+from pdpetsc.damage.softening import SofteningCurve
+from pdpetsc.declare.region import Region
+from pdpetsc.declared import Declared, Positive
+from pdpetsc.errors import CaseError
+from pdpetsc.material.base import LARGEST_MODULUS
+from pdpetsc.material.split import NoTension, Split
+
+# An onset that no fracture energy is too small for [-].
+SMALL = 1e-6
+
+
+@dataclass(frozen=True)
+class PointDamage(Declared):
+    r"""The energy of a gradient point is ``phi(x) (psi_open + psi_control) + psi_closed``.
+
+    The drive ``x = sqrt(Y / Y_0)`` is that of ``Y = psi_open + psi_control``, what the point would store without damage
+    and loses with it; ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows from 1 to
+    ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every point
+    whose family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family along the largest
+    principal strain at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted.
+
+    Gradients and weights stay those of the intact body. All forces derive from the energy, and the tangent is
+    symmetric where that of the material is. The energy of a material that flows is what it stores and what flow has
+    taken, together.
+
+    Parameters
+    ----------
+    curve : SofteningCurve
+        Shape of the stress over the strain, such as ``pd.softening.Linear()``.
+    Gc : float
+        Energy of a crack per area [energy / area], positive.
+    strength : float, optional
+        Stress at which a bar begins to fail [stress], positive; or
+    onset : float, optional
+        the strain at which it does [-], positive.
+    split : Split
+        Which part of the energy a crack that closes keeps: ``pd.split.NoTension()``, ``Volumetric()``, ``Spectral()``
+        or ``Whole()``, which keeps nothing.
+    protected : Region, optional
+        Points of particles in it do not fail.
+
+    Raises
+    ------
+    CaseError
+        Not one of strength and onset is given; in a case, the strength is too high for Gc and the horizon, or the split
+        cannot be made of a material.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> damage = pd.PointDamage(pd.softening.Exponential(), Gc=0.1, strength=3.0)
+    """
+
+    curve: SofteningCurve
+    Gc: Positive = field(kw_only=True)
+    strength: Positive | None = field(default=None, kw_only=True)
+    onset: Positive | None = field(default=None, kw_only=True)
+    split: Split = field(default_factory=NoTension, kw_only=True)
+    protected: Region | None = field(default=None, kw_only=True)
+
+    all_laws: ClassVar[list[BondDamage]] = []
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.strength is None) == (self.onset is None):
+            raise CaseError("PointDamage needs one of strength and onset.")
+
+    @property
+    def places(self) -> list[tuple[str, Region]]:
+        """Return its regions with what they are."""
+        return [] if self.protected is None else [("What damage is protected from", self.protected)]
+
+    def rehearsed(self) -> PointDamage:
+        """Return damage of another body with which its loops can be compiled."""
+        return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None)
+
+    def onset_energy(self, E: Float) -> Float:
+        """Return the energy of uniaxial tension at the onset (n,) [energy / volume] for Young's moduli (n,) [stress]."""
+        if self.onset is not None:
+            return np.asarray(0.5 * E * self.onset**2)
+        assert self.strength is not None
+        return np.asarray(0.5 * self.strength**2 / E)
+
+
+class FailingPoints:
+    """Degradation factor of gradient points, and how far what drives their damage has been.
+
+    What is called ``x`` in the methods is the drive of every point (n_points,) [-].
+
+    Parameters
+    ----------
+    curve : SofteningCurve
+        How stress falls.
+    onset_energy : (n_points,) float64
+        ``Y_0`` [energy / volume].
+    Gc : float
+        Energy of a crack per area [energy / area].
+    spared : (n_points,) bool
+        Points that do not fail.
+
+    Attributes
+    ----------
+    phi, kappa, ratio : (n_points,) float64
+        Degradation factor, largest drive so far, and the drive at which nothing is left [-].
+    frozen : bool
+        Whether the degradation factor stays while the displacement changes.
+    slack : float
+        Points whose drive is below their largest one by less than this share fail too: 0 but where a tangent for
+        further loading is wanted [-].
+    """
+
+    def __init__(self, curve: SofteningCurve, onset_energy: Float, Gc: float, spared: Mask) -> None:
+        n = len(onset_energy)
+        self.curve, self.onset_energy, self._Gc, self.spared = curve, onset_energy, Gc, spared
+        self.phi, self.kappa, self.ratio = np.ones(n), np.zeros(n), np.full(n, np.inf)
+        self.frozen, self.slack = False, 0.0
+        self.commit()
+
+    def ratio_of(self, points: GlobalIndex, width: Float) -> Float:
+        """Return r (n,) of some points for the widths of their families (n,) [length]."""
+        return 1.0 + (self._Gc / (width * self.onset_energy[points]) - 1.0) / (2.0 * self.curve.area)
+
+    def commit(self) -> None:
+        """Keep the present state."""
+        self._committed = self.phi.copy(), self.kappa.copy(), self.ratio.copy()
+
+    def revert(self) -> None:
+        """Go back to the state of the last ``commit``."""
+        self.phi[:], self.kappa[:], self.ratio[:] = self._committed
+
+    def following(self, x: Float) -> tuple[Float, Mask, Float]:
+        """Return ``phi`` at drives x, which points lose more with them, and ``dphi/dx`` there (n_points,)."""
+        if self.frozen:
+            return self.phi, np.zeros(len(x), dtype=bool), np.zeros(len(x))
+        largest = np.maximum(x, self.kappa)
+        fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.ratio) & ~self.spared
+        phi, slope = self.at(largest, fails)
+        return phi, fails, slope
+
+    def at(self, x: Float, where: Mask) -> tuple[Float, Float]:
+        """Return ``phi`` at largest drives x, and ``dphi/dx`` at the points ``where`` (n_points,)."""
+        phi, slope = np.ones(len(x)), np.zeros(len(x))
+        phi[(x >= self.ratio) & ~self.spared] = 0.0
+        begun = np.flatnonzero((x > 1.0) & (x < self.ratio) & ~self.spared)
+        xi = (x[begun] - 1.0) / (self.ratio[begun] - 1.0)
+        s = self.curve.stress(xi)
+        phi[begun] = s / x[begun]
+        slope[begun] = (self.curve.slope(xi) / (self.ratio[begun] - 1.0) - phi[begun]) / x[begun]
+        return phi, np.where(where, slope, 0.0)
+
+    def dissipated(self) -> Float:
+        """Return ``-int Y dphi`` up to the largest drive (n_points,) [energy / volume]."""
+        found = np.zeros(len(self.kappa))
+        begun = np.flatnonzero((self.kappa > 1.0) & ~self.spared)
+        x, r = np.minimum(self.kappa[begun], self.ratio[begun]), self.ratio[begun]
+        xi = (x - 1.0) / (r - 1.0)
+        found[begun] = 2.0 * (r - 1.0) * self.curve.integral(xi) + 1.0 - x * self.curve.stress(xi)
+        return np.asarray(found * self.onset_energy)

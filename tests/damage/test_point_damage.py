@@ -1,0 +1,190 @@
+"""Damage at gradient points: one energy, the declared strength and fracture energy, closed cracks."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+import pdpetsc as pd
+from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
+
+CURVES = {
+    "linear": pd.softening.Linear(),
+    "exponential": pd.softening.Exponential(),
+    "bilinear": pd.softening.Bilinear(),
+    "cornelissen": pd.softening.Cornelissen(),
+}
+SPLITS = {
+    "whole": pd.split.Whole(),
+    "volumetric": pd.split.Volumetric(),
+    "spectral": pd.split.Spectral(),
+    "no tension": pd.split.NoTension(),
+}
+
+
+def law(curve="linear", split="no tension", Gc=0.2, onset=0.02):
+    return pd.PointDamage(CURVES[curve], Gc=Gc, onset=onset, split=SPLITS[split])
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_curves_fall_from_one_to_nothing_and_integrate(name):
+    curve, xi, step = CURVES[name], np.linspace(0.0, 1.0, 401), 1e-6
+    inner = xi[(xi > 1e-3) & (xi < 1.0 - 1e-3) & (np.abs(xi - 0.8 / 3.6) > 1e-3)]
+    s = curve.stress(xi)
+    assert s[[0, -1]] == pytest.approx([1.0, 0.0], abs=1e-14)
+    assert (np.diff(s) < 0.0).all()
+    slope = (curve.stress(inner + step) - curve.stress(inner - step)) / (2.0 * step)
+    assert curve.slope(inner) == pytest.approx(slope, abs=1e-8)
+    growth = (curve.integral(inner + step) - curve.integral(inner - step)) / (2.0 * step)
+    assert curve.integral(np.zeros(1)) == pytest.approx(0.0, abs=1e-15)
+    assert curve.stress(inner) == pytest.approx(growth, abs=1e-8)
+
+
+@pytest.mark.parametrize("split", ["volumetric", "spectral", "no tension"])
+@pytest.mark.parametrize("name", ["linear_elastic", "hencky", "saint_venant_kirchhoff"])
+@pytest.mark.parametrize("dim, plane", [(1, "strain"), (2, "strain"), (2, "stress"), (3, "strain")])
+def test_closed_parts_are_energies_with_their_stress_and_moduli(dim, plane, name, split, rng):
+    closed = SPLITS[split].closed_part(dataclasses.replace(MATERIALS[name], plane=plane))
+    kernels, constants, points, step = closed.history_kernels(dim), closed.constants(dim), np.arange(40), 1e-6
+    history = np.empty((40, 0))
+    F = np.eye(dim) + 0.1 * rng.standard_normal((40, dim, dim))
+
+    def of(loop, F, *shape):
+        found = np.empty((len(F), *shape))
+        loop(F, points, constants, history, found)
+        return found
+
+    P, A = of(kernels.stress, F, dim, dim), of(kernels.tangent, F, *(dim,) * 4)
+    for i, m in itertools.product(range(dim), repeat=2):
+        d = np.zeros((dim, dim))
+        d[i, m] = step
+        by = (of(kernels.energy, F + d) - of(kernels.energy, F - d)) / (2.0 * step)
+        assert P[:, i, m] == pytest.approx(by, abs=1e-7)
+        by = (of(kernels.stress, F + d, dim, dim) - of(kernels.stress, F - d, dim, dim)) / (2.0 * step)
+        assert A[..., i, m] == pytest.approx(by, abs=2e-6)
+
+
+def test_what_is_left_without_tension_stores_what_pressure_does():
+    """In uniaxial compression all of it; in uniaxial tension what holding the sides takes with an open crack."""
+    split, lam, mu = pd.split.NoTension(), 4.0, 3.0
+    E = mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
+    nu = 0.5 * lam / (lam + mu)
+    pulled = np.array([[0.01, -0.01 * nu, -0.01 * nu]])
+    # The crack takes the pull, the sides stay as they are: biaxial pressure without stress along the pull.
+    assert split.closed(pulled, lam, mu).psi == pytest.approx([E / (1.0 - nu) * (0.01 * nu) ** 2])
+    assert split.closed(np.array([[0.01, 0.0, 0.0]]), lam, mu).psi == pytest.approx([0.0], abs=1e-18)
+    assert split.closed(-pulled, lam, mu).psi == pytest.approx([0.5 * E * 1e-4])
+    pressed = split.closed(-pulled, lam, mu).stress
+    assert pressed == pytest.approx(np.array([[-E * 0.01, 0.0, 0.0]]), abs=1e-15)
+    triaxial = np.array([[-0.01, -0.02, -0.015]])
+    whole = 0.5 * lam * triaxial.sum() ** 2 + mu * (triaxial**2).sum()
+    assert split.closed(triaxial, lam, mu).psi == pytest.approx([whole])
+
+
+@pytest.mark.parametrize("split", SPLITS)
+@pytest.mark.parametrize("name", ["linear_elastic", "hencky", "saint_venant_kirchhoff"])
+@pytest.mark.parametrize("scheme, control", [("correspondence", pd.Silling(0.5)), ("sub_horizons", None)])
+def test_tangents_are_symmetric_and_those_of_differences(scheme, control, name, split, rng):
+    model = damaged_body(2, law(split=split), SCHEMES[scheme], control, MATERIALS[name], rng)
+    # Half of the way first, so that some points unload and some fail further; whatever has failed stays.
+    model.problem.damage.soften(model.problem.state(displacement(model, rng, 0.05)))
+    model.problem.damage.keep(None)
+    u = displacement(model, rng, 0.06)
+    driven = model.problem.damage.driven(model.problem.state(u))
+    assert driven.fails.any()
+    assert (~driven.fails).any()
+    K = dense_tangent(model, u)
+    assert pytest.approx(K.T, abs=1e-9 * np.abs(K).max()) == K
+    columns = rng.choice(u.size, 12, replace=False)
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+
+
+@pytest.mark.parametrize("dim", [1, 3])
+@pytest.mark.parametrize("curve", CURVES)
+def test_tangents_in_other_dimensions_and_with_other_curves(curve, dim, rng):
+    model = damaged_body(dim, law(curve), SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+    u = displacement(model, rng, 0.06)
+    assert model.problem.damage.driven(model.problem.state(u)).fails.any()
+    K = dense_tangent(model, u)
+    columns = rng.choice(u.size, min(12, u.size), replace=False)
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+
+
+@pytest.mark.parametrize("name", ["j2", "neo_hookean", "drucker_prager"])
+def test_materials_without_an_energy_of_a_strain_fail_as_wholes(name, rng):
+    with pytest.raises(pd.CaseError, match="splits an isotropic energy of a strain"):
+        damaged_body(2, law(), SCHEMES["correspondence"], None, MATERIALS[name], rng)
+    for split in ("whole", "volumetric"):
+        model = damaged_body(2, law(split=split), SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS[name], rng)
+        u = displacement(model, rng, 0.04)
+        K, columns = dense_tangent(model, u), rng.choice(u.size, 8, replace=False)
+        assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+
+
+@pytest.mark.parametrize("split", SPLITS)
+def test_forces_balance_turn_with_the_body_and_derive_from_the_energy(split, rng):
+    """Forces of the energy with damage held: the energy itself is that of the held damage."""
+    model = damaged_body(2, law(split=split), SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+    problem, u = model.problem, displacement(model, rng, 0.06)
+    f = model.internal_force(u)
+    size = np.abs(f).max()
+    assert f.sum(axis=0) == pytest.approx(np.zeros(2), abs=1e-12 * size)
+    y = problem.body.cloud.x[: len(u)] + u
+    assert (y[:, 0] * f[:, 1] - y[:, 1] * f[:, 0]).sum() == pytest.approx(0.0, abs=1e-11 * size)
+    Q = rotation(2, rng)
+    turned = model.internal_force(y @ Q.T - problem.body.cloud.x[: len(u)])
+    assert turned == pytest.approx(f @ Q.T, abs=1e-10 * size)
+    problem.soften(problem.state(u))
+    problem.freeze(True)
+    v, step = displacement(model, rng, 1.0), 1e-6
+    up, down = (sum(problem.energies(problem.state(u + s * v)).values()) for s in (step, -step))
+    assert (up - down) / (2.0 * step) == pytest.approx((model.internal_force(u) * v).sum(), rel=1e-6)
+
+
+def bar(h_over_dx=3.015, strength=1.0, share=8.0, **changes):
+    """Return a bar of one row in 1D that is pulled apart, with E = 100, and what a crack in it takes."""
+    Y0 = 0.5 * strength**2 / 100.0
+    Gc = share * 2.0 * int(h_over_dx) * Y0
+    right, left = pd.region.Slab("x", low=18.0), pd.region.Slab("x", high=3.0)
+    weak = pd.region.Slab("x", low=8.0, high=13.0)
+    declared = {
+        "particles": pd.Lattice((0.0,), (21.0,), 1.0),
+        "horizon": h_over_dx,
+        "material": pd.LinearElastic(E=100.0),
+        "scheme": pd.Correspondence(),
+        "control": pd.Silling(0.5),
+        "damage": pd.PointDamage(pd.softening.Linear(), Gc=Gc, strength=strength, protected=~weak),
+        "conditions": [pd.Displacement(left, x=0.0), pd.Displacement(right, x=2.0)],
+        "steps": pd.Steps(40),
+        "history": {
+            "force": pd.Reaction("x", right), "dissipated": pd.DissipatedEnergy(), "work": pd.ExternalWork(),
+            "stored": pd.StrainEnergy(), "control": pd.ControlEnergy(),
+        },
+    }  # fmt: skip
+    return pd.Case(**(declared | changes)), Gc
+
+
+@pytest.mark.parametrize("curve", CURVES)
+def test_a_bar_has_the_declared_strength(curve, tmp_path):
+    """Small steps about the peak: the ends hold a uniform strain until the onset."""
+    case, _ = bar()
+    damage = dataclasses.replace(case.damage, curve=CURVES[curve], protected=None)
+    held = [pd.Displacement(pd.region.All(), x=lambda x, t: 0.012 * t * x[:, 0])]
+    case = dataclasses.replace(case, damage=damage, conditions=held, steps=pd.Steps(120), fields=[pd.stress])
+    case = dataclasses.replace(case, history={"stress": pd.Mean(pd.stress, "xx", pd.region.Slab("x", 9.0, 12.0))})
+    found = np.array(pd.run(case, output=tmp_path).history["stress"])
+    assert found.max() == pytest.approx(1.0, rel=0.01)
+
+
+def test_refusals():
+    with pytest.raises(pd.CaseError, match="one of strength and onset"):
+        pd.PointDamage(pd.softening.Linear(), Gc=1.0)
+    with pytest.raises(pd.CaseError, match="strength"):
+        pd.PointDamage(pd.softening.Linear(), Gc=1.0, strength=-1.0)
+    case, _ = bar()
+    strong = dataclasses.replace(case.damage, strength=5.0)
+    with pytest.raises(pd.CaseError, match="take a horizon below"):
+        pd.prepare(dataclasses.replace(case, damage=strong))
+    with pytest.raises(pd.CaseError, match="PointDamage is for deformation gradients"):
+        dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)

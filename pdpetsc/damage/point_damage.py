@@ -25,10 +25,10 @@ class PointDamage(Declared):
     r"""The energy of a gradient point is ``phi(x) (psi_open + psi_control) + psi_closed``.
 
     The drive ``x = sqrt(Y / Y_0)`` is that of ``Y = psi_open + psi_control``, what the point would store without damage
-    and loses with it; ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows from 1 to
-    ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every point
-    whose family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family along the largest
-    principal strain at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted.
+    and loses with it; ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows
+    from 1 to ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every
+    point whose family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family along the
+    largest principal strain at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted.
 
     Gradients and weights stay those of the intact body. All forces derive from the energy, and the tangent is
     symmetric where that of the material is. The energy of a material that flows is what it stores and what flow has
@@ -86,7 +86,7 @@ class PointDamage(Declared):
         return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None)
 
     def onset_energy(self, E: Float) -> Float:
-        """Return the energy of uniaxial tension at the onset (n,) [energy / volume] for Young's moduli (n,) [stress]."""
+        """Return the energy of uniaxial tension at the onset (n,) [energy / volume] for moduli E (n,) [stress]."""
         if self.onset is not None:
             return np.asarray(0.5 * E * self.onset**2)
         assert self.strength is not None

@@ -1,0 +1,162 @@
+"""Laws of what a closed crack keeps of an energy."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.kernels.logarithmic import logarithmic_loops
+from pdpetsc.material.base import ElasticMaterial, PointKernels
+from pdpetsc.material.logarithmic import shear_factors
+
+
+class Principal(NamedTuple):
+    """An energy in principal strains: its value (n,), gradient (n, k) and second derivative (n, k, k) [stress]."""
+
+    psi: Float
+    stress: Float
+    moduli: Float
+
+
+@dataclass(frozen=True)
+class ClosedPart(ElasticMaterial):
+    """A law whose energy is what a closed crack keeps of that of an isotropic material.
+
+    Parameters
+    ----------
+    E, nu, plane
+        As of the material.
+    closed : callable
+        Returns what is kept, a ``Principal``, of principal strains (n, k), lambda and mu.
+    """
+
+    closed: Callable[[Float, float, float], Principal] = field(kw_only=True)
+
+    def kernels(self, dim: int) -> PointKernels:
+        """Return loops in numpy."""
+
+        def write(quantity: Callable[[Float, Principal], Float]) -> Callable[..., None]:
+            def loop(F: Float, select: GlobalIndex, constants: Float, result: Float) -> None:
+                part = F[select]
+                result[select] = quantity(part, self.principal(part, dim))
+
+            return loop
+
+        return PointKernels(write(self._stress), write(self._tangent), write(lambda F, kept: kept.psi))
+
+    def principal(self, F: Float, dim: int) -> Principal:
+        """Return the energy that is kept in the principal strains of F (n, dim, dim)."""
+        strain = self._axes(F)[0]
+        if dim == 2 and self.plane == "strain":
+            strain = np.pad(strain, ((0, 0), (0, 1)))
+        return self.closed(strain, *self.lame(dim))
+
+    def open_share(self, dim: int) -> float:
+        """Return which share of its energy a body in uniaxial tension loses with a crack [-]."""
+        k = 3 if self.kind(dim) in ("solid", "strain") else dim
+        strain = np.array([[1.0, -self.nu, -self.nu]])[:, :k]
+        return 1.0 - float(self.closed(strain, *self.lame(dim)).psi[0]) / (0.5 * self.E)
+
+    def out_of_plane_stress(self, F: Float, history: Float, dt: float = 0.0) -> Float:
+        """Return the third principal stress (n,) [stress] of a body in plane strain."""
+        return self.principal(F, 2).stress[:, 2]
+
+    def volumetric_strain(self, F: Float) -> Float:
+        """Return the trace of the strain."""
+        return np.asarray(self._axes(F)[0].sum(axis=1))
+
+    def thickness_stretch(self, F: Float) -> Float:
+        """Return 1: the law of what is whole gives the thickness."""
+        return np.ones(len(F))
+
+    @abstractmethod
+    def _axes(self, F: Float) -> tuple[Float, Float]:
+        """Return principal strains (n, dim) and their directions, columns of (n, dim, dim)."""
+
+    @abstractmethod
+    def _stress(self, F: Float, kept: Principal) -> Float:
+        """Return P (n, dim, dim)."""
+
+    @abstractmethod
+    def _tangent(self, F: Float, kept: Principal) -> Float:
+        """Return dP/dF (n, dim, dim, dim, dim)."""
+
+
+class _OfStrain(ClosedPart):
+    """A law of a symmetric strain: its stress and moduli are those of the strain, brought to F by a derived class."""
+
+    def _of_strain(self, F: Float, kept: Principal) -> tuple[Float, Float]:
+        """Return ``S = dpsi/dE`` (n, dim, dim) and ``dS/dE`` (n, dim, dim, dim, dim)."""
+        strain, N = self._axes(F)
+        dim = F.shape[-1]
+        S = np.einsum("pa,pia,pja->pij", kept.stress[:, :dim], N, N)
+        shear = shear_factors(strain, kept.stress, kept.moduli, dim)
+        C = np.einsum("pab,pia,pma,pkb,pnb->pimkn", kept.moduli[:, :dim, :dim], N, N, N, N)
+        C += 0.5 * np.einsum("pab,pia,pmb,pka,pnb->pimkn", shear, N, N, N, N)
+        C += 0.5 * np.einsum("pab,pia,pmb,pkb,pna->pimkn", shear, N, N, N, N)
+        return S, C
+
+
+class SmallClosed(_OfStrain):
+    """Of the small strain ``sym(F - I)``."""
+
+    def _axes(self, F: Float) -> tuple[Float, Float]:
+        return np.linalg.eigh(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(F.shape[-1]))
+
+    def _stress(self, F: Float, kept: Principal) -> Float:
+        return self._of_strain(F, kept)[0]
+
+    def _tangent(self, F: Float, kept: Principal) -> Float:
+        return self._of_strain(F, kept)[1]
+
+
+class GreenClosed(_OfStrain):
+    """Of Green's strain ``(F^T F - I) / 2``."""
+
+    def _axes(self, F: Float) -> tuple[Float, Float]:
+        return np.linalg.eigh(0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(F.shape[-1])))
+
+    def _stress(self, F: Float, kept: Principal) -> Float:
+        return np.asarray(F @ self._of_strain(F, kept)[0])
+
+    def _tangent(self, F: Float, kept: Principal) -> Float:
+        S, C = self._of_strain(F, kept)
+        A = np.einsum("pia,pambn,pkb->pimkn", F, C, F, optimize=True)
+        return np.asarray(A + np.einsum("ik,pmn->pimkn", np.eye(F.shape[-1]), S))
+
+
+class LogarithmicClosed(ClosedPart):
+    """Of the logarithmic strain."""
+
+    def _axes(self, F: Float) -> tuple[Float, Float]:
+        _, _, strain, _, N, _ = _frame(F)
+        return strain[:, : F.shape[-1]], N
+
+    def _stress(self, F: Float, kept: Principal) -> Float:
+        P = np.empty_like(F)
+        select, history, _, stretch, N, n = _frame(F)
+        logarithmic_loops(F.shape[-1]).stress(select, history, kept.stress, stretch, N, n, P)
+        return P
+
+    def _tangent(self, F: Float, kept: Principal) -> Float:
+        dim = F.shape[-1]
+        A = np.empty((len(F), *(dim,) * 4))
+        select, history, strain, stretch, N, n = _frame(F)
+        shear = shear_factors(strain[:, : kept.stress.shape[1]], kept.stress, kept.moduli, dim)
+        moduli = np.ascontiguousarray(kept.moduli[:, :dim, :dim])
+        logarithmic_loops(dim).tangent(select, history, kept.stress, moduli, shear, stretch, N, n, A)
+        return A
+
+
+def _frame(F: Float) -> tuple[GlobalIndex, Float, Float, Float, Float, Float]:
+    """Return points, inverse plastic parts, strains (n, 3), stretches and both sets of principal directions."""
+    n, dim = len(F), F.shape[-1]
+    select, history = np.arange(n), np.tile(np.eye(dim).ravel(), (n, 1))
+    found = np.empty((n, 3)), np.empty((n, dim)), np.empty((n, dim, dim)), np.empty((n, dim, dim))
+    logarithmic_loops(dim).trial(np.ascontiguousarray(F), select, history, *found)
+    return select, history, *found

@@ -44,6 +44,8 @@ class DamageModel(ABC):
     # Whether bonds also break by the strain of a family, and whether what has not failed may regain force.
     breaks_by_family_strain: bool = False
     reversible: bool = False
+    # Whether all forces derive from one energy, so that an equilibrium without negative pivots is a minimum of it.
+    of_energy: bool = False
 
     @property
     @abstractmethod

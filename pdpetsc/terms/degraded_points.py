@@ -100,7 +100,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
         onset_energy, owner = law.onset_energy(moduli) * share[material_of], operator.owner
         self.points = FailingPoints(law.curve, onset_energy[owner], law.Gc, spared[owner])
-        self._xi = body.cloud.x[operator.members] - np.repeat(body.cloud.x[owner], np.diff(operator.point_ptr), axis=0)
         self._refuse_strength()
         # The width of a family along the axes stands for that along the largest strain before there is any.
         everything = np.arange(operator.n_points)
@@ -112,10 +111,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _refuse_strength(self) -> None:
         """Raise CaseError where points would store more at the onset than the crack may take (collective)."""
-        points, ptr = self.points, self.operator.point_ptr
-        length = np.maximum.reduceat(np.linalg.norm(self._xi, axis=1), ptr[:-1])
+        points, families, x = self.points, self.body.families, self.body.cloud.x
+        length = np.linalg.norm(families.bonds(x), axis=1)
+        reach = np.maximum.reduceat(np.append(length, 0.0), families.indptr[:-1])[self.operator.owner]
         most = 0.5 * self.law.Gc / points.onset_energy
-        worst = largest(self.body.cloud.comm, float(np.where(points.spared, 0.0, length / most).max(initial=0.0)))
+        worst = largest(self.body.cloud.comm, float(np.where(points.spared, 0.0, reach / most).max(initial=0.0)))
         if worst >= 1.0:
             horizon = self.body.cloud.horizon
             what = "strength" if self.law.onset is None else "onset"
@@ -126,21 +126,21 @@ class DegradedPoints(MaterialPoints, DamageModel):
             )
 
     def _width(self, points: GlobalIndex, along: Float) -> Float:
-        """Return how far families of some points reach along directions (n, dim), to both sides (n,) [length]."""
-        entries, first = self._entries_of(points)
-        size = np.diff(first)
-        reach = np.einsum("ei,ei->e", self._xi[entries], np.repeat(along, size, axis=0))
+        """Return how far stencils of some points reach along directions (n, dim), to both sides (n,) [length].
+
+        With a control it is the whole family of the particle: the energy of its control drives all of its points.
+        """
         if not len(points):
             return np.zeros(0)
+        ptr, members, owner = self.operator.point_ptr, self.operator.members, self.operator.owner[points]
+        rows: GlobalIndex | LocalIndex = points
+        if self._control is not None:
+            (ptr, members), rows = self._control.stencils, owner
+        entries, first = _entries(ptr, rows)
+        x, size = self.body.cloud.x, np.diff(first)
+        xi = x[members[entries]] - np.repeat(x[owner], size, axis=0)
+        reach = np.einsum("ei,ei->e", xi, np.repeat(along, size, axis=0))
         return np.asarray(np.maximum.reduceat(reach, first[:-1]) - np.minimum.reduceat(reach, first[:-1]))
-
-    def _entries_of(self, points: GlobalIndex) -> tuple[GlobalIndex, GlobalIndex]:
-        """Return the entries of some points, and where those of each begin (n + 1,)."""
-        ptr = self.operator.point_ptr
-        size: GlobalIndex = np.diff(ptr)[points]
-        first: GlobalIndex = np.concatenate([[0], np.cumsum(size)])
-        within: GlobalIndex = np.arange(first[-1])
-        return np.repeat(ptr[points] - first[:-1], size) + within, first
 
     def _family_entries(self) -> GlobalIndex:
         """Return the place of each entry of the operator among the members of all families, centres first."""
@@ -189,6 +189,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return super().timed
 
     # What a damage model is asked.
+
+    of_energy = True
 
     @property
     def softens(self) -> bool:
@@ -361,7 +363,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
             P = P - self._closed.laws(state).stress(F)
         by_energy = 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
         b = (operator.volume * by_energy)[active]
-        entries, first = self._entries_of(active)
+        entries, first = _entries(operator.point_ptr, active)
         size = np.diff(first)
         v = np.einsum("eij,ej->ei", np.repeat(P[active], size, axis=0), operator.g[entries])
         owner = operator.owner[active]
@@ -369,10 +371,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
             stencils = StencilMembers(owner, first, operator.members[entries])
             return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b)
         ptr, members = self._control.stencils
-        family = np.diff(ptr)[owner]
-        begin = np.concatenate([[0], np.cumsum(family)])
-        of = np.repeat(ptr[owner] - begin[:-1], family) + np.arange(begin[-1])
-        whole = self.control_forces(state)[of] / np.repeat(self._volume[owner], family)[:, None]
+        of, begin = _entries(ptr, owner)
+        whole = self.control_forces(state)[of] / np.repeat(self._volume[owner], np.diff(begin))[:, None]
         place = self._entries[entries] - np.repeat(ptr[owner] - begin[:-1], size)
         for i in range(dim):
             whole[:, i] += np.bincount(place, v[:, i], len(whole))
@@ -446,3 +446,11 @@ class DegradedControl(ControlForces):
         points = self._points
         share = np.maximum(points.share(state), LEAST)
         return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
+
+
+def _entries(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:
+    """Return the entries of some stencils, and where those of each begin (n + 1,)."""
+    size: GlobalIndex = np.diff(ptr)[rows]
+    first: GlobalIndex = np.concatenate([[0], np.cumsum(size)])
+    within: GlobalIndex = np.arange(first[-1])
+    return np.repeat(ptr[rows] - first[:-1], size) + within, first

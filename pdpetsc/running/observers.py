@@ -25,6 +25,8 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
     """Return the history, and all observers of a run in the order in which they record a step."""
     damage, fields = problem.bond_damage, [*case.recorded, *fields_of_terms(problem)]
     history = History({**numbers_of_terms(problem), **case.history})
+    # The control of points that fail is a part of their energy.
+    stabilises = case.control is not None and (problem.damage is None or not problem.damage.of_energy)
     broken = [] if damage is None else [BrokenBonds(damage.bonds)]
     return history, [
         StepLines(),
@@ -33,7 +35,7 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
         *([Fields(fields, case.particles)] if fields else []),
         history,
         Doubts(case.history),
-        *([] if case.control is None else [StabilisationEnergy()]),
+        *([StabilisationEnergy()] if stabilises else []),
         Checkpoints(case.checkpoints if case.solver.restarts else 0, declared, [history, *broken]),
         CrackLines(case.history.values()),
         Fragments(),

@@ -7,12 +7,16 @@ one horizon deep, the displacements of the field with ``K = surplus sqrt(E Gc)``
 from 10 to ``end``, after a tenth of the load in which the field rises. Bonds soften linearly to ``final`` times their
 critical stretch, or by another ``law``. J is taken on two contours that follow the tip. Means are over the steps in
 which the tip goes from 13 to two before ``end``.
+With ``damage=point`` gradient points fail with the energy and the law as declared (``pd.PointDamage``), ``final`` times
+their strain at onset in the largest family; lattices may be turned, and shaken by a share of the spacing.
 Results: ``taken_over_Gc``, work less what is stored over the last third of the way of the field, by whole spacings,
 and ``steady``, by how much this differs between its halves; ``J_over_Gc``, ``J_far_over_Gc``, which miss what long
 tails of softening bonds behind the contours have yet to take; ``spread``, the standard deviation of J over its mean;
 ``dissipated_over_Gc``, what the laws of the bonds dissipate per length of crack; ``J_over_dissipated``; ``length``, of
 the crack that has grown; ``lead``, by which the tip of the crack is ahead of that of the field.
 """
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +29,22 @@ MODELS = ("bonds", "linear_solid", "correspondence", "sub_horizons", "stress_poi
 START, RISE = 10.0, 0.1
 
 
+@dataclass(frozen=True)
+class PathAngle(pd.Quantity):
+    """Angle between the crack and the x axis [degrees], of the line that fits the failed particles beyond x best."""
+
+    beyond: float
+    dimension = "1"
+
+    def evaluate(self, solution):
+        """Return the angle, 0 where no particle has failed."""
+        failed = (pd.local_damage(solution) > 0.5) & (solution.x[:, 0] > self.beyond)
+        x, y = (solution.x[failed] - [self.beyond, 0.5 * HEIGHT]).T
+        n, sx, sy, sxx, sxy = (solution.sum(float(np.sum(v))) for v in (np.ones_like(x), x, y, x * x, x * y))
+        spread = n * sxx - sx**2
+        return float(np.degrees(np.arctan((n * sxy - sx * sy) / spread))) if spread > 0.0 else 0.0
+
+
 def parts(model, nu, G):
     """Return Poisson's ratio, material, scheme and control."""
     if model == "bonds":
@@ -35,7 +55,7 @@ def parts(model, nu, G):
         "correspondence": pd.Correspondence(), "sub_horizons": pd.SubHorizons(), "stress_points": pd.StressPoints(),
         "bond_associated": pd.BondAssociated(),
     }  # fmt: skip
-    control = pd.Silling(G) if model == "correspondence" else None
+    control = pd.Silling(0.5 if G is None else G) if model == "correspondence" else None
     return nu, pd.LinearElastic(E, nu, plane="stress"), schemes[model], control
 
 
@@ -51,15 +71,25 @@ def laws(energy, protected, final=3.0):
     }
 
 
-def particles(dx, angle):
-    """Return a square lattice, turned by an angle [degrees] against the crack."""
-    if angle == 0.0:
+def point_damage(law, final, delta, protected):
+    """Return how points fail, so that the widest families have no stress at ``final`` times the strain at onset."""
+    curves = {"linear": pd.softening.Linear(), "exponential": pd.softening.Exponential()}
+    curve = pd.choose("law", law, curves)
+    onset_energy = 0.5 * GC / delta / (1.0 + 2.0 * curve.area * (final - 1.0))
+    onset = float(np.sqrt(2.0 * onset_energy / E))
+    return pd.PointDamage(curve, Gc=GC, onset=onset, split=pd.split.Whole(), protected=protected)
+
+
+def particles(dx, angle, shake):
+    """Return a square lattice, turned by an angle [degrees] against the crack, and shaken by a share of the spacing."""
+    if angle == shake == 0.0:
         return pd.Lattice((0.0, 0.0), (LENGTH, HEIGHT), dx)
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     far = int((LENGTH + HEIGHT) / dx)
     # Rows lie half a distance of rows off the crack, as those of the lattice that is not turned.
     i, j = np.meshgrid(np.arange(-far, far) + 0.5, np.arange(-far, far))
     x = dx * (np.stack([i.ravel(), j.ravel()], axis=1) @ np.array([[c, s], [-s, c]])) + [0.0, 0.5 * HEIGHT]
+    x += np.random.default_rng(1).uniform(-shake, shake, x.shape) * dx
     inside = ((x > 0.0) & (x < [LENGTH, HEIGHT])).all(axis=1)
     return pd.Arrays(x[inside], np.full(np.count_nonzero(inside), dx**2))
 
@@ -92,16 +122,20 @@ def taken(h, end, dx):
 
 def case(
     n=20, horizon=3.015, steps=40, surplus=1.1, law="linear", final=3.0, model="bonds", share=1.0, nu=0.25,
-    G=0.5, angle=0.0, end=22.0,
+    G=None, angle=0.0, end=22.0, damage="bonds", shake=0.0, scheme="correspondence",
 ):  # fmt: skip
+    at_points = pd.choose("damage", damage, {"bonds": False, "point": True})
+    model = scheme if at_points else model
     dx = HEIGHT / n
     delta = horizon * dx
     rim = ~pd.region.Box((delta, delta), (LENGTH - delta, HEIGHT - delta))
     near = pd.region.Slab("y", low=0.5 * HEIGHT - delta, high=0.5 * HEIGHT + delta)
     energy, protected = pd.FractureEnergy(GC, share), rim | ~near
-    nu, material, scheme, control = parts(pd.choose("model", model, {name: name for name in MODELS}), nu, G)
+    nu, material, gradients, control = parts(pd.choose("model", model, {name: name for name in MODELS}), nu, G)
+    if at_points:  # its energy ends the tail of what has nearly failed
+        control = pd.Silling(2.0 if G is None else G)
     tip, ahead = (START, 0.5 * HEIGHT), (1.0, 0.0)
-    follows = pd.CrackTip(ahead, 0.3, near)
+    follows = pd.CrackTip(ahead, 0.8 if at_points else 0.3, near)
     room = 0.5 * HEIGHT - delta
 
     def prescribed(component):
@@ -129,15 +163,28 @@ def case(
             "broken_bonds": found["broken"][-1],
         }
 
-    return pd.Case(
-        particles=particles(dx, angle),
+    def results_of_points(h):
+        found = {name: np.array(values) for name, values in h.items()}
+        at = field_tip(found["t"], end)
+        runs = at > end - (end - START) / 3.0
+        found["gone"] = found["work"] - found["stored"] - found["control"]
+        energy, gone = (np.polyfit(at[runs], found[name][runs], 1)[0] / GC for name in ("dissipated", "gone"))
+        J = {f"{name}_over_Gc".replace(" ", "_"): found[name][runs] / GC for name in ("J", "J far")}
+        return {
+            "energy_over_Gc": energy, "taken_over_Gc": gone,
+            **{name: values[np.isfinite(values)].mean() for name, values in J.items() if np.isfinite(values).any()},
+            "path_angle": found["angle"][-1], "lead": float(np.mean((found["tip"] - at)[runs])),
+        }  # fmt: skip
+
+    declared = pd.Case(
+        particles=particles(dx, angle, shake),
         horizon=delta,
         material=material,
-        scheme=scheme,
+        scheme=gradients,
         control=control,
-        weights=None if scheme is None else pd.Standard(),
+        weights=None if gradients is None else pd.Standard(),
         cracks=[pd.Segment((-1.0, 0.5 * HEIGHT), tip)],
-        damage=pd.choose("law", law, laws(energy, protected, final)),
+        damage=None if at_points else pd.choose("law", law, laws(energy, protected, final)),
         conditions=[pd.Displacement(rim, x=prescribed(0), y=prescribed(1))],
         steps=pd.Steps(steps),
         history={
@@ -153,4 +200,13 @@ def case(
         results=results,
         fields=[pd.displacement, pd.local_damage, pd.von_mises],
         picture=pd.Picture(pd.local_damage, "", 5.0),
+    )
+    if not at_points:
+        return declared
+    history = {name: declared.history[name] for name in ("J", "J far", "tip", "dissipated", "stored", "work")}
+    return replace(
+        declared,
+        damage=point_damage(law, final, delta, rim),
+        history={**history, "control": pd.ControlEnergy(), "angle": PathAngle(START + delta)},
+        results=results_of_points,
     )

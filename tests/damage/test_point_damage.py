@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 import pdpetsc as pd
+from pdpetsc.command_line.cli import load_case
+from tests.commands import field, results
 from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
+from tests.solvers.test_events import history
 
 CURVES = {
     "linear": pd.softening.Linear(),
@@ -188,3 +191,100 @@ def test_refusals():
         pd.prepare(dataclasses.replace(case, damage=strong))
     with pytest.raises(pd.CaseError, match="PointDamage is for deformation gradients"):
         dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)
+
+
+# A notched strip under tension and shear whose particles are shaken, so that nothing is symmetric.
+STRIP = """
+import numpy as np
+import pdpetsc as pd
+from tests.commands import Stop
+
+def case(scheme="correspondence", law="linear", stop=2.0, unit=1.0, Gc=0.06):
+    left, right = pd.region.Slab("x", high=1.0 * unit), pd.region.Slab("x", low=13.0 * unit)
+    axes = [np.arange(14) + 0.5, np.arange(8) + 0.5]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    x += np.random.default_rng(3).uniform(-0.1, 0.1, x.shape)
+    laws = dict(linear=pd.softening.Linear(), exponential=pd.softening.Exponential())
+    schemes = dict(correspondence=pd.Correspondence(), sub_horizons=pd.SubHorizons())
+    return pd.Case(
+        particles=pd.Arrays(unit * x, unit**2), horizon=2.515 * unit, material=pd.Hencky(E=100.0 / unit**2, nu=0.2),
+        scheme=schemes[scheme], control=pd.Silling(2.0), weights=pd.Standard(),
+        damage=pd.PointDamage(laws[law], Gc=Gc / unit, strength=0.8 / unit**2, protected=left | right),
+        cracks=[pd.Segment((7.0 * unit, -1.0), (7.0 * unit, 2.0 * unit))],
+        conditions=[
+            pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.36 * unit, y=lambda x, t: 0.1 * t * unit)
+        ],
+        steps=pd.Steps(12),
+        history=dict(
+            force=pd.Reaction("x", right), dissipated=pd.DissipatedEnergy(), work=pd.ExternalWork(),
+            stored=pd.StrainEnergy(), control=pd.ControlEnergy(), stop=Stop(stop),
+        ),
+        fields=[pd.displacement, pd.local_damage],
+    )
+"""
+
+
+def strip(folder):
+    path = folder / "strip.py"
+    path.write_text(STRIP)
+    return path
+
+
+@pytest.mark.processors
+@pytest.mark.parametrize("words", [(), ("scheme=sub_horizons", "law=exponential")], ids=["one point", "sectors"])
+def test_a_strip_fails_alike_on_any_ranks_and_after_a_restart(words, tmp_path):
+    path = strip(tmp_path)
+    results(path, *words, output=tmp_path / "1")
+    results(path, *words, output=tmp_path / "2", ranks=2)
+    h = history(tmp_path / "1")
+    assert h["force"][-1] < 0.5 * h["force"].max()
+    assert h["dissipated"][-1] > 0.1
+    with pytest.raises(pd.Interrupted):
+        pd.run(load_case(path)(**dict(word.split("=") for word in words), stop=0.6), output=tmp_path / "part")
+    results(path, *words, "--restart", tmp_path / "part" / "checkpoint.h5", output=tmp_path / "rest", ranks=2)
+    for other in ("2", "rest"):
+        again = history(tmp_path / other)
+        size = len(again["force"])
+        assert again["force"] == pytest.approx(h["force"][-size:], abs=1e-7 * h["force"].max())
+        one, two = (field(tmp_path / run, "local_damage") for run in ("1", other))
+        assert one == pytest.approx(two, abs=1e-6)
+
+
+def test_energy_is_kept_and_damage_never_heals(tmp_path):
+    """Work goes into what is stored and what is dissipated, up to the error of the trapezoidal rule in the work."""
+    case = load_case(strip(tmp_path))(Gc=0.3)
+    errors = []
+    for n in (12, 24, 48):
+        result = pd.run(dataclasses.replace(case, steps=pd.Steps(n)), output=tmp_path / str(n))
+        h = {name: np.asarray(values) for name, values in result.history.items()}
+        errors.append(np.abs(h["work"] - h["stored"] - h["control"] - h["dissipated"]).max() / h["work"][-1])
+        assert (np.diff(h["dissipated"]) >= -1e-14).all()
+        assert sum(step.get("sweeps") or 0 for step in result.summary["steps"]) == 0
+    assert errors[0] < 0.02
+    assert errors[2] < 0.35 * errors[1] < 0.35**2 * errors[0] * 1.5
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_units_do_not_matter(unit, tmp_path):
+    """Lengths in other units, forces in the same ones."""
+    function = load_case(strip(tmp_path))
+    one, other = (pd.run(function(unit=u, Gc=0.3), output=tmp_path / f"{u:g}") for u in (1.0, unit))
+    forces = [u * np.asarray(run.history["force"]) for u, run in ((1.0, one), (unit, other))]
+    assert forces[1] == pytest.approx(forces[0], abs=1e-7 * forces[0].max())
+    iterations = [[step["newton_iterations"] for step in run.summary["steps"]] for run in (one, other)]
+    assert iterations[0] == iterations[1]
+
+
+@pytest.mark.parametrize("words, energy, J", [
+    ((), 0.04, 0.06),
+    pytest.param(("law=exponential",), 0.04, 0.06, marks=pytest.mark.long),
+    pytest.param(("scheme=sub_horizons",), 0.04, 0.08, marks=pytest.mark.long),
+    pytest.param(("angle=22.5",), 0.06, 0.08, marks=pytest.mark.long),
+])  # fmt: skip
+def test_a_running_crack_takes_the_declared_energy(words, energy, J, tmp_path):
+    words = ("damage=point", "end=26", "steps=40", *words)
+    found = results("runs/fracture/surfing.py", *words, output=tmp_path)["results"]
+    assert found["energy_over_Gc"] == pytest.approx(1.0, abs=energy)
+    assert found["taken_over_Gc"] == pytest.approx(found["energy_over_Gc"], abs=0.02)
+    assert found["J_over_Gc"] == pytest.approx(1.0, abs=J)
+    assert abs(found["path_angle"]) < 5.0

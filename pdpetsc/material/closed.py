@@ -11,6 +11,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex
 from pdpetsc.kernels.logarithmic import logarithmic_loops
+from pdpetsc.kernels.of_strain import strain_loops
 from pdpetsc.material.base import ElasticMaterial, PointKernels
 from pdpetsc.material.logarithmic import shear_factors
 
@@ -90,16 +91,19 @@ class ClosedPart(ElasticMaterial):
 class _OfStrain(ClosedPart):
     """A law of a symmetric strain: its stress and moduli are those of the strain, brought to F by a derived class."""
 
-    def _of_strain(self, F: Float, kept: Principal) -> tuple[Float, Float]:
-        """Return ``S = dpsi/dE`` (n, dim, dim) and ``dS/dE`` (n, dim, dim, dim, dim)."""
+    def _of_strain(self, F: Float, kept: Principal) -> Float:
+        """Return ``S = dpsi/dE`` (n, dim, dim)."""
+        S = np.empty_like(F)
+        strain_loops(F.shape[-1]).stress(kept.stress, self._axes(F)[1], S)
+        return S
+
+    def _by_strain(self, F: Float, kept: Principal) -> Float:
+        """Return ``dS/dE`` (n, dim, dim, dim, dim)."""
         strain, N = self._axes(F)
         dim = F.shape[-1]
-        S = np.einsum("pa,pia,pja->pij", kept.stress[:, :dim], N, N)
-        shear = shear_factors(strain, kept.stress, kept.moduli, dim)
-        C = np.einsum("pab,pia,pma,pkb,pnb->pimkn", kept.moduli[:, :dim, :dim], N, N, N, N)
-        C += 0.5 * np.einsum("pab,pia,pmb,pka,pnb->pimkn", shear, N, N, N, N)
-        C += 0.5 * np.einsum("pab,pia,pmb,pkb,pna->pimkn", shear, N, N, N, N)
-        return S, C
+        C = np.empty((len(F), *(dim,) * 4))
+        strain_loops(dim).tangent(kept.moduli, shear_factors(strain, kept.stress, kept.moduli, dim), N, C)
+        return C
 
 
 class SmallClosed(_OfStrain):
@@ -109,10 +113,10 @@ class SmallClosed(_OfStrain):
         return np.linalg.eigh(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(F.shape[-1]))
 
     def _stress(self, F: Float, kept: Principal) -> Float:
-        return self._of_strain(F, kept)[0]
+        return self._of_strain(F, kept)
 
     def _tangent(self, F: Float, kept: Principal) -> Float:
-        return self._of_strain(F, kept)[1]
+        return self._by_strain(F, kept)
 
 
 class GreenClosed(_OfStrain):
@@ -122,10 +126,10 @@ class GreenClosed(_OfStrain):
         return np.linalg.eigh(0.5 * (np.einsum("pki,pkj->pij", F, F) - np.eye(F.shape[-1])))
 
     def _stress(self, F: Float, kept: Principal) -> Float:
-        return np.asarray(F @ self._of_strain(F, kept)[0])
+        return np.asarray(F @ self._of_strain(F, kept))
 
     def _tangent(self, F: Float, kept: Principal) -> Float:
-        S, C = self._of_strain(F, kept)
+        S, C = self._of_strain(F, kept), self._by_strain(F, kept)
         A = np.einsum("pia,pambn,pkb->pimkn", F, C, F, optimize=True)
         return np.asarray(A + np.einsum("ik,pmn->pimkn", np.eye(F.shape[-1]), S))
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from pdpetsc.arrays import Float, GlobalIndex, Mask
 from pdpetsc.damage.laws import BondDamage
 from pdpetsc.damage.softening import SofteningCurve
 from pdpetsc.declare.region import Region
-from pdpetsc.declared import Declared, Positive
+from pdpetsc.declared import Declared, Positive, name_of, numbers_from
 from pdpetsc.errors import CaseError
 from pdpetsc.material.base import LARGEST_MODULUS
 from pdpetsc.material.split import NoTension, Split
@@ -38,12 +39,13 @@ class PointDamage(Declared):
     ----------
     curve : SofteningCurve
         Shape of the stress over the strain, such as ``pd.softening.Linear()``.
-    Gc : float
-        Energy of a crack per area [energy / area], positive.
-    strength : float, optional
-        Stress at which a bar begins to fail [stress], positive; or
-    onset : float, optional
-        the strain at which it does [-], positive.
+    Gc : float or callable
+        Energy of a crack per area [energy / area], positive. A function ``Gc(x, normal)`` of places (n, dim) and unit
+        vectors across the crack (n, dim) returns numbers (n,).
+    strength : float or callable, optional
+        Stress at which a bar begins to fail [stress], positive; a function ``strength(x)`` returns numbers (n,). Or
+    onset : float or callable, optional
+        the strain at which it does [-], positive, or a function of places.
     split : Split
         Which part of the energy a crack that closes keeps: ``pd.split.NoTension()``, ``Volumetric()``, ``Spectral()``
         or ``Whole()``, which keeps nothing.
@@ -53,19 +55,22 @@ class PointDamage(Declared):
     Raises
     ------
     CaseError
-        Not one of strength and onset is given; in a case, the strength is too high for Gc and the horizon, or the split
-        cannot be made of a material.
+        Not one of strength and onset is given; in a case, the strength is too high for Gc and the horizon, the split
+        cannot be made of a material, or a function does not return positive numbers.
 
     Examples
     --------
     >>> import pdpetsc as pd
     >>> damage = pd.PointDamage(pd.softening.Exponential(), Gc=0.1, strength=3.0)
+    >>> layered = pd.PointDamage(
+    ...     pd.softening.Linear(), Gc=lambda x, normal: 0.1 + 0.2 * normal[:, 0] ** 2, strength=3.0
+    ... )
     """
 
     curve: SofteningCurve
-    Gc: Positive = field(kw_only=True)
-    strength: Positive | None = field(default=None, kw_only=True)
-    onset: Positive | None = field(default=None, kw_only=True)
+    Gc: Positive | Callable[[Float, Float], Float] = field(kw_only=True)
+    strength: Positive | Callable[[Float], Float] | None = field(default=None, kw_only=True)
+    onset: Positive | Callable[[Float], Float] | None = field(default=None, kw_only=True)
     split: Split = field(default_factory=NoTension, kw_only=True)
     protected: Region | None = field(default=None, kw_only=True)
 
@@ -85,12 +90,31 @@ class PointDamage(Declared):
         """Return damage of another body with which its loops can be compiled."""
         return replace(self, Gc=LARGEST_MODULUS, strength=None, onset=SMALL, protected=None)
 
-    def onset_energy(self, E: Float) -> Float:
-        """Return the energy of uniaxial tension at the onset (n,) [energy / volume] for moduli E (n,) [stress]."""
+    def onset_energy(self, E: Float, x: Float) -> Float:
+        """Return the energy of uniaxial tension at the onset (n,) [energy / volume] at places x (n, dim).
+
+        ``E`` (n,) are Young's moduli there [stress].
+        """
         if self.onset is not None:
-            return np.asarray(0.5 * E * self.onset**2)
-        assert self.strength is not None
-        return np.asarray(0.5 * self.strength**2 / E)
+            return np.asarray(0.5 * E * _numbers("onset of PointDamage", self.onset, x) ** 2)
+        return np.asarray(0.5 * _numbers("strength of PointDamage", self.strength, x) ** 2 / E)
+
+    def crack_energy(self, x: Float, normal: Float) -> Float:
+        """Return Gc (n,) [energy / area] at places for cracks across unit vectors, both (n, dim)."""
+        return _numbers("Gc of PointDamage", self.Gc, x, normal)
+
+
+def _numbers(what: str, given: Any, *at: Float) -> Float:
+    """Return positive numbers (n,) of a number or a function."""
+    n = len(at[0])
+    if not callable(given):
+        return np.full(n, float(given))
+    if n == 0:
+        return np.zeros(0)
+    values = numbers_from(what, given, *at)
+    if values.shape != (n,) or not (np.isfinite(values) & (values > 0.0)).all():
+        raise CaseError(f"The {what} must be one positive number for each place, {(n,)}; {name_of(given)} gave others.")
+    return values
 
 
 class FailingPoints:
@@ -104,8 +128,6 @@ class FailingPoints:
         How stress falls.
     onset_energy : (n_points,) float64
         ``Y_0`` [energy / volume].
-    Gc : float
-        Energy of a crack per area [energy / area].
     spared : (n_points,) bool
         Points that do not fail.
 
@@ -120,16 +142,16 @@ class FailingPoints:
         further loading is wanted [-].
     """
 
-    def __init__(self, curve: SofteningCurve, onset_energy: Float, Gc: float, spared: Mask) -> None:
+    def __init__(self, curve: SofteningCurve, onset_energy: Float, spared: Mask) -> None:
         n = len(onset_energy)
-        self.curve, self.onset_energy, self._Gc, self.spared = curve, onset_energy, Gc, spared
+        self.curve, self.onset_energy, self.spared = curve, onset_energy, spared
         self.phi, self.kappa, self.ratio = np.ones(n), np.zeros(n), np.full(n, np.inf)
         self.frozen, self.slack = False, 0.0
         self.commit()
 
-    def ratio_of(self, points: GlobalIndex, width: Float) -> Float:
-        """Return r (n,) of some points for the widths of their families (n,) [length]."""
-        return 1.0 + (self._Gc / (width * self.onset_energy[points]) - 1.0) / (2.0 * self.curve.area)
+    def ratio_of(self, points: GlobalIndex, energy: Float) -> Float:
+        """Return r (n,) of some points for what they take (n,) [energy / volume]."""
+        return 1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curve.area)
 
     def commit(self) -> None:
         """Keep the present state."""

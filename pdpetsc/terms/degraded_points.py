@@ -98,13 +98,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._closed = MaterialPoints(body, operator, kept, material_of, factor) if kept else None
         moduli = E[material_of] * (1.0 if factor is None else factor)
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
-        onset_energy, owner = law.onset_energy(moduli) * share[material_of], operator.owner
-        self.points = FailingPoints(law.curve, onset_energy[owner], law.Gc, spared[owner])
+        with agreed(body.cloud.comm):  # functions of place may fail on one rank
+            onset_energy = law.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
+        self.points = FailingPoints(law.curve, onset_energy[operator.owner], spared[operator.owner])
         self._refuse_strength()
         # The width of a family along the axes stands for that along the largest strain before there is any.
         everything = np.arange(operator.n_points)
-        along = np.eye(body.dim)[np.zeros(operator.n_points, dtype=np.int64)]
-        self.points.ratio[:] = self.points.ratio_of(everything, self._width(everything, along))
+        self.points.ratio[:] = self._ratio(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
         self._entries = self._family_entries()
@@ -114,16 +114,28 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points, families, x = self.points, self.body.families, self.body.cloud.x
         length = np.linalg.norm(families.bonds(x), axis=1)
         reach = np.maximum.reduceat(np.append(length, 0.0), families.indptr[:-1])[self.operator.owner]
-        most = 0.5 * self.law.Gc / points.onset_energy
-        worst = largest(self.body.cloud.comm, float(np.where(points.spared, 0.0, reach / most).max(initial=0.0)))
+        x, comm, worst = x[self.operator.owner], self.body.cloud.comm, 0.0
+        for axis in np.eye(self.body.dim):
+            with agreed(comm):
+                Gc = self.law.crack_energy(x, np.tile(axis, (len(x), 1)))
+            share = 2.0 * reach * points.onset_energy / Gc
+            worst = max(worst, largest(comm, float(np.where(points.spared, 0.0, share).max(initial=0.0))))
         if worst >= 1.0:
             horizon = self.body.cloud.horizon
             what = "strength" if self.law.onset is None else "onset"
             raise CaseError(
-                f"A {what} of {self.law.onset or self.law.strength:g} stores more at the onset of damage than Gc = "
-                f"{self.law.Gc:g} takes with a horizon of {horizon:g}; take a horizon below {horizon / worst:g}, or a "
-                f"lower {what}."
+                f"The {what} of PointDamage stores more at the onset of damage than its Gc takes with a horizon of "
+                f"{horizon:g}; take a horizon below {horizon / worst:g}, or a lower {what}."
             )
+
+    def _ratio(self, points: GlobalIndex, along: Float) -> Float:
+        """Return r (n,) of some points for cracks across directions (n, dim) (collective)."""
+        with agreed(self.body.cloud.comm):
+            Gc = self.law.crack_energy(self.body.cloud.x[self.operator.owner[points]], along)
+            ratio = self.points.ratio_of(points, Gc / np.maximum(self._width(points, along), np.finfo(float).tiny))
+            if (ratio[~self.points.spared[points]] <= 1.0).any():
+                raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
+        return ratio
 
     def _width(self, points: GlobalIndex, along: Float) -> Float:
         """Return how far stencils of some points reach along directions (n, dim), to both sides (n,) [length].
@@ -258,11 +270,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points, x = self.points, self.driven(state).x
         ratio = points.ratio.copy()
         ahead = np.flatnonzero((points.kappa <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
-        if len(ahead):
+        if int(total(self.body.cloud.comm, len(ahead))):
             F = self.deformation(state)[ahead]
             strain = 0.5 * (F + F.transpose(0, 2, 1)) if self._linear else np.einsum("pki,pkj->pij", F, F)
             along = np.linalg.eigh(strain)[1][:, :, -1]
-            ratio[ahead] = points.ratio_of(ahead, self._width(ahead, along))
+            ratio[ahead] = self._ratio(ahead, along)
         return ratio
 
     def fading(self, state: State) -> float:

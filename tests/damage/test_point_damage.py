@@ -288,3 +288,27 @@ def test_a_running_crack_takes_the_declared_energy(words, energy, J, tmp_path):
     assert found["taken_over_Gc"] == pytest.approx(found["energy_over_Gc"], abs=0.02)
     assert found["J_over_Gc"] == pytest.approx(1.0, abs=J)
     assert abs(found["path_angle"]) < 5.0
+
+
+def test_fracture_energy_and_strength_follow_place_and_direction(tmp_path):
+    """A bar in 2D torn across x: the energy of that direction, and it tears where it is weaker."""
+    right, left = pd.region.Slab("x", low=16.0), pd.region.Slab("x", high=4.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (20.0, 4.0), 1.0), horizon=2.015, scheme=pd.Correspondence(),
+        control=pd.Silling(2.0), material=pd.LinearElastic(E=100.0, plane="stress"),
+        damage=pd.PointDamage(
+            pd.softening.Linear(), Gc=lambda x, n: 0.2 + 10.0 * n[:, 1] ** 2,
+            strength=lambda x: np.where(np.abs(x[:, 0] - 8.0) < 1.0, 0.9, 1.0), split=pd.split.Whole(), protected=left | right,
+        ),
+        conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.8, y=0.0)], steps=pd.Steps(40),
+        history={"dissipated": pd.DissipatedEnergy(), "force": pd.Reaction("x", right)},
+        fields=[pd.local_damage],
+    )  # fmt: skip
+    result = pd.run(case, output=tmp_path)
+    x, lost = result.solution.x, result.gathered(pd.local_damage)
+    assert lost[np.abs(x[:, 0] - 8.0) < 1.0].min() == 1.0
+    assert lost[np.abs(x[:, 0] - 8.0) > 4.0].max() < 0.05
+    assert result.history["dissipated"][-1] / 4.0 == pytest.approx(0.2, rel=0.08)
+    wrong = dataclasses.replace(case.damage, Gc=lambda x, n: -np.ones(len(x)))
+    with pytest.raises(pd.CaseError, match="must be one positive number for each place"):
+        pd.prepare(dataclasses.replace(case, damage=wrong))

@@ -243,10 +243,6 @@ class FailingBonds:
         """Return the bonds that have lost some or all of their force (n,), ascending."""
         return np.flatnonzero(self.phi < 1.0)
 
-    def dissipated(self, lost: GlobalIndex, energy: Float, degree: float) -> float:
-        """Return what linear bonds have dissipated in all [energy], of ``spent`` (collective)."""
-        return float(total(self._comm, self.spent(lost, energy, degree).sum()))
-
     def spent(self, lost: GlobalIndex, energy: Float, degree: float) -> Float:
         """Return what each of some linear bonds has dissipated (n,) [energy] (not collective).
 

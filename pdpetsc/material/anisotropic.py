@@ -171,7 +171,7 @@ class AnisotropicLinear(Material):
     def young_modulus(self) -> float:
         """Raise CaseError."""
         raise CaseError(
-            f"{type(self).__name__} has another Young's modulus in every direction; damage of bonds takes materials "
+            f"{type(self).__name__} has another Young's modulus in every direction; damage takes materials "
             f"that are isotropic at small strain."
         )
 

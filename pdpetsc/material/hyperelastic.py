@@ -186,7 +186,7 @@ class EnergyMaterial(Material):
         lam, mu = isotropic_mean(moduli)
         if np.abs(moduli - isotropic_moduli(lam, mu, 3)).max() > NEARLY_ZERO * np.abs(moduli).max():
             raise CaseError(
-                f"{type(self).__name__} has another Young's modulus in every direction; damage of bonds takes "
+                f"{type(self).__name__} has another Young's modulus in every direction; damage takes "
                 f"materials that are isotropic at small strain."
             )
         return mu * (3.0 * lam + 2.0 * mu) / (lam + mu)

@@ -35,11 +35,16 @@ class Split(Declared, ABC):
             The material has another energy.
         """
         measure = material.strain_measure
-        if (measure is None and self.exact) or not isinstance(material, IsotropicMaterial):
+        if not isinstance(material, IsotropicMaterial):
+            raise CaseError(
+                f"{type(self).__name__} is made of the Young's modulus and Poisson's ratio of a material, and "
+                f"{type(material).__name__} has none; take split=pd.split.Whole()."
+            )
+        if measure is None and self.exact:
             raise CaseError(
                 f"{type(self).__name__} splits an isotropic energy of a strain, as that of LinearElastic, Hencky or "
                 f"SaintVenantKirchhoff, and {type(material).__name__} has another; take split=pd.split.Volumetric() "
-                f"where the material is isotropic, or pd.split.Whole()."
+                f"or pd.split.Whole()."
             )
         laws: dict[str | None, type[ClosedPart]]
         laws = {None: LogarithmicClosed, "logarithmic": LogarithmicClosed, "small": SmallClosed, "green": GreenClosed}

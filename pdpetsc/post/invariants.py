@@ -7,7 +7,6 @@ import numpy as np
 from pdpetsc.arrays import Float
 from pdpetsc.errors import CaseError
 from pdpetsc.post.solution import Solution, deformation_gradient, in_space, stress
-from pdpetsc.terms.bond_forces import BondForces
 
 # A stress is hydrostatic where its deviator is below this share of it.
 HYDROSTATIC = 1e-12
@@ -56,31 +55,24 @@ def triaxiality(solution: Solution) -> Float:
 
 
 def damage_dissipation(solution: Solution) -> Float:
-    """Return what failing bonds have dissipated per volume, half of it at each end (n_owned,) [energy / volume].
+    """Return what bonds or points that fail have dissipated per volume (n_owned,) [energy / volume].
 
-    Its integral over the body is ``pd.DissipatedEnergy()``. Zero where bonds do not fail.
+    Half of what a bond has is at each of its ends. Its integral over the body is ``pd.DissipatedEnergy()``. Zero where
+    nothing fails.
 
     Raises
     ------
     CaseError
-        The damage laws do not tell: bodies of deformation gradients, and drives that are not of linear bonds.
+        The damage laws do not tell: bonds that fail in a body of deformation gradients, and drives that are not of
+        linear bonds.
     """
-    n, material_term, damage = len(solution.x), solution.problem.material_term, solution.problem.bond_damage
-    if damage is None:
-        return np.zeros(n)
-    lost = damage.bonds.weakened
-    known = (
-        damage.driving_variable.elastic_energy(lost, material_term.k[lost])
-        if isinstance(material_term, BondForces)
-        else None
-    )
-    if known is None:
+    density = solution.problem.material_term.dissipation_density()
+    if density is None:
         raise CaseError(
-            "The field damage_dissipation is that of bodies of bonds whose laws give their energy; of this body only "
+            "The field damage_dissipation is that of bodies whose damage laws give their energy; of this body only "
             "the whole is known, as the quantity DissipatedEnergy."
         )
-    spent = damage.bonds.spent(lost, *known)
-    return np.asarray(np.bincount(solution.problem.body.families.centres[lost], spent, n) / solution.volume)
+    return density
 
 
 def _mean_stress(sigma: Float) -> Float:

@@ -313,11 +313,17 @@ class Damage(DamageModel):
             np.add.at(f, members, np.repeat(of_centre, np.diff(ptr))[:, None] * ends.by)
         return body.gather(f), found
 
-    def dissipated(self, k: Float) -> float | None:
-        """Return what linear bonds of stiffness k (n_bonds,) have dissipated [energy]; None where no drive tells."""
-        lost = self.bonds.weakened
+    def dissipated(self, k: Float) -> Float | None:
+        """Return what linear bonds of stiffness k have dissipated (n_bonds,) [energy]; None where no drive tells.
+
+        Not collective.
+        """
+        lost, found = self.bonds.weakened, np.zeros(len(k))
         known = self.driving_variable.elastic_energy(lost, k[lost])
-        return None if known is None else self.bonds.dissipated(lost, *known)
+        if known is None:
+            return None
+        found[lost] = self.bonds.spent(lost, *known)
+        return found
 
     def lost_bonds(self) -> Float:
         """Return ``1 - sum_j mu V_j / sum_j V_j`` (n_owned,) [-], mu 0 for broken bonds, else 1 (not collective)."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, Mask
 from pdpetsc.damage.criterion import Solid
+from pdpetsc.discrete.communicator import total
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import Term
@@ -98,8 +99,16 @@ class MaterialTerm(Term):
         return np.zeros(self.body.cloud.n_owned)
 
     def dissipated_energy(self) -> float | None:
-        """Return what bonds have dissipated in failing [energy]; None where their laws alone do not give it."""
-        return None if self.has_history else 0.0
+        """Return what damage has dissipated [energy]; None where its laws alone do not give it."""
+        density, cloud = self.dissipation_density(), self.body.cloud
+        return None if density is None else float(total(cloud.comm, float(density @ cloud.volume[: cloud.n_owned])))
+
+    def dissipation_density(self) -> Float | None:
+        """Return what damage has dissipated at the own particles (n_owned,) [energy / volume].
+
+        None where its laws alone do not give it (not collective).
+        """
+        return None if self.has_history else np.zeros(self.body.cloud.n_owned)
 
     @abstractmethod
     def uniform_stress_force(self, P: Float) -> Float:

@@ -319,11 +319,18 @@ class BondForces(MaterialTerm):
         lame = [elastic.lame(self.body.dim) for elastic in self._elastic]
         return max(lam + 2.0 * mu for lam, mu in lame) * float(self._factor.max(initial=0.0))
 
-    def dissipated_energy(self) -> float | None:
-        """Return what bonds have dissipated in failing [energy]; None where their drive does not tell (collective)."""
+    def dissipation_density(self) -> Float | None:
+        """Return what failing bonds have dissipated, half of it at each end (n_owned,) [energy / volume].
+
+        None where their drive does not tell (not collective).
+        """
+        cloud = self.body.cloud
         if self.damage is None:
-            return 0.0
-        return None if self.a is not None else self.damage.dissipated(self.k)
+            return np.zeros(cloud.n_owned)
+        spent = None if self.a is not None else self.damage.dissipated(self.k)
+        if spent is None:
+            return None
+        return np.asarray(np.bincount(self.body.families.centres, spent, cloud.n_owned) / cloud.volume[: cloud.n_owned])
 
     def local_damage(self) -> Float:
         """Return the lost share of the stiffness of each own particle's bonds (n_owned,) [-] (not collective)."""

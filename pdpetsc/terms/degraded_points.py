@@ -401,9 +401,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Return ``1 - phi``, the mean over the points of each own particle (n_owned,) [-] (not collective)."""
         return 1.0 - self._of_particles(self.points.phi)
 
-    def dissipated_energy(self) -> float:
-        """Return ``-sum_p W_p int Y dphi`` [energy]."""
-        return float(total(self.body.cloud.comm, float(self.operator.volume @ self.points.dissipated())))
+    def dissipation_density(self) -> Float:
+        """Return the mean of ``-int Y dphi`` over the points of each own particle (n_owned,) [energy / volume]."""
+        return self._of_particles(self.points.dissipated())
 
     def cauchy_stress(self, state: State) -> Float:
         """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""

@@ -298,7 +298,8 @@ def test_fracture_energy_and_strength_follow_place_and_direction(tmp_path):
         control=pd.Silling(2.0), material=pd.LinearElastic(E=100.0, plane="stress"),
         damage=pd.PointDamage(
             pd.softening.Linear(), Gc=lambda x, n: 0.2 + 10.0 * n[:, 1] ** 2,
-            strength=lambda x: np.where(np.abs(x[:, 0] - 8.0) < 1.0, 0.9, 1.0), split=pd.split.Whole(), protected=left | right,
+            strength=lambda x: np.where(np.abs(x[:, 0] - 8.0) < 1.0, 0.9, 1.0), split=pd.split.Whole(),
+            protected=left | right,
         ),
         conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.8, y=0.0)], steps=pd.Steps(40),
         history={"dissipated": pd.DissipatedEnergy(), "force": pd.Reaction("x", right)},

@@ -163,6 +163,11 @@ def _cut_from_the_start(solution: Solution) -> GlobalIndex:
 def _own_faces(solution: Solution, chosen: Mask, precracks: bool) -> tuple[Float, list[Float]]:
     """Return rows (n, 3 + 2 dim + 1) of the faces of own particles: key, middle, normal, area; and their corners."""
     cloud, damage, families = solution.cloud, solution.problem.bond_damage, solution.problem.body.families
+    if damage is None and solution.problem.damage is not None:
+        raise CaseError(
+            "Faces of a crack lie between particles whose bond is broken, and points of PointDamage fail without "
+            "breaking bonds; take CrackTip, or DissipatedEnergy over Gc."
+        )
     dim = cloud.dim
     none = np.empty((0, 4 + 2 * dim)), list[Float]()
     zone = np.empty(0, dtype=np.int64)

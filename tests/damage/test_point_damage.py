@@ -313,3 +313,74 @@ def test_fracture_energy_and_strength_follow_place_and_direction(tmp_path):
     wrong = dataclasses.replace(case.damage, Gc=lambda x, n: -np.ones(len(x)))
     with pytest.raises(pd.CaseError, match="must be one positive number for each place"):
         pd.prepare(dataclasses.replace(case, damage=wrong))
+
+
+def torn(**changes):
+    """Return a notched sheet that is pulled apart across a ligament of 6; its crack takes 0.9."""
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=13.0)
+    declared = {
+        "particles": pd.Lattice((0.0, 0.0), (14.0, 8.0), 1.0),
+        "horizon": 2.015,
+        "material": LINEAR,
+        "scheme": pd.Correspondence(),
+        "control": pd.Silling(2.0),
+        "damage": pd.PointDamage(pd.softening.Linear(), Gc=0.15, strength=1.0, protected=left | right),
+        "cracks": [pd.Segment((7.0, -1.0), (7.0, 2.0))],
+        "conditions": [pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.5)],
+        "steps": pd.Steps(15),
+        "history": {
+            "force": pd.Reaction("x", right), "dissipated": pd.DissipatedEnergy(), "work": pd.ExternalWork(),
+            "stored": pd.StrainEnergy(), "control": pd.ControlEnergy(),
+        },
+        "fields": [pd.damage_dissipation, pd.local_damage, pd.stress],
+    }  # fmt: skip
+    return pd.Case(**(declared | changes))
+
+
+LINEAR = pd.LinearElastic(E=100.0, nu=0.2, plane="stress")
+ENDS = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=13.0)
+FLOWS = pd.PointDamage(
+    pd.softening.Linear(), Gc=0.15, strength=1.0, split=pd.split.Whole(), protected=ENDS[0] | ENDS[1]
+)
+TOGETHER = {
+    "alone": {},
+    "temperature": {
+        "material": pd.Thermal(LINEAR, expansion=1e-4),
+        "conditions": [
+            pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.5),
+            pd.Temperature(pd.region.All(), -20.0),
+        ],
+    },
+    "periodic cell": {"cell": pd.Cell((0.0, 0.0), (14.0, 8.0), axes="y")},
+    "mirror plane": {"symmetry": [pd.Symmetry("y", 8.0)]},
+    "flow": {
+        "material": pd.J2(E=100.0, nu=0.2, yield_stress=0.8, hardening=5.0), "damage": FLOWS,
+        "control": pd.TangentScaled(pd.Silling(2.0)),
+    },
+    "graded": {"material": pd.Graded(LINEAR, lambda x: 1.0 + 0.02 * x[:, 0])},
+    "two materials": {"material": [(ENDS[0], pd.LinearElastic(E=200.0, plane="stress")), (~ENDS[0], LINEAR)]},
+    "finite strain": {"material": pd.Hencky(E=100.0, nu=0.2)},
+    "Wan's control": {"control": pd.Wan()},
+    "Littlewood's control": {"control": pd.Littlewood()},
+    "path": {"solver": pd.PathFollowing(pd.Opening("x", ENDS[1], end=0.5, step=0.03))},
+    "relaxation": {"solver": pd.DynamicRelaxation()},
+    "no matrix": {"options": {"pd_jacobian": "matfree"}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOGETHER)
+def test_a_sheet_takes_the_energy_of_its_crack_whatever_it_is_declared_with(name, tmp_path):
+    result = pd.run(torn(**TOGETHER[name]), output=tmp_path)
+    h = {one: np.asarray(values) for one, values in result.history.items()}
+    assert abs(h["force"][-1]) < 0.02 * h["force"].max()
+    assert h["dissipated"][-1] == pytest.approx(0.9, rel=0.08)
+    # The work of a load that turns between steps has the error of the trapezoidal rule; heat works besides.
+    lost = h["work"] - h["stored"] - h["control"] - h["dissipated"]
+    assert np.abs(lost).max() < (0.04 if name != "temperature" else 0.1) * h["work"].max()
+    assert result.gathered(pd.damage_dissipation).sum() == pytest.approx(h["dissipated"][-1], rel=1e-9)
+
+
+def test_heat_does_not_go_through_cracks_unnoticed():
+    hot = {"material": pd.Thermal(LINEAR, expansion=1e-4, conductivity=1.0, capacity=1.0)}
+    with pytest.raises(pd.CaseError, match="Heat would flow through the cracks"):
+        pd.prepare(torn(heat=pd.HeatConduction(duration=10.0), **hot))

@@ -32,12 +32,14 @@ def case(dx=1.0, strain=0.01):
     return pd.Case(
         # Particles on a lattice; pd.Mesh("part.msh") and pd.MeshNodes take those of a mesh.
         particles=pd.Lattice((0.0, 0.0), (LENGTH, HEIGHT), dx),
-        # Every particle has a bond to all others within the horizon. 3.015 spacings are for bonds that fail.
+        # Every particle has a bond to all others within the horizon. 3.015 spacings are for what fails.
         horizon=1.5 * dx,
         # Finite strain; pd.LinearElastic for small strain, pd.J2 for metals, pd.BondBased for forces along bonds.
         material=pd.Hencky(E=200e3, nu=0.3, plane="stress"),
         # Several gradients a particle, without zero-energy modes; or pd.Correspondence() with control=pd.Silling(0.5).
         scheme=pd.SubHorizons(),
+        # It tears with a scheme pd.Correspondence(), control=pd.Silling(2.0), a horizon of 3.015 * dx, and
+        # damage=pd.PointDamage(pd.softening.Linear(), Gc=10.0, strength=400.0, protected=left | right).
         # Components that are not given are free.
         conditions=[
             pd.Displacement(left, x=0.0),

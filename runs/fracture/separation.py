@@ -66,7 +66,7 @@ def share(model, law, criterion=pd.FractureEnergy, horizon=3.015, steps=301, dx=
         terms.append(ControlForces(body, type(control).__name__, built, damage))
     problem = Problem(body, terms[0], terms[1:], Supports(body), damage)
     right = cloud.x[: cloud.n_owned, 0] > 0.5 * dx * SIDES[0]
-    apart = np.linspace(0.0, 1.5 * horizon * damage.bonds.laws.final() * damage.limit.max(), steps)
+    apart = np.linspace(0.0, 1.5 * horizon * (damage.bonds.laws.final() * damage.limit).max(), steps)
     pull = np.zeros(steps)
     for step, opening in enumerate(apart):
         u = np.zeros((cloud.n_rows, 2))

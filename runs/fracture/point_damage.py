@@ -15,13 +15,14 @@ CURVES = {
 }
 
 
-def damage_of_ratio(curve, E, Gc, ratio, horizon, dx, protected=None):
+def damage_of_ratio(curve, material, Gc, ratio, horizon, dx, protected=None):
     """Return damage by a curve whose strain without stress is ``ratio`` times that at the onset.
 
     For a crack along an axis of a square lattice of spacing ``dx``, whose families are ``w = 2 int(horizon / dx) dx``
-    wide: ``strength = sqrt(2 E Gc / w / (1 + 2 a (ratio - 1)))`` with the area a under the curve.
+    wide: ``strength = sqrt(2 E Gc / (w q (1 + 2 a (ratio - 1))))``, with the area a under the curve and the share q of
+    its energy that a body in uniaxial tension loses with a crack.
     """
-    shape = pd.choose("curve", curve, CURVES)
-    width = 2.0 * int(horizon / dx) * dx
-    strength = np.sqrt(2.0 * E * Gc / width / (1.0 + 2.0 * shape.area * (ratio - 1.0)))
-    return pd.PointDamage(shape, Gc=Gc, strength=strength, protected=protected)
+    shape, split = pd.choose("curve", curve, CURVES), pd.split.NoTension()
+    lost = 2.0 * int(horizon / dx) * dx * split.closed_part(material).open_share(2)
+    strength = np.sqrt(2.0 * material.E * Gc / (lost * (1.0 + 2.0 * shape.area * (ratio - 1.0))))
+    return pd.PointDamage(shape, Gc=Gc, strength=strength, split=split, protected=protected)

@@ -77,7 +77,7 @@ def share_of_points(curve, ratio=5.0, horizon=3.015, steps=301, dx=0.5, G=2.0):
     materials, control = [pd.LinearElastic(E, 0.25)], pd.Silling(G)
     built = control.build(body.cloud, body.families, bonds.omega, stiffness_of(body, materials, one, None))
     operator = pd.Correspondence().build(body.cloud, body.families, bonds.omega)
-    law = damage_of_ratio(curve, E, GC, ratio, horizon * dx, dx)
+    law = damage_of_ratio(curve, materials[0], GC, ratio, horizon * dx, dx)
     term = DegradedPoints(body, operator, materials, one, None, law, np.zeros(body.cloud.n_owned, dtype=bool), built)
     problem = Problem(body, term, [DegradedControl(body, type(control).__name__, built, term)], Supports(body), term)
     # Drives are proportional to the opening: from the first onset to the last point that fails.

@@ -16,9 +16,16 @@ event-driven solver finds the peak exactly, ``solver=path`` follows the crack wi
 ``law=linear`` soften to three times their critical stretch. Results: ``peak_stress``; ``griffith``, the stress
 ``sqrt(E Gc / (pi a sec(pi a / W)))`` at which the crack grows in a strip (Feddersen); ``ratio`` of both;
 ``broken_bonds``.
+
+With ``damage=point`` the gradient points of the strip fail (``pd.PointDamage`` by a softening ``curve``), with
+correspondence and ``Silling(G)``, standard weights, Poisson's ratio 0.3, the same fracture energy, and a strength for
+which the strain without stress is ``ratio`` times that at the onset of damage. The path is followed by the opening of
+the middle of the crack, in steps of ``step`` to ``end`` [mm]. Results: ``peak_stress``, ``griffith`` and ``ratio`` as
+above; ``strength`` [MPa]; ``balance``, work over what is stored and dissipated at the end.
 """
 
 import numpy as np
+from point_damage import damage_of_ratio
 
 import pdpetsc as pd
 
@@ -28,8 +35,10 @@ E, NU, GC = 1000.0, 0.3, 0.1
 
 def case(
     n=120, horizon=3.015, a=5.0, pull=1.0, calibration="family", law="none", solver="events", scheme="sub_horizons",
-    plane="stress", angle=0.0,
+    plane="stress", angle=0.0, damage="bonds", curve="linear", ratio=5.0, G=2.0, step=0.003, end=0.08,
 ):  # fmt: skip
+    if pd.choose("damage", damage, {"bonds": False, "point": True}):
+        return of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end)
     if law == "none":
         return measured(n, horizon, a, scheme, plane, angle)
     return broken(n, horizon, a, pull, calibration, law, solver)
@@ -134,13 +143,72 @@ def measured(n, horizon, a, scheme, plane, angle):
     )
 
 
+def griffith_stress(a, modulus):
+    """Return the stress at which the crack grows in a strip [MPa]."""
+    return np.sqrt(modulus * GC / (np.pi * a / np.cos(np.pi * a / WIDTH)))
+
+
+def of_points(n, horizon, a, pull, plane, curve, ratio, G, step, end):
+    """Return the strip whose gradient points fail."""
+    dx = WIDTH / n
+    delta = horizon * dx
+    layer = 1.5 * dx
+    low, high = pd.region.Slab("y", high=layer), pd.region.Slab("y", low=LENGTH - layer)
+    ends = pd.region.Slab("y", high=2.0 * delta) | pd.region.Slab("y", low=LENGTH - 2.0 * delta)
+    middle = 0.5 * WIDTH, 0.5 * LENGTH
+    above, below = (
+        pd.region.Box(
+            (middle[0] - 1.01 * dx, middle[1] + min(side, 0.0)), (middle[0] + 1.01 * dx, middle[1] + max(side, 0.0))
+        )
+        for side in (dx, -dx)
+    )
+    griffith = griffith_stress(a, plane_modulus(plane))
+    material = pd.LinearElastic(E, NU, plane=pd.choose("plane", plane, {"stress": "stress", "strain": "strain"}))
+    damage = damage_of_ratio(curve, material, GC, ratio, delta, dx, protected=ends)
+
+    def results(h):
+        peak = max(h["force"]) / WIDTH
+        return {
+            "peak_stress": peak,
+            "griffith": griffith,
+            "ratio": peak / griffith,
+            "strength": damage.strength,
+            "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (WIDTH, LENGTH), dx),
+        horizon=delta,
+        material=material,
+        scheme=pd.Correspondence(),
+        weights=pd.Standard(),
+        control=pd.Silling(G),
+        cracks=[pd.Segment((middle[0] - a, middle[1]), (middle[0] + a, middle[1]))],
+        damage=damage,
+        conditions=[pd.Displacement(low, x=0.0, y=0.0), pd.Displacement(high, x=0.0, y=pull)],
+        solver=pd.PathFollowing(pd.Opening("y", above, against=below, step=step, end=end)),
+        history={
+            "force": pd.Reaction("y", high),
+            "displacement": pd.Mean(pd.displacement, "y", high),
+            "dissipated": pd.DissipatedEnergy(),
+            "stored": pd.StrainEnergy(),
+            "control": pd.ControlEnergy(),
+            "work": pd.ExternalWork(),
+            "tip": pd.CrackTip((1.0, 0.0)),
+        },
+        results=results,
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 5.0),
+    )
+
+
 def broken(n, horizon, a, pull, calibration, law, solver):
     """Return the strip that breaks."""
     dx = WIDTH / n
     layer = 1.5 * dx
     low, high = pd.region.Slab("y", high=layer), pd.region.Slab("y", low=LENGTH - layer)
     ends = pd.region.Slab("y", high=2.0 * horizon * dx) | pd.region.Slab("y", low=LENGTH - 2.0 * horizon * dx)
-    griffith = np.sqrt(E * GC / (np.pi * a / np.cos(np.pi * a / WIDTH)))
+    griffith = griffith_stress(a, E)
     crack = pd.Segment((0.5 * WIDTH - a, 0.5 * LENGTH), (0.5 * WIDTH + a, 0.5 * LENGTH))
 
     # Of one plane of bonds, so that the load over that of Griffith tells what a crack takes.

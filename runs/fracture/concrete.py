@@ -46,11 +46,16 @@ def of_plane(m):
     return traction / modulus, energy / modulus / m
 
 
-def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=0.0, at=(), load=1000.0, smallest=1e-3):
+def bent_beam(
+    size, span, notch, E, strength, Gf, n, horizon, step, end, offset=0.0, at=(), load=1000.0, smallest=1e-3,
+    damage="bonds", nu=0.2, G=2.0,
+):  # fmt: skip
     """Return a notched beam in three-point bending, bond-based in plane stress, followed by the opening of its notch.
 
     Bonds soften bilinearly, to a quarter of their largest force at 0.15 of the last stretch (Wittmann), and a plane
-    that opens has the strength as its largest traction and takes ``Gf``, on the lattice that there is.
+    that opens has the strength as its largest traction and takes ``Gf``, on the lattice that there is. With the damage
+    ``"point"`` the gradient points of an elastic body fail by the same curve, strength and energy (``pd.PointDamage``),
+    with correspondence, a zero-energy control and standard weights.
 
     Parameters
     ----------
@@ -65,6 +70,10 @@ def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=
         Particles over the depth.
     at : sequence of float
         Openings at which the results name the load, as ``load_at_0.1``.
+    damage : {"bonds", "point"}
+        What fails.
+    nu, G : float
+        Poisson's ratio and coefficient of the zero-energy control where gradient points fail [-].
 
     Results: ``peak_load``, ``opening_at_peak``, the loads that were asked for, ``dissipated``, what the laws have taken
     over the fracture energy of the ligament, ``last_load`` over the peak.
@@ -95,15 +104,30 @@ def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=
             "opening_at_peak": opening[peak],
             **reached,
             "dissipated": h["dissipated"][-1] / (Gf * width * (depth - notch)),
-            "broken_bonds": h["broken"][-1],
+            **({} if of_points else {"broken_bonds": h["broken"][-1]}),
         }
 
+    protected = under | rests[0] | rests[1]
+    of_points = pd.choose("damage", damage, {"bonds": False, "point": True})
+    if of_points:
+        curve = pd.softening.Bilinear(kink=0.15, share=0.25)
+        model = {
+            "material": pd.LinearElastic(E, nu, plane="stress"),
+            "scheme": pd.Correspondence(),
+            "control": pd.Silling(G),
+            "weights": pd.Standard(),
+            "damage": pd.PointDamage(curve, Gc=Gf, strength=strength, protected=protected),
+        }
+    else:
+        model = {
+            "material": pd.BondBased(E=E, plane="stress", calibration="family"),
+            "damage": bilinear(E, strength / traction, Gf, delta, protected, 0.25, 0.75 / 5.0, snap),
+        }
     return pd.Case(
         particles=pd.Lattice((0.0, 0.0), (length, depth), dx, thickness=width),
         horizon=delta,
-        material=pd.BondBased(E=E, plane="stress", calibration="family"),
         cracks=[pd.Segment((mouth, -1.0), (mouth, notch))],
-        damage=bilinear(E, strength / traction, Gf, delta, under | rests[0] | rests[1], 0.25, 0.75 / 5.0, snap),
+        **model,
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0),
             pd.Displacement(right, y=0.0),
@@ -116,7 +140,7 @@ def bent_beam(size, span, notch, E, strength, Gf, n, horizon, step, end, offset=
             "deflection": pd.Mean(pd.displacement, "y", loaded),
             "left_lip": pd.Mean(pd.displacement, "x", lips[0]),
             "right_lip": pd.Mean(pd.displacement, "x", lips[1]),
-            "broken": pd.BrokenBonds(),
+            **({"control": pd.ControlEnergy()} if of_points else {"broken": pd.BrokenBonds()}),
             "dissipated": pd.DissipatedEnergy(),
             "stored": pd.StrainEnergy(),
             "work": pd.ExternalWork(),

@@ -14,9 +14,19 @@ With ``law=none`` nothing breaks, and the material has deformation gradients by 
 Results: ``stiffness``, ``J``, ``J_far`` and ``G``, by virtual crack extension, over beam theory; ``K1_over_J``,
 ``K_I^2 / E`` over J; ``turn``, the length in arm depths by which the crack of beam theory were longer for the stiffness
 to be exact.
+
+With ``damage=point`` gradient points fail (``pd.PointDamage`` by a softening ``curve``), with correspondence and
+``Silling(G)``, standard weights and a Poisson ratio of 1/3, in ``steps`` load steps to 0.35 of the opening. The
+strength is chosen so that the strain without stress is ``ratio`` times that at the onset of damage. A crack fails the
+points within a horizon of its plane, so that the arms lose that part of their depth, which beam theory does not know.
+Results: ``stiffness`` and ``J`` of the first step and ``peak_load``, over beam theory; and, while the tip is between 34
+and 67, ``load``, the mean over beam theory, ``taken_over_Gc``, work less stored energy per length of the crack over the
+fracture energy, and ``J_over_Gc``, the mean of J over it; ``balance``, work over stored and dissipated energy at the
+end.
 """
 
 import numpy as np
+from point_damage import damage_of_ratio
 
 import pdpetsc as pd
 
@@ -25,7 +35,12 @@ CRACK = 30.0
 ROOT = 0.64
 
 
-def case(n=20, horizon=3.015, opening=6.0, solver="events", law="brittle", scheme="sub_horizons", share=1.0):
+def case(
+    n=20, horizon=3.015, opening=6.0, solver="events", law="brittle", scheme="sub_horizons", share=1.0, damage="bonds",
+    curve="linear", ratio=5.0, G=2.0, steps=200,
+):  # fmt: skip
+    if pd.choose("damage", damage, {"bonds": False, "point": True}):
+        return of_points(n, horizon, 0.35 * opening, curve, ratio, G, steps)
     dx = H / n
     intact = pd.choose("law", law, {"brittle": False, "none": True})
     delta = horizon * dx
@@ -112,4 +127,67 @@ def case(n=20, horizon=3.015, opening=6.0, solver="events", law="brittle", schem
         },
         fields=[pd.displacement, pd.local_damage],
         picture=pd.Picture(pd.von_mises, "", 50.0) if intact else pd.Picture(pd.local_damage, "", 1.0),
+    )
+
+
+def of_points(n, horizon, opening, curve, ratio, G, steps):
+    """Return the beam whose gradient points fail."""
+    dx = H / n
+    delta = horizon * dx
+    near = pd.region.Slab("y", low=H - delta, high=H + delta)
+    up = pd.region.Box((0.0, 1.5 * H), (dx, 2.0 * H))
+    down = pd.region.Box((0.0, 0.0), (dx, 0.5 * H))
+    ahead = (1.0, 0.0)
+    follows = pd.CrackTip(ahead, 0.25)
+    material = pd.LinearElastic(E, 1.0 / 3.0, plane="stress")
+    # Nothing fails in the first tenth.
+    times = (0.05, 0.1, *np.linspace(0.1, 1.0, steps + 1)[1:])
+
+    def results(h):
+        load, gap, tip, J = (np.array(h[name]) for name in ("load", "deflection", "tip", "J"))
+        gap = 2.0 * gap
+        gone = np.array(h["work"]) - np.array(h["stored"]) - np.array(h["control"])
+        growing = (tip > 34.0) & (tip < 0.75 * LENGTH)
+        per_length = np.polyfit(tip[growing], gone[growing], 1)[0]
+        exact = np.sqrt(E * GC * H**3 / 12.0) / (tip + ROOT * H)
+        release = 12.0 * (load[1] * (CRACK + ROOT * H)) ** 2 / (E * H**3)
+        return {
+            "stiffness": load[1] / gap[1] / (E * H**3 / (8.0 * (CRACK + ROOT * H) ** 3)),
+            "J": J[1] / release,
+            "peak_load": load.max() / (np.sqrt(E * GC * H**3 / 12.0) / (CRACK + ROOT * H)),
+            "load": float(np.mean((load / exact)[growing])),
+            "taken_over_Gc": per_length / GC,
+            "J_over_Gc": float(np.nanmean(J[growing])) / GC,
+            "balance": h["work"][-1] / (h["stored"][-1] + h["control"][-1] + h["dissipated"][-1]),
+            "tip": tip[-1],
+        }
+
+    return pd.Case(
+        particles=pd.Lattice((0.0, 0.0), (LENGTH, 2.0 * H), dx),
+        horizon=delta,
+        material=material,
+        scheme=pd.Correspondence(),
+        weights=pd.Standard(),
+        control=pd.Silling(G),
+        cracks=[pd.Segment((-1.0, H), (CRACK, H))],
+        damage=damage_of_ratio(curve, material, GC, ratio, delta, dx, protected=~near),
+        conditions=[
+            pd.Displacement(pd.region.Nearest((LENGTH, H)), x=0.0),
+            pd.Displacement(up, y=0.5 * opening),
+            pd.Displacement(down, y=-0.5 * opening),
+        ],
+        steps=pd.Steps(times=times),
+        history={
+            "load": pd.Reaction("y", up),
+            "deflection": pd.Mean(pd.displacement, "y", up),
+            "J": pd.JIntegral((CRACK, H), ahead, max(3.0, delta), 8.0, follows),
+            "tip": follows,
+            "dissipated": pd.DissipatedEnergy(),
+            "stored": pd.StrainEnergy(),
+            "control": pd.ControlEnergy(),
+            "work": pd.ExternalWork(),
+        },
+        results=results,
+        fields=[pd.displacement, pd.local_damage],
+        picture=pd.Picture(pd.local_damage, "", 1.0),
     )

@@ -1,0 +1,81 @@
+"""Case files with damage at gradient points: energies, loads and openings against references that know no horizon."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from tests.commands import ROOT, results
+from tests.damage.test_fracture import hinge_peak
+
+sys.path.append(str(ROOT / "runs/fracture"))
+import point_damage
+import separation
+
+
+@pytest.mark.parametrize("horizon", [2.015, 3.015, 4.015])
+@pytest.mark.parametrize("curve", point_damage.CURVES)
+def test_halves_that_are_pulled_apart_take_the_declared_energy(curve, horizon):
+    work, rest = separation.share_of_points(curve, horizon=horizon)
+    assert work == pytest.approx(1.0, abs=2e-3)
+    assert rest == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.long
+def test_a_double_cantilever_releases_what_its_points_take(tmp_path):
+    """The crack takes more than Gc: ahead of it the two principal strains are alike, and the largest one is oblique.
+
+    Families of a horizon of three spacings are up to a tenth narrower across such directions than across the crack.
+    """
+    words = ("damage=point", "n=10", "steps=40", "opening=5")
+    found = results("runs/fracture/double_cantilever.py", *words, output=tmp_path)["results"]
+    assert found["balance"] == pytest.approx(1.0, abs=0.005)
+    assert found["taken_over_Gc"] == pytest.approx(1.0, abs=0.15)
+
+
+def cohesive_over_griffith(a, length, cells=150):
+    """Return the peak stress of a plate with a crack of length 2 a over Griffith's, by a cohesive crack.
+
+    The stress across the crack falls linearly with its opening, and ``length`` is ``E Gc / strength^2``. With the ends
+    of the cohesive zone at ``b > a`` the stress is finite there: ``sigma sqrt(pi b) = sum_i k_i p_i``, and
+    ``p = 1 - delta / (2 length)`` with the opening ``delta = 4 sigma sqrt(b^2 - x^2) - int g p ds`` of a plate of unit
+    modulus and strength (Tada, Paris, Irwin). The largest stress over all b is the peak.
+    """
+    peak, share = 0.0, (np.arange(4) + 0.5) / 4.0
+    for b in a + length * np.geomspace(0.02, 6.0, 80):
+        edges = np.linspace(a, b, cells + 1)
+        x, size = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
+        X, S = np.sqrt(b**2 - x**2), np.sqrt(b**2 - (edges[:-1, None] + size * share).ravel() ** 2)
+        g = (
+            4.0
+            / np.pi
+            * np.log(np.abs((X[:, None] + S) / (X[:, None] - S))).reshape(cells, cells, 4).mean(axis=2)
+            * size
+        )
+        k = 2.0 * np.sqrt(b / np.pi) * np.diff(np.arcsin(np.minimum(edges / b, 1.0)))
+        equations = np.zeros((cells + 1, cells + 1))
+        equations[:cells, :cells] = np.eye(cells) - g / (2.0 * length)
+        equations[:cells, cells] = 2.0 * X / length
+        equations[cells] = [*-k, np.sqrt(np.pi * b)]
+        stress = np.linalg.solve(equations, [*np.ones(cells), 0.0])[cells]
+        if stress < peak:
+            break
+        peak = stress
+    return peak / np.sqrt(length / (np.pi * a))
+
+
+@pytest.mark.long
+def test_a_centre_crack_peaks_where_a_cohesive_crack_does(tmp_path):
+    """The steps end behind the peak."""
+    words = ("damage=point", "n=40", "horizon=2.015", "ratio=2", "step=0.002", "end=0.054")
+    found = results("runs/fracture/centre_crack.py", *words, output=tmp_path)["results"]
+    length = 1000.0 * 0.1 / found["strength"] ** 2
+    assert found["ratio"] == pytest.approx(cohesive_over_griffith(5.0, length), rel=0.04)
+    assert found["balance"] == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.long
+def test_a_concrete_beam_peaks_where_a_cohesive_hinge_does(tmp_path):
+    words = ("damage=point", "n=20", "G=0.5", "step=0.008", "end=0.06")
+    found = results("runs/fracture/gregoire_beam.py", *words, output=tmp_path)["results"]
+    assert found["peak_load"] == pytest.approx(hinge_peak(37e3, 3.9, 0.1432, 50.0, 25.0, 125.0), rel=0.05)

@@ -81,6 +81,7 @@ VALID = [
     pd.DamageOf({"all": region.All()}, {"all": pd.Brittle(CRITICAL)}),
     pd.Brittle(CRITICAL), pd.LinearSoftening(CRITICAL), pd.ExponentialSoftening(CRITICAL),
     pd.BilinearSoftening(CRITICAL), pd.SmoothDegradation(CRITICAL),
+    pd.PointDamage(pd.softening.Exponential(), Gc=1.0, strength=1.0), pd.softening.Bilinear(), pd.softening.Cornelissen(),
     pd.Correspondence(), pd.SubHorizons(), pd.StressPoints(), pd.Corrected(), pd.HigherOrder(), pd.BondAssociated(),
     pd.LatticeNodes((0.0, 0.0), (1.0, 1.0), 0.5),
     pd.Lattice((0.0, 0.0), (1.0, 1.0), 0.5), pd.Arrays([[0.0], [1.0]], [1.0, 1.0], {"a": [0]}),

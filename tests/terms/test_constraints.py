@@ -209,7 +209,10 @@ def test_a_linear_body_with_a_rigid_region_follows_a_straight_path(tmp_path):
     "solver", [pd.EventDriven(), pd.PathFollowing(pd.BondStretch(0.2), until=0.7)], ids=["events", "path"]
 )
 def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
-    """Its rollers are tied displacements in one case and prescribed components in the other."""
+    """Its rollers are tied displacements in one case and prescribed components in the other.
+
+    Until two bonds are broken: behind them equal paths lead to either side, of which rounding chooses one.
+    """
     breaking = {
         "scheme": None, "control": None, "solver": solver,
         "damage": pd.LinearSoftening(pd.ConstantCritical(0.02), 3.0),
@@ -219,9 +222,11 @@ def test_a_turned_body_with_rollers_breaks_as_a_straight_one(solver, tmp_path):
         pulled(0.0, pd.BondBased(10.0), normals=False, shaken=0.1, **breaking), output=tmp_path / "straight"
     )
     turned = pd.run(pulled(0.7, pd.BondBased(10.0), shaken=0.1, **breaking), output=tmp_path / "turned")
-    assert straight.history["broken"][-1] > 0
-    assert np.array_equal(turned.history["broken"], straight.history["broken"])
-    assert np.allclose(turned.history["t"], straight.history["t"], rtol=0.0, atol=1e-7 * straight.history["t"].max())
+    two = np.flatnonzero(np.asarray(straight.history["broken"]) >= 2)
+    until = slice(int(two[0]) + 1)
+    assert np.array_equal(turned.history["broken"][until], straight.history["broken"][until])
+    t = np.asarray(straight.history["t"])
+    assert np.allclose(turned.history["t"][until], t[until], rtol=0.0, atol=1e-7 * t.max())
 
 
 def test_temperature_and_tied_displacements_are_found_together(tmp_path):

@@ -167,19 +167,19 @@ class FailingPoints:
             return self.phi, np.zeros(len(x), dtype=bool), np.zeros(len(x))
         largest = np.maximum(x, self.kappa)
         fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.ratio) & ~self.spared
-        phi, slope = self.at(largest, fails)
-        return phi, fails, slope
+        slope = np.zeros(len(x))
+        xi = (largest[fails] - 1.0) / (self.ratio[fails] - 1.0)
+        by_x = self.curve.slope(xi) / (self.ratio[fails] - 1.0)
+        slope[fails] = (by_x - self.curve.stress(xi) / largest[fails]) / largest[fails]
+        return self.phi_of(largest, self.ratio), fails, slope
 
-    def at(self, x: Float, where: Mask) -> tuple[Float, Float]:
-        """Return ``phi`` at largest drives x, and ``dphi/dx`` at the points ``where`` (n_points,)."""
-        phi, slope = np.ones(len(x)), np.zeros(len(x))
-        phi[(x >= self.ratio) & ~self.spared] = 0.0
-        begun = np.flatnonzero((x > 1.0) & (x < self.ratio) & ~self.spared)
-        xi = (x[begun] - 1.0) / (self.ratio[begun] - 1.0)
-        s = self.curve.stress(xi)
-        phi[begun] = s / x[begun]
-        slope[begun] = (self.curve.slope(xi) / (self.ratio[begun] - 1.0) - phi[begun]) / x[begun]
-        return phi, np.where(where, slope, 0.0)
+    def phi_of(self, x: Float, ratio: Float) -> Float:
+        """Return ``phi`` (n_points,) of points whose largest drives are x, with the drives at which nothing is left."""
+        phi = np.ones(len(x))
+        phi[(x >= ratio) & ~self.spared] = 0.0
+        begun = np.flatnonzero((x > 1.0) & (x < ratio) & ~self.spared)
+        phi[begun] = self.curve.stress((x[begun] - 1.0) / (ratio[begun] - 1.0)) / x[begun]
+        return phi
 
     def dissipated(self) -> Float:
         """Return ``-int Y dphi`` up to the largest drive (n_points,) [energy / volume]."""

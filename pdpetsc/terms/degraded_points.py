@@ -265,35 +265,32 @@ class DegradedPoints(MaterialPoints, DamageModel):
         eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
         return np.asarray(0.5 * np.add.reduceat(np.einsum("ei,ei->e", m, eta), ptr[:-1]))
 
-    def _oriented(self, state: State) -> Float:
-        """Return the ratios of all points, new for those that have not failed yet but may soon (n_points,)."""
+    def _followed(self, state: State) -> tuple[Float, Float, Float]:
+        """Return largest drives, ratios and degradation factors (n_points,) if damage is taken at a state (collective).
+
+        The width of a family is that along the largest strain as long as its point has not failed.
+        """
         points, x = self.points, self.driven(state).x
         ratio = points.ratio.copy()
         ahead = np.flatnonzero((points.kappa <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
             F = self.deformation(state)[ahead]
             strain = 0.5 * (F + F.transpose(0, 2, 1)) if self._linear else np.einsum("pki,pkj->pij", F, F)
-            along = np.linalg.eigh(strain)[1][:, :, -1]
-            ratio[ahead] = self._ratio(ahead, along)
-        return ratio
+            ratio[ahead] = self._ratio(ahead, np.linalg.eigh(strain)[1][:, :, -1])
+        kappa = np.maximum(points.kappa, x)
+        return kappa, ratio, points.phi_of(kappa, ratio)
 
     def fading(self, state: State) -> float:
         """Return by how much a degradation factor would change at most [-]."""
-        points, kept = self.points, self.points.ratio
-        points.ratio = self._oriented(state)
-        phi = points.at(np.maximum(self.driven(state).x, points.kappa), np.zeros(len(kept), dtype=bool))[0]
-        points.ratio = kept
-        return largest(self.body.cloud.comm, float(np.abs(phi - points.phi).max(initial=0.0)))
+        phi = self._followed(state)[2]
+        return largest(self.body.cloud.comm, float(np.abs(phi - self.points.phi).max(initial=0.0)))
 
     def soften(self, state: State) -> float:
         """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
-        points, x = self.points, self.driven(state).x
-        points.ratio[:] = self._oriented(state)
-        points.kappa[:] = np.maximum(points.kappa, x)
-        phi = points.at(points.kappa, np.zeros(len(x), dtype=bool))[0]
-        change = float(np.abs(phi - points.phi).max(initial=0.0))
-        points.phi[:] = phi
-        return largest(self.body.cloud.comm, change)
+        points = self.points
+        before = points.phi.copy()
+        points.kappa[:], points.ratio[:], points.phi[:] = self._followed(state)
+        return largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
 
     def keep(self, state: State) -> None:
         """Keep the damage at a converged state (not collective)."""

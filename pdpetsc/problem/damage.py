@@ -105,11 +105,11 @@ class DamageModel(ABC):
         """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
 
     @abstractmethod
-    def stored(self) -> tuple[Float, Float]:
+    def stored(self) -> tuple[Float, ...]:
         """Return a copy of the state, degradation factors and largest drives, for ``reset`` (not collective)."""
 
     @abstractmethod
-    def reset(self, stored: tuple[Float, Float]) -> None:
+    def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to a stored state (not collective)."""
 
 
@@ -278,11 +278,11 @@ class Damage(DamageModel):
         """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
         return self.bonds.soften(self.driving_values(state))
 
-    def stored(self) -> tuple[Float, Float]:
+    def stored(self) -> tuple[Float, ...]:
         """Return a copy of the state of the bonds, ``phi`` and largest drive, for ``reset`` (not collective)."""
         return self.bonds.phi.copy(), self.bonds.kappa.copy()
 
-    def reset(self, stored: tuple[Float, Float]) -> None:
+    def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to a state of the bonds (not collective)."""
         self.bonds.phi[:], self.bonds.kappa[:] = stored
 

@@ -330,7 +330,7 @@ class Problem:
             self._bonds_changed(rebuild=False)
         return change
 
-    def reset_bonds(self, stored: tuple[Float, Float]) -> None:
+    def reset_bonds(self, stored: tuple[Float, ...]) -> None:
         """Go back to a state of the bonds (``Damage.stored``) in which the same ones are broken."""
         assert self.damage is not None
         self.damage.reset(stored)

@@ -301,13 +301,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self.points.revert()
         return False
 
-    def stored(self) -> tuple[Float, Float]:
-        """Return a copy of degradation factors and largest drives (not collective)."""
-        return self.points.phi.copy(), self.points.kappa.copy()
+    def stored(self) -> tuple[Float, ...]:
+        """Return a copy of degradation factors, largest and final drives (not collective)."""
+        return self.points.phi.copy(), self.points.kappa.copy(), self.points.ratio.copy()
 
-    def reset(self, stored: tuple[Float, Float]) -> None:
+    def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to them (not collective)."""
-        self.points.phi[:], self.points.kappa[:] = stored
+        self.points.phi[:], self.points.kappa[:], self.points.ratio[:] = stored
 
     # Forces, tangent, energy and outputs.
 

@@ -25,11 +25,11 @@ SMALL = 1e-6
 class PointDamage(Declared):
     r"""The energy of a gradient point is ``phi(x) (psi_open + psi_control) + psi_closed``.
 
-    The drive ``x = sqrt(Y / Y_0)`` is that of ``Y = psi_open + psi_control``, what the point would store without damage
-    and loses with it; ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows
-    from 1 to ``r``, ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every
-    point whose family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family along the
-    largest principal strain at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted.
+    The drive ``x = sqrt(Y / Y_0)`` is that of ``Y = psi_open + psi_control``, the energy that damage takes away, and
+    ``Y_0`` is ``psi_open`` in uniaxial tension of the strength. Stress falls by the curve as x grows from 1 to ``r``,
+    ``phi = s(xi) / x`` with ``xi = (x - 1) / (r - 1)``, and damage does not heal. A crack fails every point whose
+    family it cuts, so that a point takes ``g_f = Gc / w``, where w is the width of its family along the largest
+    principal strain at onset: ``r = 1 + (g_f / Y_0 - 1) / (2 a)`` with the area a under s. No number is fitted.
 
     Gradients and weights stay those of the intact body. All forces derive from the energy, and the tangent is
     symmetric where that of the material is. The energy of a material that flows is what it stores and what flow has
@@ -43,14 +43,16 @@ class PointDamage(Declared):
         Energy of a crack per area [energy / area], positive. A function ``Gc(x, normal)`` of places (n, dim) and unit
         vectors across the crack (n, dim) returns numbers (n,).
     strength : float or callable, optional
-        Stress at which a bar begins to fail [stress], positive; a function ``strength(x)`` returns numbers (n,). Or
+        Stress at which a bar begins to fail [stress], positive; a function ``strength(x)`` returns numbers (n,). It is
+        that of the moduli without a temperature: a ``Thermal`` factor f of the moduli makes it ``sqrt(f)`` times this.
     onset : float or callable, optional
-        the strain at which it does [-], positive, or a function of places.
+        Instead of a strength, the strain at which a bar begins to fail [-], positive, or a function of places.
     split : Split
         Which part of the energy a crack that closes keeps: ``pd.split.NoTension()``, ``Volumetric()``, ``Spectral()``
         or ``Whole()``, which keeps nothing.
     protected : Region, optional
-        Points of particles in it do not fail.
+        Points of particles in it do not fail. A crack needs two horizons beside it: points that may not fail hold the
+        faces of a crack that they reach across.
 
     Raises
     ------
@@ -133,7 +135,7 @@ class FailingPoints:
 
     Attributes
     ----------
-    phi, kappa, ratio : (n_points,) float64
+    phi, kappa, final : (n_points,) float64
         Degradation factor, largest drive so far, and the drive at which nothing is left [-].
     frozen : bool
         Whether the degradation factor stays while the displacement changes.
@@ -145,47 +147,47 @@ class FailingPoints:
     def __init__(self, curve: SofteningCurve, onset_energy: Float, spared: Mask) -> None:
         n = len(onset_energy)
         self.curve, self.onset_energy, self.spared = curve, onset_energy, spared
-        self.phi, self.kappa, self.ratio = np.ones(n), np.zeros(n), np.full(n, np.inf)
+        self.phi, self.kappa, self.final = np.ones(n), np.zeros(n), np.full(n, np.inf)
         self.frozen, self.slack = False, 0.0
         self.commit()
 
-    def ratio_of(self, points: GlobalIndex, energy: Float) -> Float:
+    def final_of(self, points: GlobalIndex, energy: Float) -> Float:
         """Return r (n,) of some points for what they take (n,) [energy / volume]."""
         return 1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curve.area)
 
     def commit(self) -> None:
         """Keep the present state."""
-        self._committed = self.phi.copy(), self.kappa.copy(), self.ratio.copy()
+        self._committed = self.phi.copy(), self.kappa.copy(), self.final.copy()
 
     def revert(self) -> None:
         """Go back to the state of the last ``commit``."""
-        self.phi[:], self.kappa[:], self.ratio[:] = self._committed
+        self.phi[:], self.kappa[:], self.final[:] = self._committed
 
     def following(self, x: Float) -> tuple[Float, Mask, Float]:
         """Return ``phi`` at drives x, which points lose more with them, and ``dphi/dx`` there (n_points,)."""
         if self.frozen:
             return self.phi, np.zeros(len(x), dtype=bool), np.zeros(len(x))
         largest = np.maximum(x, self.kappa)
-        fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.ratio) & ~self.spared
+        fails = (x > self.kappa * (1.0 - self.slack)) & (largest > 1.0) & (largest < self.final) & ~self.spared
         slope = np.zeros(len(x))
-        xi = (largest[fails] - 1.0) / (self.ratio[fails] - 1.0)
-        by_x = self.curve.slope(xi) / (self.ratio[fails] - 1.0)
+        xi = (largest[fails] - 1.0) / (self.final[fails] - 1.0)
+        by_x = self.curve.slope(xi) / (self.final[fails] - 1.0)
         slope[fails] = (by_x - self.curve.stress(xi) / largest[fails]) / largest[fails]
-        return self.phi_of(largest, self.ratio), fails, slope
+        return self.phi_of(largest, self.final), fails, slope
 
-    def phi_of(self, x: Float, ratio: Float) -> Float:
+    def phi_of(self, x: Float, final: Float) -> Float:
         """Return ``phi`` (n_points,) of points whose largest drives are x, with the drives at which nothing is left."""
         phi = np.ones(len(x))
-        phi[(x >= ratio) & ~self.spared] = 0.0
-        begun = np.flatnonzero((x > 1.0) & (x < ratio) & ~self.spared)
-        phi[begun] = self.curve.stress((x[begun] - 1.0) / (ratio[begun] - 1.0)) / x[begun]
+        phi[(x >= final) & ~self.spared] = 0.0
+        begun = np.flatnonzero((x > 1.0) & (x < final) & ~self.spared)
+        phi[begun] = self.curve.stress((x[begun] - 1.0) / (final[begun] - 1.0)) / x[begun]
         return phi
 
     def dissipated(self) -> Float:
         """Return ``-int Y dphi`` up to the largest drive (n_points,) [energy / volume]."""
         found = np.zeros(len(self.kappa))
         begun = np.flatnonzero((self.kappa > 1.0) & ~self.spared)
-        x, r = np.minimum(self.kappa[begun], self.ratio[begun]), self.ratio[begun]
+        x, r = np.minimum(self.kappa[begun], self.final[begun]), self.final[begun]
         xi = (x - 1.0) / (r - 1.0)
         found[begun] = 2.0 * (r - 1.0) * self.curve.integral(xi) + 1.0 - x * self.curve.stress(xi)
         return np.asarray(found * self.onset_energy)

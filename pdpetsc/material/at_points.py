@@ -136,7 +136,7 @@ class MaterialAtPoints:
         if not self._expands:
             return Conditions(Unexpanded(self.points, self.dim, multiplier), (self.law,))
         strain = np.zeros((len(self.points), 3, 3)) if strain is None else strain
-        kind = StressFreeStrain if self.material.linear else StressFreeStretch
+        kind = StressFreeStrain if self.material.small_strain else StressFreeStretch
         free = kind(self.points, self.dim, multiplier, self.inside, strain)
         return Conditions(free, self.laws_at(temperature))
 

@@ -78,6 +78,11 @@ class Material(Declared, ABC):
         return "bar" if dim == 1 else "solid"
 
     @property
+    def small_strain(self) -> bool:
+        """Return whether its P is the stress of a small strain, which is also the Cauchy stress."""
+        return self.linear or self.strain_measure == "small"
+
+    @property
     def symmetric(self) -> bool:
         """Return whether its tangent is symmetric, ``A_imkn = A_knim``."""
         return True

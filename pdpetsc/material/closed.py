@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -108,6 +108,8 @@ class _OfStrain(ClosedPart):
 
 class SmallClosed(_OfStrain):
     """Of the small strain ``sym(F - I)``."""
+
+    strain_measure: ClassVar[Literal["small"]] = "small"
 
     def _axes(self, F: Float) -> tuple[Float, Float]:
         return np.linalg.eigh(0.5 * (F + F.transpose(0, 2, 1)) - np.eye(F.shape[-1]))

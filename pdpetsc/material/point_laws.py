@@ -48,9 +48,13 @@ class PointLaws:
 
     def cauchy(self, F: Float) -> Float:
         """Return ``sigma_p = P F^T / J`` (n_points, dim, dim) [stress], J with the hidden stretches; P if linear."""
-        sigma = self.stress(F)
+        return self.cauchy_of(self.stress(F), F)
+
+    def cauchy_of(self, P: Float, F: Float) -> Float:
+        """Return the Cauchy stress (n_points, dim, dim) [stress] of P at F, both (n_points, dim, dim)."""
+        sigma = P.copy()
         for law in self.materials:
-            if not law.material.linear and len(law.points):
+            if not law.material.small_strain and len(law.points):
                 part = F[law.points]
                 J = np.linalg.det(part) * law.hidden_stretch(part)
                 sigma[law.points] = np.einsum("pik,pjk->pij", sigma[law.points], part) / J[:, None, None]
@@ -60,7 +64,7 @@ class PointLaws:
         """Return stretch, P and Cauchy stress in one direction across a line or plane body (n_points,)."""
         stretch, P, sigma = np.ones(len(F)), np.zeros(len(F)), np.zeros(len(F))
         for law in self.materials:
-            part, linear = F[law.points], law.material.linear
+            part, linear = F[law.points], law.material.small_strain
             across = law.hidden_stretch(part)
             if self.dim > 1:
                 stretch[law.points] = across

@@ -66,6 +66,8 @@ def damage_dissipation(solution: Solution) -> Float:
         The damage laws do not tell: bonds that fail in a body of deformation gradients, and drives that are not of
         linear bonds.
     """
+    if solution.problem.damage is None:
+        return np.zeros(len(solution.x))
     density = solution.problem.material_term.dissipation_density()
     if density is None:
         raise CaseError(

@@ -45,7 +45,7 @@ class DamageModel(ABC):
     breaks_by_family_strain: bool = False
     reversible: bool = False
     # Whether all forces derive from one energy, so that an equilibrium without negative pivots is a minimum of it.
-    of_energy: bool = False
+    forces_have_energy: bool = False
 
     @property
     @abstractmethod

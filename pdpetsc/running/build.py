@@ -484,7 +484,12 @@ def _degraded(
     """Return the terms of a body whose gradient points fail (collective)."""
     laws, index, factor = materials.at_points, materials.index, materials.factor
     operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
-    control, built = None if case.control is None else case.control.elastic, None
+    control, built = control_of(case), None
+    if control is not None and control.least_share is not None:
+        raise CaseError(
+            f"{type(control).__name__} follows the tangent of the material, and the control of points that fail their "
+            f"degradation factor; give the control in it alone."
+        )
     if control is not None:
         stiffness = control.sees(stiffness_of(body, laws, index, factor))
         built = control.build(body.cloud, body.families, bonds.omega, stiffness)

@@ -26,7 +26,7 @@ def observers_of(case: Case, problem: Problem, declared: Mapping[str, str]) -> t
     damage, fields = problem.bond_damage, [*case.recorded, *fields_of_terms(problem)]
     history = History({**numbers_of_terms(problem), **case.history})
     # The control of points that fail is a part of their energy.
-    stabilises = case.control is not None and (problem.damage is None or not problem.damage.of_energy)
+    stabilises = case.control is not None and (problem.damage is None or not problem.damage.forces_have_energy)
     broken = [] if damage is None else [BrokenBonds(damage.bonds)]
     return history, [
         StepLines(),

@@ -161,12 +161,12 @@ def equilibrium(
         return attempt, result, broken, 0
     reversible = problem.damage is not None and problem.damage.reversible
     while not stop() and result.converged:
-        pivots = result.negative_pivots if damage_of(solver).of_energy else None
+        pivots = result.negative_pivots if damage_of(solver).forces_have_energy else None
         if pivots:
             break  # sweeps find a minimum of the energy
         # A minimum counts however far away it is.
         attempt, result, change = followed(solver, attempt, result, target, GENTLE if pivots is None else 1.0)
-        if not result.converged or change > LAST:
+        if not result.converged or change > LAST or (pivots is not None and result.negative_pivots):
             break
         more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
         if not more:

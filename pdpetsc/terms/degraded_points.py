@@ -18,16 +18,14 @@ from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
 from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import DamageModel
+from pdpetsc.problem.damage import AT_LARGEST, DamageModel
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.control import ControlForces
 from pdpetsc.terms.material_points import MaterialPoints
 
-# Points whose drive is above this share of that of the onset look for the width of their family.
+# Points whose drive is above this share of that of the onset take the final drive of their own direction.
 NEAR_ONSET = 0.5
-# Points within this share of their largest drive fail further in the tangent for further loading.
-AT_LARGEST = 1e-4
 # A control keeps this share of its stiffness where all points of a particle have failed.
 LEAST = 1e-12
 
@@ -94,6 +92,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
                     f"{type(law.split).__name__} is made once from each material, and a law of Thermal is another one "
                     f"at every temperature; take split=pd.split.Whole(), or a factor of the moduli."
                 )
+            for material, part in zip(materials, closed, strict=True):
+                flows = type(material).plastic_strain is not Material.plastic_strain
+                if part is not None and flows and material.kind(body.dim) not in ("solid", "strain"):
+                    raise CaseError(
+                        f"{type(law.split).__name__} reads the volume of a point, and in plane stress and in bars that "
+                        f"of {type(material).__name__} changes as it flows; take split=pd.split.Whole()."
+                    )
         kept = [part for part in closed if part is not None]
         self._closed = MaterialPoints(body, operator, kept, material_of, factor) if kept else None
         moduli = E[material_of] * (1.0 if factor is None else factor)
@@ -104,20 +109,20 @@ class DegradedPoints(MaterialPoints, DamageModel):
         self._refuse_strength()
         # The width of a family along the axes stands for that along the largest strain before there is any.
         everything = np.arange(operator.n_points)
-        self.points.ratio[:] = self._ratio(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
+        self.points.final[:] = self._final(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
-        self._entries = self._family_entries()
+        self._in_family = self._places_in_family()
 
     def _refuse_strength(self) -> None:
         """Raise CaseError where points would store more at the onset than the crack may take (collective)."""
-        points, families, x = self.points, self.body.families, self.body.cloud.x
-        length = np.linalg.norm(families.bonds(x), axis=1)
+        points, families, cloud = self.points, self.body.families, self.body.cloud
+        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
         reach = np.maximum.reduceat(np.append(length, 0.0), families.indptr[:-1])[self.operator.owner]
-        x, comm, worst = x[self.operator.owner], self.body.cloud.comm, 0.0
+        place, comm, worst = cloud.x[self.operator.owner], cloud.comm, 0.0
         for axis in np.eye(self.body.dim):
             with agreed(comm):
-                Gc = self.law.crack_energy(x, np.tile(axis, (len(x), 1)))
+                Gc = self.law.crack_energy(place, np.tile(axis, (len(place), 1)))
             share = 2.0 * reach * points.onset_energy / Gc
             worst = max(worst, largest(comm, float(np.where(points.spared, 0.0, share).max(initial=0.0))))
         if worst >= 1.0:
@@ -128,14 +133,14 @@ class DegradedPoints(MaterialPoints, DamageModel):
                 f"{horizon:g}; take a horizon below {horizon / worst:g}, or a lower {what}."
             )
 
-    def _ratio(self, points: GlobalIndex, along: Float) -> Float:
+    def _final(self, points: GlobalIndex, along: Float) -> Float:
         """Return r (n,) of some points for cracks across directions (n, dim) (collective)."""
         with agreed(self.body.cloud.comm):
             Gc = self.law.crack_energy(self.body.cloud.x[self.operator.owner[points]], along)
-            ratio = self.points.ratio_of(points, Gc / np.maximum(self._width(points, along), np.finfo(float).tiny))
-            if (ratio[~self.points.spared[points]] <= 1.0).any():
+            final = self.points.final_of(points, Gc / np.maximum(self._width(points, along), np.finfo(float).tiny))
+            if (final[~self.points.spared[points]] <= 1.0).any():
                 raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
-        return ratio
+        return final
 
     def _width(self, points: GlobalIndex, along: Float) -> Float:
         """Return how far stencils of some points reach along directions (n, dim), to both sides (n,) [length].
@@ -154,7 +159,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         reach = np.einsum("ei,ei->e", xi, np.repeat(along, size, axis=0))
         return np.asarray(np.maximum.reduceat(reach, first[:-1]) - np.minimum.reduceat(reach, first[:-1]))
 
-    def _family_entries(self) -> GlobalIndex:
+    def _places_in_family(self) -> GlobalIndex:
         """Return the place of each entry of the operator among the members of all families, centres first."""
         operator, families = self.operator, self.body.families
         bond = np.empty(len(operator.members), dtype=np.int64)
@@ -202,7 +207,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     # What a damage model is asked.
 
-    of_energy = True
+    forces_have_energy = True
 
     @property
     def softens(self) -> bool:
@@ -236,13 +241,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Return drive and degradation factor of the points at a state (collective)."""
 
         def make() -> Driven:
-            x = np.sqrt(np.maximum(self._lost_energy(state), 0.0) / self.points.onset_energy)
+            x = np.sqrt(np.maximum(self._open_energy(state), 0.0) / self.points.onset_energy)
             phi, fails, slope = self.points.following(x)
             return Driven(x, phi, slope, fails)
 
         return state.kept(("driven", self.version, self.frozen, self.points.slack), make)
 
-    def _lost_energy(self, state: State) -> Float:
+    def _open_energy(self, state: State) -> Float:
         """Return ``Y = psi_open + psi_control`` (n_points,) [energy / volume]."""
         F = self.deformation(state)
         Y = self.laws(state).energy(F)
@@ -266,19 +271,19 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return np.asarray(0.5 * np.add.reduceat(np.einsum("ei,ei->e", m, eta), ptr[:-1]))
 
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
-        """Return largest drives, ratios and degradation factors (n_points,) if damage is taken at a state (collective).
+        """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
 
         The width of a family is that along the largest strain as long as its point has not failed.
         """
         points, x = self.points, self.driven(state).x
-        ratio = points.ratio.copy()
+        final = points.final.copy()
         ahead = np.flatnonzero((points.kappa <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
             F = self.deformation(state)[ahead]
             strain = 0.5 * (F + F.transpose(0, 2, 1)) if self._linear else np.einsum("pki,pkj->pij", F, F)
-            ratio[ahead] = self._ratio(ahead, np.linalg.eigh(strain)[1][:, :, -1])
+            final[ahead] = self._final(ahead, np.linalg.eigh(strain)[1][:, :, -1])
         kappa = np.maximum(points.kappa, x)
-        return kappa, ratio, points.phi_of(kappa, ratio)
+        return kappa, final, points.phi_of(kappa, final)
 
     def fading(self, state: State) -> float:
         """Return by how much a degradation factor would change at most [-]."""
@@ -289,7 +294,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
         points = self.points
         before = points.phi.copy()
-        points.kappa[:], points.ratio[:], points.phi[:] = self._followed(state)
+        points.kappa[:], points.final[:], points.phi[:] = self._followed(state)
         return largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
 
     def keep(self, state: State) -> None:
@@ -303,26 +308,19 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def stored(self) -> tuple[Float, ...]:
         """Return a copy of degradation factors, largest and final drives (not collective)."""
-        return self.points.phi.copy(), self.points.kappa.copy(), self.points.ratio.copy()
+        return self.points.phi.copy(), self.points.kappa.copy(), self.points.final.copy()
 
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to them (not collective)."""
-        self.points.phi[:], self.points.kappa[:], self.points.ratio[:] = stored
+        self.points.phi[:], self.points.kappa[:], self.points.final[:] = stored
 
     # Forces, tangent, energy and outputs.
 
     def deformation(self, state: State) -> Float:
-        """Return ``F_p`` (n_points, dim, dim) [-]; I where a point has failed and its F turns the material inside out.
-
-        Without a split it is I at all points that have failed.
-        """
+        """Return ``F_p`` (n_points, dim, dim) [-]; I at points that have failed if a closed crack keeps nothing."""
         F = super().deformation(state)
-        if self._linear and self._closed is not None:
-            return F
         failed = self.points.phi == 0.0
-        if self._closed is not None:
-            failed[failed] = np.linalg.det(F[failed]) <= 0.0
-        if not failed.any():
+        if self._closed is not None or not failed.any():
             return F
         F = F.copy()
         F[failed] = np.eye(self.body.dim)
@@ -382,7 +380,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         ptr, members = self._control.stencils
         of, begin = _entries(ptr, owner)
         whole = self.control_forces(state)[of] / np.repeat(self._volume[owner], np.diff(begin))[:, None]
-        place = self._entries[entries] - np.repeat(ptr[owner] - begin[:-1], size)
+        place = self._in_family[entries] - np.repeat(ptr[owner] - begin[:-1], size)
         for i in range(dim):
             whole[:, i] += np.bincount(place, v[:, i], len(whole))
         return SofteningProduct(StencilMembers(owner, begin, members[of]), self.body.cloud.n_owned, whole, whole, b)
@@ -404,15 +402,32 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def cauchy_stress(self, state: State) -> Float:
         """Return the mean Cauchy stress over the points of each own particle (n_owned, dim, dim) [stress]."""
-        return self.mean_stress(self._degraded(state, lambda term: term.laws(state).cauchy(self.deformation(state))))
+        return self.mean_stress(self.laws(state).cauchy_of(self.stress(state), self.deformation(state)))
 
     def out_of_plane(self, state: State) -> tuple[Float, Float, Float]:
         """Return stretch, P and Cauchy stress across a line or plane body (n_owned,)."""
         F = self.deformation(state)
-        stretch = self.laws(state).out_of_plane(F)[0]
+        stretch, whole, sigma = self.laws(state).out_of_plane(F)
+        # Both stresses are in the ratio of that of what is whole.
+        current = np.divide(sigma, whole, out=np.ones_like(sigma), where=whole != 0.0)
         P = self._degraded(state, lambda term: term.laws(state).out_of_plane(F)[1])
-        sigma = self._degraded(state, lambda term: term.laws(state).out_of_plane(F)[2])
-        return self._mean(stretch), self.mean_stress(P), self.mean_stress(sigma)
+        return self._mean(stretch), self.mean_stress(P), self.mean_stress(P * current)
+
+    def energy_at(self, state: State, F: Float, volume: Float) -> Float:
+        """Return the energy density of all points (n_points,) at other gradients F, with the damage of the state."""
+        return self._degraded(state, lambda term: term.laws(state).energy(F))
+
+    def commit(self, state: State) -> None:
+        """Let materials with history remember a converged state; a point that has failed keeps what it had."""
+        before = [at_points.history.copy() for at_points in self.materials]
+        super().commit(state)
+        for at_points, history in zip(self.materials, before, strict=True):
+            failed = self.points.phi[at_points.points] == 0.0
+            at_points.history[failed] = history[failed]
+
+    def _most_growth(self, grown: Float) -> float:
+        """Return the largest of the points that have not failed."""
+        return super()._most_growth(grown[self.points.phi > 0.0])
 
     def energy_density(self, state: State) -> Float:
         """Return the mean energy density over the points of each own particle (n_owned,) [energy / volume]."""
@@ -421,7 +436,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials, and what the points have lost."""
         points, owner = self.points, self.operator.owner
-        kept = {"phi": points.phi, "largest_drive": points.kappa, "final_drive": points.ratio}
+        kept = {"phi": points.phi, "largest_drive": points.kappa, "final_drive": points.final}
         return {**super().arrays(), **{name: KeptArray(owner, values) for name, values in kept.items()}}
 
     def restored(self) -> None:

@@ -84,7 +84,7 @@ def share_of_points(curve, ratio=5.0, horizon=3.015, steps=301, dx=0.5, G=2.0):
     apart = opened(body)
     x = term.driven(State(body, apart)).x
     cut = x > 1e-9 * x.max()
-    openings = np.geomspace(1.0 / x.max(), 1.01 * (term.points.ratio[cut] / x[cut]).max(), steps)
+    openings = np.geomspace(1.0 / x.max(), 1.01 * (term.points.final[cut] / x[cut]).max(), steps)
     return work_and_rest(problem, apart, np.concatenate([[0.0], openings]), dx)
 
 

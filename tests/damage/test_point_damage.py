@@ -150,7 +150,7 @@ def bar(h_over_dx=3.015, strength=1.0, share=8.0, **changes):
     Y0 = 0.5 * strength**2 / 100.0
     Gc = share * 2.0 * int(h_over_dx) * Y0
     right, left = pd.region.Slab("x", low=18.0), pd.region.Slab("x", high=3.0)
-    weak = pd.region.Slab("x", low=8.0, high=13.0)
+    weak = pd.region.Slab("x", low=7.0, high=14.0)
     declared = {
         "particles": pd.Lattice((0.0,), (21.0,), 1.0),
         "horizon": h_over_dx,
@@ -355,7 +355,6 @@ TOGETHER = {
     "mirror plane": {"symmetry": [pd.Symmetry("y", 8.0)]},
     "flow": {
         "material": pd.J2(E=100.0, nu=0.2, yield_stress=0.8, hardening=5.0), "damage": FLOWS,
-        "control": pd.TangentScaled(pd.Silling(2.0)),
     },
     "graded": {"material": pd.Graded(LINEAR, lambda x: 1.0 + 0.02 * x[:, 0])},
     "two materials": {"material": [(ENDS[0], pd.LinearElastic(E=200.0, plane="stress")), (~ENDS[0], LINEAR)]},
@@ -384,3 +383,40 @@ def test_heat_does_not_go_through_cracks_unnoticed():
     hot = {"material": pd.Thermal(LINEAR, expansion=1e-4, conductivity=1.0, capacity=1.0)}
     with pytest.raises(pd.CaseError, match="Heat would flow through the cracks"):
         pd.prepare(torn(heat=pd.HeatConduction(duration=10.0), **hot))
+
+
+@pytest.mark.parametrize("material", [LINEAR, pd.Hencky(E=100.0, nu=0.2, plane="stress")])
+def test_pressure_does_no_damage_at_any_temperature(material, tmp_path):
+    """Twenty times the strength, on a sheet that has cooled: a part of its strain has no stress."""
+    everything = pd.region.All()
+    case = torn(
+        cracks=[], material=pd.Thermal(material, expansion=1e-3), steps=pd.Steps(4),
+        damage=pd.PointDamage(pd.softening.Linear(), Gc=0.15, strength=1.0),
+        conditions=[
+            pd.Displacement(everything, x=lambda x, t: -0.2 * t * x[:, 0], y=lambda x, t: -0.2 * t * x[:, 1]),
+            pd.Temperature(everything, -20.0),
+        ],
+    )  # fmt: skip
+    result = pd.run(case, output=tmp_path)
+    assert result.gathered(pd.stress)[:, 0, 0].max() < -10.0
+    assert result.gathered(pd.local_damage).max() == 0.0
+
+
+def test_points_that_have_failed_do_not_flow_on(tmp_path):
+    flow = {"flow": pd.Largest(pd.plastic_strain), "lost": pd.Largest(pd.local_damage)}
+    h = pd.run(dataclasses.replace(torn(**TOGETHER["flow"]), history=flow), output=tmp_path).history
+    # They are pulled to many times what they had flown by when they failed.
+    last = int(np.argmax(np.asarray(h["lost"]) == 1.0))
+    assert 0 < last < 13
+    assert h["flow"][-1] < 0.08
+
+
+def test_what_flow_does_not_tell_is_refused():
+    flows = pd.J2(E=100.0, nu=0.2, yield_stress=0.8, hardening=5.0)
+    thin = dataclasses.replace(flows, plane="stress")
+    volumetric = dataclasses.replace(FLOWS, split=pd.split.Volumetric())
+    with pytest.raises(pd.CaseError, match="reads the volume of a point"):
+        pd.prepare(torn(material=thin, damage=volumetric))
+    with pytest.raises(pd.CaseError, match="TangentScaled follows the tangent"):
+        pd.prepare(torn(material=flows, damage=FLOWS, control=pd.TangentScaled(pd.Silling(2.0))))
+    pd.prepare(torn(control=pd.TangentScaled(pd.Silling(2.0))))

@@ -24,32 +24,30 @@ class StrainLoops(NamedTuple):
 def strain_loops(dim: int) -> StrainLoops:
     """Return the loops for dimension ``dim``."""
 
+    # Sums are kept in a number: for an x86 without AVX the compiler gets sums in place of S and C wrong.
     @compiled
     def stress(stress, N, S):  # type: ignore[no-untyped-def]
         for p in range(len(N)):
             for i in range(dim):
                 for j in range(dim):
-                    S[p, i, j] = 0.0
+                    value = 0.0
                     for a in range(dim):
-                        S[p, i, j] += stress[p, a] * N[p, i, a] * N[p, j, a]
+                        value += stress[p, a] * N[p, i, a] * N[p, j, a]
+                    S[p, i, j] = value
 
     @compiled
     def tangent(moduli, shear, N, C):  # type: ignore[no-untyped-def]
         for p in range(len(N)):
-            C[p] = 0.0
-            for a in range(dim):
-                for b in range(dim):
-                    normal = moduli[p, a, b]
-                    half = 0.5 * shear[p, a, b]
-                    if normal == 0.0 and half == 0.0:
-                        continue
-                    for i in range(dim):
-                        for m in range(dim):
-                            aa = normal * N[p, i, a] * N[p, m, a]
-                            ab = half * N[p, i, a] * N[p, m, b]
-                            for k in range(dim):
-                                for n in range(dim):
+            for i in range(dim):
+                for m in range(dim):
+                    for k in range(dim):
+                        for n in range(dim):
+                            value = 0.0
+                            for a in range(dim):
+                                for b in range(dim):
+                                    value += moduli[p, a, b] * N[p, i, a] * N[p, m, a] * N[p, k, b] * N[p, n, b]
                                     swapped = N[p, k, a] * N[p, n, b] + N[p, k, b] * N[p, n, a]
-                                    C[p, i, m, k, n] += aa * N[p, k, b] * N[p, n, b] + ab * swapped
+                                    value += 0.5 * shear[p, a, b] * N[p, i, a] * N[p, m, b] * swapped
+                            C[p, i, m, k, n] = value
 
     return StrainLoops(stress, tangent)

@@ -44,6 +44,7 @@ def test_curves_fall_from_one_to_nothing_and_integrate(name):
     assert curve.stress(inner) == pytest.approx(growth, abs=1e-8)
 
 
+@pytest.mark.processors
 @pytest.mark.parametrize("split", ["volumetric", "spectral", "no tension"])
 @pytest.mark.parametrize("name", ["linear_elastic", "hencky", "saint_venant_kirchhoff"])
 @pytest.mark.parametrize("dim, plane", [(1, "strain"), (2, "strain"), (2, "stress"), (3, "strain")])

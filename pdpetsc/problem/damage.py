@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +24,13 @@ from pdpetsc.problem.state import State
 # A bond whose degradation factor would be above that of its largest drive by less than this is at its largest drive
 # [-].
 AT_LARGEST = 1e-4
+
+
+class Failing(Protocol):
+    """The state of what fails: whether it is held, and how close to its largest drive it fails further."""
+
+    frozen: bool
+    slack: float
 
 
 class DamageModel(ABC):
@@ -69,16 +77,31 @@ class DamageModel(ABC):
 
     @property
     @abstractmethod
+    def failing(self) -> Failing:
+        """Return the state of what fails (not collective)."""
+
+    @property
     def frozen(self) -> bool:
         """Return whether damage stays while the displacement changes (not collective)."""
+        return self.failing.frozen
 
-    @abstractmethod
     def freeze(self, frozen: bool) -> None:
         """Let damage stay, or follow the displacement (not collective)."""
+        if self.frozen != frozen:
+            self.failing.frozen = frozen
+            self.version += 1
 
-    @abstractmethod
-    def loading(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def loading(self) -> Iterator[None]:
         """Let what is at its largest drive lose force in the tangent of the body (not collective)."""
+        failing, frozen = self.failing, self.frozen
+        failing.slack, failing.frozen = AT_LARGEST, False
+        self.version += 1
+        try:
+            yield
+        finally:
+            failing.slack, failing.frozen = 0.0, frozen
+            self.version += 1
 
     @abstractmethod
     def keep(self, state: State) -> None:
@@ -159,9 +182,9 @@ class Damage(DamageModel):
         return self
 
     @property
-    def frozen(self) -> bool:
-        """Return whether the degradation factor stays while the displacement changes (not collective)."""
-        return self.bonds.frozen
+    def failing(self) -> FailingBonds:
+        """Return the state of the bonds (not collective)."""
+        return self.bonds
 
     @property
     def timed(self) -> bool:
@@ -230,24 +253,6 @@ class Damage(DamageModel):
         if len(self.bonds.protected):
             x[self.bonds.protected] = 0.0
         return x
-
-    def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement (not collective)."""
-        if self.bonds.frozen != frozen:
-            self.bonds.frozen = frozen
-            self.version += 1
-
-    @contextmanager
-    def loading(self) -> Iterator[None]:
-        """Let every bond that is at its largest drive lose force in the tangent of the body (not collective)."""
-        bonds, frozen = self.bonds, self.bonds.frozen
-        bonds.slack, bonds.frozen = AT_LARGEST, False
-        self.version += 1
-        try:
-            yield
-        finally:
-            bonds.slack, bonds.frozen = 0.0, frozen
-            self.version += 1
 
     def keep(self, state: State) -> None:
         """Keep the bonds, and what the driving variable remembers, at a converged state."""

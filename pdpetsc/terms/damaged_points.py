@@ -134,20 +134,10 @@ class DamagedPoints(MaterialPoints):
         return F
 
     def commit(self, state: State) -> None:
-        """Let materials with history remember a converged state; a particle without gradient keeps what it had."""
-        if self._history is None:
-            super().commit(state)
-            return
-        before = [at_points.history.copy() for at_points in self.materials]
+        """Let materials with history remember a converged state, wherever their points are when bonds break."""
         super().commit(state)
-        for at_points, history in zip(self.materials, before, strict=True):
-            dead = self._dead[at_points.points]
-            at_points.history[dead] = history[dead]
-        self._history.take(self.operator, self.materials)
-
-    def _most_growth(self, grown: Float) -> float:
-        """Return the largest of the points whose flow would be kept: those of a particle that has a gradient."""
-        return super()._most_growth(grown[~self._dead])
+        if self._history is not None:
+            self._history.take(self.operator, self.materials)
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials that have one, by its number, and what the drive remembers."""

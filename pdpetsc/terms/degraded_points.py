@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
 from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
-from pdpetsc.problem.damage import AT_LARGEST, DamageModel
+from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray, Term
 from pdpetsc.terms.control import ControlForces
@@ -215,27 +214,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return True
 
     @property
-    def frozen(self) -> bool:
-        """Return whether damage is held."""
-        return self.points.frozen
-
-    def freeze(self, frozen: bool) -> None:
-        """Let damage stay, or follow the displacement (not collective)."""
-        if self.points.frozen != frozen:
-            self.points.frozen = frozen
-            self.version += 1
-
-    @contextmanager
-    def loading(self) -> Iterator[None]:
-        """Let every point that is at its largest drive lose force in the tangent (not collective)."""
-        points, frozen = self.points, self.points.frozen
-        points.slack, points.frozen = AT_LARGEST, False
-        self.version += 1
-        try:
-            yield
-        finally:
-            points.slack, points.frozen = 0.0, frozen
-            self.version += 1
+    def failing(self) -> FailingPoints:
+        """Return the state of the points."""
+        return self.points
 
     def driven(self, state: State) -> Driven:
         """Return drive and degradation factor of the points at a state (collective)."""
@@ -326,10 +307,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
         F[failed] = np.eye(self.body.dim)
         return F
 
-    def point_gradient(self, state: State) -> Float:
-        """Return F of the points (n_points, dim, dim) [-]."""
-        return self.deformation(state)
-
     def stress(self, state: State) -> Float:
         """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
         return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
@@ -416,22 +393,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def energy_at(self, state: State, F: Float, volume: Float) -> Float:
         """Return the energy density of all points (n_points,) at other gradients F, with the damage of the state."""
         return self._degraded(state, lambda term: term.laws(state).energy(F))
-
-    def commit(self, state: State) -> None:
-        """Let materials with history remember a converged state; a point that has failed keeps what it had."""
-        before = [at_points.history.copy() for at_points in self.materials]
-        super().commit(state)
-        for at_points, history in zip(self.materials, before, strict=True):
-            failed = self.points.phi[at_points.points] == 0.0
-            at_points.history[failed] = history[failed]
-
-    def _most_growth(self, grown: Float) -> float:
-        """Return the largest of the points that have not failed."""
-        return super()._most_growth(grown[self.points.phi > 0.0])
-
-    def energy_density(self, state: State) -> Float:
-        """Return the mean energy density over the points of each own particle (n_owned,) [energy / volume]."""
-        return self._mean(self.point_energy(state))
 
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials, and what the points have lost."""

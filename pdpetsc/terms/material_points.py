@@ -257,18 +257,25 @@ class MaterialPoints(MaterialTerm):
         return float(self.operator.volume @ self.point_energy(state))
 
     def commit(self, state: State) -> None:
-        """Let materials with history remember a converged state."""
-        if self.has_history:
-            self.laws(state).commit(self.deformation(state))
-            self.version += 1
+        """Let materials with history remember a converged state; a point that is lost keeps what it had."""
+        if not self.has_history:
+            return
+        lost = self.lost
+        before = [] if lost is None else [at_points.history.copy() for at_points in self.materials]
+        self.laws(state).commit(self.deformation(state))
+        self.version += 1
+        if lost is not None:
+            for at_points, history in zip(self.materials, before, strict=True):
+                gone = lost[at_points.points]
+                at_points.history[gone] = history[gone]
 
     def plastic_growth(self, state: State) -> float:
         """Return how much plastic strain grows at most on this rank if the step ends at a state [-]."""
         return self._most_growth(self.laws(state).plastic_growth(self.deformation(state)))
 
     def _most_growth(self, grown: Float) -> float:
-        """Return the largest of what plastic strain at the points grows by (n_points,) [-]."""
-        return float(grown.max(initial=0.0))
+        """Return the largest of what plastic strain grows by (n_points,) [-] at points that are not lost."""
+        return float((grown if self.lost is None else grown[~self.lost]).max(initial=0.0))
 
     @property
     def has_history(self) -> bool:

@@ -136,7 +136,10 @@ class FailingPoints:
     Attributes
     ----------
     phi, kappa, final : (n_points,) float64
-        Degradation factor, largest drive so far, and the drive at which nothing is left [-].
+        Degradation factor, largest drive at the converged steps so far, and the drive at which nothing is left [-].
+    largest : (n_points,) float64
+        Largest drive with that of the state at which damage was last taken; a later state of the same load step may
+        take it back [-].
     frozen : bool
         Whether the degradation factor stays while the displacement changes.
     slack : float
@@ -147,7 +150,7 @@ class FailingPoints:
     def __init__(self, curve: SofteningCurve, onset_energy: Float, spared: Mask) -> None:
         n = len(onset_energy)
         self.curve, self.onset_energy, self.spared = curve, onset_energy, spared
-        self.phi, self.kappa, self.final = np.ones(n), np.zeros(n), np.full(n, np.inf)
+        self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
         self.frozen, self.slack = False, 0.0
         self.commit()
 
@@ -155,13 +158,20 @@ class FailingPoints:
         """Return r (n,) of some points for what they take (n,) [energy / volume]."""
         return 1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curve.area)
 
+    @property
+    def gone(self) -> Mask:
+        """Return which points had failed at the last converged step (n_points,): nothing they do counts any more."""
+        return np.asarray((self.kappa >= self.final) & ~self.spared)
+
     def commit(self) -> None:
-        """Keep the present state."""
-        self._committed = self.phi.copy(), self.kappa.copy(), self.final.copy()
+        """Keep the present state as that of a converged step."""
+        self.kappa[:] = self.largest
+        self._committed = self.phi.copy(), self.final.copy()
 
     def revert(self) -> None:
         """Go back to the state of the last ``commit``."""
-        self.phi[:], self.kappa[:], self.final[:] = self._committed
+        self.phi[:], self.final[:] = self._committed
+        self.largest[:] = self.kappa
 
     def following(self, x: Float) -> tuple[Float, Mask, Float]:
         """Return ``phi`` at drives x, which points lose more with them, and ``dphi/dx`` there (n_points,)."""

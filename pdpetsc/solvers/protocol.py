@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -275,6 +276,11 @@ class StepSolver(Solver):
     def growth(self, u: Float) -> float:
         """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if nothing tells (collective)."""
         return 0.0
+
+    @contextmanager
+    def loosely(self) -> Iterator[None]:
+        """Let equilibria be found to ``LOOSE`` of the forces, if the solver has a tolerance (collective)."""
+        yield
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:

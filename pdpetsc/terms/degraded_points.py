@@ -26,8 +26,9 @@ from pdpetsc.terms.material_points import MaterialPoints
 NEAR_ONSET = 0.5
 # Families are listed for so many points at once.
 MOST_LISTED = 4096
-# A control keeps this share of its stiffness where all points of a particle have failed.
-LEAST = 1e-12
+# Share of its stiffness that a failed point, and the control of its particle, keep: what has come free stays where it
+# is, with forces far below those of what is whole.
+RESIDUAL = 1e-8
 
 
 class Driven(NamedTuple):
@@ -102,6 +103,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         kept = [part for part in closed if part is not None]
         self._closed = MaterialPoints(body, operator, kept, material_of, factor) if kept else None
         moduli = E[material_of] * (1.0 if factor is None else factor)
+        self._soft = RESIDUAL * moduli[operator.owner]
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
         with agreed(body.cloud.comm):  # functions of place may fail on one rank
             onset_energy = law.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
@@ -188,8 +190,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def lost(self) -> Mask | None:
-        """Return which points have failed."""
-        return np.asarray(self.points.phi == 0.0)
+        """Return which points had failed at the last converged step."""
+        return self.points.gone
 
     @property
     def timed(self) -> bool:  # type: ignore[override]
@@ -233,11 +235,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
         """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
 
-        The width of a family is that along the largest strain as long as its point has not failed.
+        The width of a family is that along the largest strain where damage is first taken beyond the onset: it stays
+        for the rest of the load step, in which sweeps and Newton else might go to and fro between two directions.
         """
         points, x = self.points, self.driven(state).x
         final = points.final.copy()
-        ahead = np.flatnonzero((points.kappa <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
+        ahead = np.flatnonzero((points.largest <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
             F = self.deformation(state)[ahead]
             strain = 0.5 * (F + F.transpose(0, 2, 1)) if self._linear else np.einsum("pki,pkj->pij", F, F)
@@ -251,10 +254,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return largest(self.body.cloud.comm, float(np.abs(phi - self.points.phi).max(initial=0.0)))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Take the damage at a state; return the largest change of a degradation factor [-].
+
+        It is that of the converged step before and of this state alone, so that sweeps lower one energy.
+        """
         points = self.points
         before = points.phi.copy()
-        points.kappa[:], points.final[:], points.phi[:] = self._followed(state)
+        points.largest[:], points.final[:], points.phi[:] = self._followed(state)
         return largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
 
     def keep(self, state: State) -> None:
@@ -268,18 +274,18 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def stored(self) -> tuple[Float, ...]:
         """Return a copy of degradation factors, largest and final drives (not collective)."""
-        return self.points.phi.copy(), self.points.kappa.copy(), self.points.final.copy()
+        return self.points.phi.copy(), self.points.largest.copy(), self.points.final.copy()
 
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to them (not collective)."""
-        self.points.phi[:], self.points.kappa[:], self.points.final[:] = stored
+        self.points.phi[:], self.points.largest[:], self.points.final[:] = stored
 
     # Forces, tangent, energy and outputs.
 
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]; I at points that have failed if a closed crack keeps nothing."""
         F = super().deformation(state)
-        failed = self.points.phi == 0.0
+        failed = self.points.gone
         if self._closed is not None or not failed.any():
             return F
         F = F.copy()
@@ -292,15 +298,26 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def stress(self, state: State) -> Float:
         """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
-        return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+        P = self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+        failed, soft, strain = self._residual(state)
+        P[failed] += soft[:, None, None] * strain
+        return P
 
     def moduli_sets(self, state: State) -> Moduli:
         """Return ``phi A_open + A_closed``, damage held."""
-        return Moduli(self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state))))
+        A = self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state)))
+        failed, soft, _ = self._residual(state)
+        one = np.eye(self.body.dim)
+        symmetric = 0.5 * (np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one))
+        A[failed] += soft[:, None, None, None, None] * symmetric
+        return Moduli(A)
 
     def point_energy(self, state: State) -> Float:
         """Return ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
-        return self._degraded(state, lambda term: term.laws(state).energy(self.deformation(state)))
+        psi = self._degraded(state, lambda term: term.laws(state).energy(self.deformation(state)))
+        failed, soft, strain = self._residual(state)
+        psi[failed] += 0.5 * soft * np.einsum("pij,pij->p", strain, strain)
+        return psi
 
     def _degraded(self, state: State, of: Callable[[MaterialPoints], Float]) -> Float:
         """Return ``phi (whole - closed) + closed`` of a number of the points (n_points, ...)."""
@@ -310,6 +327,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
             return np.asarray(phi * whole)
         closed = of(self._closed)
         return np.asarray(phi * (whole - closed) + closed)
+
+    def _residual(self, state: State) -> tuple[GlobalIndex, Float, Float]:
+        """Return points that have failed at a state, their modulus [stress], and the symmetric part of F - I there.
+
+        They store ``1/2 soft eps : eps``, so that what has come free is held where it is, by forces that are far below
+        those of what is whole.
+        """
+        failed = np.flatnonzero(self.driven(state).phi == 0.0)
+        H = self.point_gradient(state)[failed] - np.eye(self.body.dim)
+        return failed, self._soft[failed], 0.5 * (H + H.transpose(0, 2, 1))
 
     def linearise(self, state: State) -> list[Product]:
         """Return ``G^T W (phi A_open + A_closed) G`` and, unless damage is held, what the derivative of phi adds."""
@@ -381,6 +408,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def restored(self) -> None:
         """Follow what has been read from a checkpoint (not collective)."""
         super().restored()
+        self.points.largest[:] = self.points.kappa
         self.points.commit()
 
 
@@ -407,7 +435,7 @@ class DegradedControl(ControlForces):
     def at(self, state: State) -> Control:
         """Return the control with the degradation factor of each particle at a state."""
         points = self._points
-        share = np.maximum(points.share(state), LEAST)
+        share = np.maximum(points.share(state), RESIDUAL)
         return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:

@@ -195,9 +195,9 @@ class FailingPoints:
 
     def dissipated(self) -> Float:
         """Return ``-int Y dphi`` up to the largest drive (n_points,) [energy / volume]."""
-        found = np.zeros(len(self.kappa))
-        begun = np.flatnonzero((self.kappa > 1.0) & ~self.spared)
-        x, r = np.minimum(self.kappa[begun], self.final[begun]), self.final[begun]
+        found = np.zeros(len(self.largest))
+        begun = np.flatnonzero((self.largest > 1.0) & ~self.spared)
+        x, r = np.minimum(self.largest[begun], self.final[begun]), self.final[begun]
         xi = (x - 1.0) / (r - 1.0)
         found[begun] = 2.0 * (r - 1.0) * self.curve.integral(xi) + 1.0 - x * self.curve.stress(xi)
         return np.asarray(found * self.onset_energy)

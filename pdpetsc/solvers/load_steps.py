@@ -166,7 +166,7 @@ def equilibrium(
         return attempt, result, broken, 0
     reversible = problem.damage is not None and problem.damage.reversible
     while not stop() and result.converged:
-        minima = damage_of(solver).forces_have_energy and problem.symmetric
+        minima = damage_of(solver).forces_have_energy and problem.symmetric and solver.of_minima
         if minima and result.negative_pivots:
             break  # sweeps find a minimum of the energy
         # A minimum counts however far away it is. Conjugate gradients, which count no pivots, fail on other states.
@@ -289,8 +289,8 @@ def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Fl
     """Find a minimum of the energy at ``target``: sweeps, which lower it, until Newton converges to one.
 
     A sweep is an equilibrium with damage held, found loosely, and damage at that equilibrium. Newton with damage that
-    follows the displacement begins from there. Its answer counts if its tangent has no negative pivots. Where there is
-    no such minimum nearby, sweeps go on until damage has settled.
+    follows the displacement begins from there. Its answer counts if its tangent has no negative pivots, or along a
+    path. Where there is no such minimum nearby, sweeps go on until damage has settled.
 
     Parameters
     ----------
@@ -318,11 +318,11 @@ def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Fl
             continue
         damage.freeze(False)
         attempt, closed = solver.solve(u, target)
-        if closed.converged and not closed.negative_pivots:
+        if closed.converged and not (solver.of_minima and closed.negative_pivots):
             attempt, closed, change = followed(solver, attempt, closed, target, 1.0)
         iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
         closed = replace(closed, iterations=iterations, linear_iterations=linear, easy=False)
-        if closed.converged and not closed.negative_pivots and change <= LAST:
+        if closed.converged and not (solver.of_minima and closed.negative_pivots) and change <= LAST:
             return attempt, closed, sweep
         solver.load, near = load, 0.1 * near
         problem.soften(solver.state(u))

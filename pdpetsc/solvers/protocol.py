@@ -262,6 +262,8 @@ class StepSolver(Solver):
     problem: Problem
     load: float = 0.0
     t: float = 0.0
+    # Whether an equilibrium must be a minimum of the energy; along a path the load is no constant.
+    of_minima: bool = True
 
     def state(self, u: Float) -> State:
         """Return the state at unknowns and the step time of the last solve (collective)."""

@@ -345,27 +345,41 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
-        driven, operator = self.driven(state), self.operator
+        points, driven = self.points, self.driven(state)
         active = np.flatnonzero(driven.fails)
-        F = self.deformation(state)
+        stencils, v = self._drive_gradient(state, active)
+        b = self.operator.volume * 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * points.onset_energy)
+        return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
+
+    def dissipation_gradient(self, state: State) -> Float:
+        """Return the derivative of the dissipated energy by the unknowns, of points that fail (n_rows, dim) [force].
+
+        ``sum_p -W Y dphi/dY v`` (collective).
+        """
+        driven = self.driven(state)
+        active = np.flatnonzero(driven.fails)
+        stencils, v = self._drive_gradient(state, active)
+        each = (-0.5 * self.operator.volume * driven.slope * driven.x)[active]
+        f = np.zeros_like(state.u_local)
+        np.add.at(f, stencils.members, v * np.repeat(each, np.diff(stencils.point_ptr))[:, None])
+        return self.body.gather(f)
+
+    def _drive_gradient(self, state: State, points: GlobalIndex) -> tuple[StencilMembers, Float]:
+        """Return the particles that drive some points, and ``v = dY/du`` of each (n_entries, dim) [stress / length]."""
+        F, some = self.deformation(state), self.operator.at(points)
         P = self.laws(state).stress(F)
         if self._closed is not None:
             P = P - self._closed.laws(state).stress(F)
-        by_energy = 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
-        b = (operator.volume * by_energy)[active]
-        some = operator.at(active)
-        v = np.einsum("eij,ej->ei", np.repeat(P[active], np.diff(some.point_ptr), axis=0), some.g)
-        n = self.body.cloud.n_owned
+        v = np.einsum("eij,ej->ei", np.repeat(P[points], np.diff(some.point_ptr), axis=0), some.g)
         if self._control is None:
-            return SofteningProduct(some, n, v, v, b)
+            return some, v
         families = self._control.families_at(some.owner)
-        size = np.diff(families.point_ptr)
         whole = self._control.forces_at(state.u_local, some.owner)
-        whole /= np.repeat(self._volume[some.owner], size)[:, None]
+        whole /= np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]
         place = _places(some, families, self.body.cloud.n_local)
         for i in range(self.body.dim):
             whole[:, i] += np.bincount(place, v[:, i], len(whole))
-        return SofteningProduct(families, n, whole, whole, b)
+        return families, whole
 
     def share(self, state: State) -> Float:
         """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""

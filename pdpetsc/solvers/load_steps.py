@@ -290,7 +290,8 @@ def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Fl
 
     A sweep is an equilibrium with damage held, found loosely, and damage at that equilibrium. Newton with damage that
     follows the displacement begins from there. Its answer counts if its tangent has no negative pivots, or along a
-    path. Where there is no such minimum nearby, sweeps go on until damage has settled.
+    path. Where there is no such minimum nearby, sweeps go on until damage has settled. With conjugate gradients Newton
+    is that of Dembo1983: they stop at negative curvature, with a direction along which the energy falls.
 
     Parameters
     ----------
@@ -319,7 +320,7 @@ def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Fl
         damage.freeze(False)
         attempt, closed = solver.solve(u, target)
         if closed.converged and not (solver.of_minima and closed.negative_pivots):
-            attempt, closed, change = followed(solver, attempt, closed, target, 1.0)
+            attempt, closed, change = followed(solver, attempt, closed, target, 1.0 if solver.of_minima else CLOSE)
         iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
         closed = replace(closed, iterations=iterations, linear_iterations=linear, easy=False)
         if closed.converged and not (solver.of_minima and closed.negative_pivots) and change <= LAST:

@@ -9,6 +9,7 @@ import numpy as np
 
 import pdpetsc as pd
 from pdpetsc.bond_based import Neighbourhood, combine
+from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.discrete.cloud import distribute
 from pdpetsc.discrete.communicator import world
 from pdpetsc.discrete.families import find_families
@@ -188,9 +189,9 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     if control is not None:
         stiffness = control.sees(stiffness_of(whole, materials, material_of, None))
         built = control.build(cloud, families, omega, stiffness)
-    if isinstance(law, pd.PointDamage):
-        operator, spared = scheme.build(cloud, families, omega), np.zeros(cloud.n_owned, dtype=bool)
-        points = DegradedPoints(whole, operator, materials, material_of, None, law, spared, built)
+    if law is not None and law.point_laws:
+        laws = AssignedPointDamage(law.point_laws, law.assign_particles(cloud, families, marking(cloud)))
+        points = DegradedPoints(whole, scheme.build(cloud, families, omega), materials, material_of, None, laws, built)
         terms = [] if built is None else [DegradedControl(whole, type(control).__name__, built, points)]
         return Small(Problem(whole, points, terms, Supports(whole), points))
     damage = None

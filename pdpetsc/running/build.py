@@ -16,6 +16,8 @@ from pdpetsc.control.base import Control, ZeroEnergyControl
 from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
+from pdpetsc.damage.laws import Marking
+from pdpetsc.damage.point_damage import AssignedPointDamage
 from pdpetsc.declare.horizon import horizons_of
 from pdpetsc.declare.influence import evaluate
 from pdpetsc.declare.particles import Arrays, Chunk
@@ -438,8 +440,8 @@ def _bonds(
     k = material_term.k
     if material_term.a is not None:  # what a bond stores depends on the others of its family
         k = materials.bond_stiffness(bonds, [one.E for one in materials.of_bonds])
-    assert not isinstance(case.damage, PointDamage)  # the case refuses it
-    damage = _failing(case.damage, body, bonds, k, material_term.finite, materials)
+    declared = cast(BondDamage | DamageOf, case.damage)  # the case refuses others
+    damage = _failing(declared, body, bonds, k, material_term.finite, materials)
     material_term.take_damage(damage)
     return material_term, [], damage
 
@@ -458,13 +460,14 @@ def _points(
 
     if case.damage is not None and case.gradients.patches is not None:
         raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
-    if isinstance(case.damage, PointDamage):
-        return _degraded(case, case.damage, body, bonds, materials, weigh)
+    if case.damage is not None and case.damage.point_laws:
+        return _degraded(case, cast(PointDamage | DamageOf, case.damage), body, bonds, materials, weigh)
     if case.damage is not None:
+        declared = cast(BondDamage | DamageOf, case.damage)
         # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
         reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
         moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
-        damage = _failing(case.damage, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
+        damage = _failing(declared, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
         material_term = DamagedPoints(body, bonds.omega, case.gradients, laws, index, factor, damage, weigh)
     else:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
@@ -478,7 +481,7 @@ def _points(
 
 
 def _degraded(
-    case: Case, declared: PointDamage, body: Body, bonds: Neighbourhood, materials: OfParticles,
+    case: Case, declared: PointDamage | DamageOf, body: Body, bonds: Neighbourhood, materials: OfParticles,
     weigh: Callable[[GradientOperator], GradientOperator],
 ) -> tuple[MaterialTerm, list[Term], DamageModel]:  # fmt: skip
     """Return the terms of a body whose gradient points fail (collective)."""
@@ -493,10 +496,9 @@ def _degraded(
     if control is not None:
         stiffness = control.sees(stiffness_of(body, laws, index, factor))
         built = control.build(body.cloud, body.families, bonds.omega, stiffness)
-    spared = np.zeros(body.cloud.n_owned, dtype=bool)
-    if declared.protected is not None:
-        spared = select(body.cloud, declared.protected, "what damage is protected from")
-    term = DegradedPoints(body, operator, laws, index, factor, declared, spared, built)
+    of_particle = declared.assign_particles(body.cloud, body.families, _marking(body))
+    damage_laws = AssignedPointDamage(declared.point_laws, of_particle)
+    term = DegradedPoints(body, operator, laws, index, factor, damage_laws, built)
     controls: list[Term] = []
     if control is not None and built is not None:
         controls.append(DegradedControl(body, type(control).__name__, built, term))
@@ -515,6 +517,12 @@ def _failing(
             f"What drives {type(declared).__name__} is for one material; in a graded body, or one of several, give "
             f"critical stretches by place with CriticalFunction, or a fracture energy."
         )
+    mark = _marking(body)
+    return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
+
+
+def _marking(body: Body) -> Marking:
+    """Return what marks the local particles of a body in a region."""
 
     def mark(region: Region, what: str) -> Mask:
         marked = np.zeros(body.cloud.n_local)
@@ -522,7 +530,7 @@ def _failing(
         body.cloud.halo.forward(marked)
         return marked > 0.0
 
-    return make_damage(declared, body, bonds.omega, k, finite, materials.index, materials.factor, mark)
+    return mark
 
 
 def materials_of(case: Case, cloud: Cloud) -> OfParticles:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.control.base import Control
-from pdpetsc.damage.point_damage import FailingPoints, PointDamage
+from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
 from pdpetsc.gradient.base import GradientOperator, Moduli, StencilMembers
@@ -59,10 +59,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
     ----------
     body, operator, materials, material_of, factor
         As for ``MaterialPoints``.
-    law : PointDamage
-        As declared.
-    spared : (n_owned,) bool
-        Particles whose points do not fail.
+    damage_laws : AssignedPointDamage
+        As declared, with the law of each particle.
     control : Control or None
         The zero-energy control of the intact body.
 
@@ -78,24 +76,25 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
-        factor: Float | None, law: PointDamage, spared: Mask, control: Control | None,
+        factor: Float | None, damage_laws: AssignedPointDamage, control: Control | None,
     ) -> None:  # fmt: skip
         super().__init__(body, operator, materials, material_of, factor)
-        self.law, self._control = law, control
+        self.damage_laws, self._control = damage_laws, control
+        split = damage_laws.split
         with agreed(body.cloud.comm):
             E = np.array([material.young_modulus() for material in materials])
-            closed = [law.split.closed_part(material) for material in materials]
+            closed = [split.closed_part(material) for material in materials]
             varies = body.thermals is not None and any(one is not None and one.law for one in body.thermals)
             if varies and any(part is not None for part in closed):
                 raise CaseError(
-                    f"{type(law.split).__name__} is made once from each material, and a law of Thermal is another one "
+                    f"{type(split).__name__} is made once from each material, and a law of Thermal is another one "
                     f"at every temperature; take split=pd.split.Whole(), or a factor of the moduli."
                 )
             for material, part in zip(materials, closed, strict=True):
                 flows = type(material).plastic_strain is not Material.plastic_strain
                 if part is not None and flows and material.kind(body.dim) not in ("solid", "strain"):
                     raise CaseError(
-                        f"{type(law.split).__name__} reads the volume of a point, and in plane stress and in bars that "
+                        f"{type(split).__name__} reads the volume of a point, and in plane stress and in bars that "
                         f"of {type(material).__name__} changes as it flows; take split=pd.split.Whole()."
                     )
         kept = [part for part in closed if part is not None]
@@ -103,8 +102,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         moduli = E[material_of] * (1.0 if factor is None else factor)
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
         with agreed(body.cloud.comm):  # functions of place may fail on one rank
-            onset_energy = law.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
-        self.points = FailingPoints(law.curve, onset_energy[operator.owner], spared[operator.owner])
+            onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
+        self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner])
         self._refuse_strength()
         # The width of a family along the axes stands for that along the largest strain before there is any.
         everything = np.arange(operator.n_points)
@@ -117,16 +116,18 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Raise CaseError where points would store more at the onset than the crack may take (collective)."""
         points, families, cloud = self.points, self.body.families, self.body.cloud
         length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-        reach = np.maximum.reduceat(np.append(length, 0.0), families.indptr[:-1])[self.operator.owner]
-        place, comm, worst = cloud.x[self.operator.owner], cloud.comm, 0.0
+        fails, comm, worst = np.flatnonzero(~points.spared), cloud.comm, 0.0
+        owner = self.operator.owner[fails]
+        reach = np.maximum.reduceat(np.append(length, 0.0), families.indptr[:-1])[owner]
+        place = cloud.x[owner]
         for axis in np.eye(self.body.dim):
             with agreed(comm):
-                Gc = self.law.crack_energy(place, np.tile(axis, (len(place), 1)))
-            share = 2.0 * reach * points.onset_energy / Gc
-            worst = max(worst, largest(comm, float(np.where(points.spared, 0.0, share).max(initial=0.0))))
+                Gc = self.damage_laws.crack_energy(owner, place, np.tile(axis, (len(place), 1)))
+            share = 2.0 * reach * points.onset_energy[fails] / Gc
+            worst = max(worst, largest(comm, float(share.max(initial=0.0))))
         if worst >= 1.0:
             horizon = self.body.cloud.horizon
-            what = "strength" if self.law.onset is None else "onset"
+            what = "onset" if all(law.strength is None for law in self.damage_laws.laws) else "strength"
             raise CaseError(
                 f"The {what} of PointDamage stores more at the onset of damage than its Gc takes with a horizon of "
                 f"{horizon:g}; take a horizon below {horizon / worst:g}, or a lower {what}."
@@ -135,7 +136,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _final(self, points: GlobalIndex, along: Float) -> Float:
         """Return r (n,) of some points for cracks across directions (n, dim) (collective)."""
         with agreed(self.body.cloud.comm):
-            Gc = self.law.crack_energy(self.body.cloud.x[self.operator.owner[points]], along)
+            owner = self.operator.owner[points]
+            Gc = self.damage_laws.crack_energy(owner, self.body.cloud.x[owner], along)
             final = self.points.final_of(points, Gc / np.maximum(self._width(points, along), np.finfo(float).tiny))
             if (final[~self.points.spared[points]] <= 1.0).any():
                 raise CaseError("The Gc of PointDamage is too small for its strength in a direction; raise it there.")
@@ -171,8 +173,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def name(self) -> str:
-        """Return the name of the law."""
-        return type(self.law).__name__
+        """Return the name of the laws."""
+        return type(self.damage_laws.laws[0]).__name__
 
     @property
     def linear(self) -> bool:  # type: ignore[override]

@@ -380,6 +380,93 @@ def test_a_sheet_takes_the_energy_of_its_crack_whatever_it_is_declared_with(name
     assert result.gathered(pd.damage_dissipation).sum() == pytest.approx(h["dissipated"][-1], rel=1e-9)
 
 
+WEAK, LEFT = pd.PointDamage(pd.softening.Linear(), Gc=0.06, strength=0.8), pd.region.Slab("x", high=11.0)
+STRONG = pd.PointDamage(pd.softening.Exponential(), Gc=0.3, strength=1.6)
+
+
+def halves(left=STRONG, right=STRONG, between=WEAK, **changes):
+    laws = {"left": left, "right": right, ("right", "left"): between}
+    return pd.DamageOf({"left": LEFT, "right": ~LEFT}, laws, **changes)
+
+
+@pytest.mark.parametrize("horizon", [2.015, 3.015])
+def test_an_interface_fails_at_its_own_strength_and_energy(horizon, tmp_path):
+    """A sheet of two materials tears between them, and nothing else is damaged."""
+    right, left = pd.region.Slab("x", low=20.0), pd.region.Slab("x", high=2.0)
+    stiff = pd.LinearElastic(E=300.0, nu=0.2, plane="stress")
+    case = torn(
+        particles=pd.Lattice((0.0, 0.0), (22.0, 4.0), 1.0), cell=pd.Cell((0.0, 0.0), (22.0, 4.0), axes="y"), cracks=[],
+        horizon=horizon, material=[(LEFT, LINEAR), (~LEFT, stiff)], damage=halves(),
+        conditions=[pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.5, y=0.0)],
+    )  # fmt: skip
+    result = pd.run(case, output=tmp_path / "torn")
+    h, x = {name: np.asarray(values) for name, values in result.history.items()}, result.solution.x[:, 0]
+    assert h["dissipated"][-1] / 4.0 == pytest.approx(0.06, rel=0.01)
+    assert abs(h["force"][-1]) < 1e-9
+    lost = result.gathered(pd.local_damage)
+    assert lost[np.abs(x - 11.0) < horizon].min() == 1.0
+    assert lost[np.abs(x - 11.0) > horizon].max() == 0.0
+    # The same strain everywhere: the points of the interface fail at once, the others stay whole.
+    held = [pd.Displacement(pd.region.All(), x=lambda x, t: 0.01 * t * x[:, 0])]
+    stress = {"stress": pd.Mean(pd.stress, "xx", pd.region.Slab("x", 10.0, 12.0))}
+    row, _ = bar(h_over_dx=horizon, damage=halves(), conditions=held, steps=pd.Steps(125), history=stress)
+    assert max(pd.run(row, output=tmp_path / "row").history["stress"]) == pytest.approx(0.8, rel=0.01)
+
+
+def test_points_obey_the_law_of_their_region_or_of_the_first_pair():
+    parts = {"a": pd.region.Slab("x", high=2.0), "b": pd.region.Slab("x", 2.0, 4.0), "c": pd.region.Slab("x", low=4.0)}
+    laws = {"a": WEAK, "b": None, "c": STRONG, ("b", "c"): WEAK, ("a", "b"): None}
+    cut = {key: one for key, one in laws.items() if key != ("a", "b")}
+    spares = cut | {"a": dataclasses.replace(WEAK, protected=pd.region.Slab("x", high=1.0))}
+
+    def numbers(laws, horizon, **changes):
+        case, _ = bar(
+            h_over_dx=horizon, particles=pd.Lattice((0.0,), (7.0,), 1.0), history={},
+            conditions=[pd.Displacement(pd.region.All(), x=0.0)],
+            damage=pd.DamageOf(parts, laws, **changes),
+        )  # fmt: skip
+        return pd.prepare(case).problem.damage.damage_laws.of_particle.tolist()
+
+    assert numbers(laws, 1.015) == [0, -1, -1, 2, 2, 1, 1]
+    assert numbers(laws, 2.015) == [-1, -1, 2, 2, 2, 2, 1]
+    assert numbers(cut, 1.015) == [0, 0, -1, 2, 2, 1, 1]
+    assert numbers(cut, 1.015, protected=pd.region.Slab("x", low=6.0)) == [0, 0, -1, 2, 2, 1, -1]
+    assert numbers(spares, 1.015) == [-1, 0, -1, 2, 2, 1, 1]
+
+
+def test_tangents_of_several_laws_are_those_of_differences(rng):
+    half = pd.region.Slab("x", high=1.5)
+    laws = {"a": law("cornelissen"), "b": law("linear", Gc=0.3), ("a", "b"): law("exponential", onset=0.015)}
+    damage = pd.DamageOf({"a": half, "b": ~half}, laws)
+    model = damaged_body(2, damage, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+    model.problem.soften(model.problem.state(displacement(model, rng, 0.05)))
+    model.problem.damage.keep(None)
+    u, points = displacement(model, rng, 0.06), model.problem.damage.points
+    of = points.curves.of_point[model.problem.damage.driven(model.problem.state(u)).fails]
+    assert set(of) == {0, 1, 2}
+    K, columns = dense_tangent(model, u), rng.choice(u.size, 12, replace=False)
+    assert pytest.approx(K.T, abs=1e-9 * np.abs(K).max()) == K
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+
+
+@pytest.mark.parametrize("laws, why", [
+    ({"left": WEAK}, "needs a law of 'right'"),
+    ({"left": WEAK, "right": pd.Brittle(pd.ConstantCritical(0.1))}, "of bonds, or all PointDamage"),
+    ({"left": WEAK, "right": dataclasses.replace(WEAK, split=pd.split.Whole())}, "same split"),
+])  # fmt: skip
+def test_laws_that_do_not_go_together_are_refused(laws, why):
+    with pytest.raises(pd.CaseError, match=why):
+        pd.DamageOf({"left": LEFT, "right": ~LEFT}, laws)
+
+
+def test_regions_of_points_that_overlap_and_bodies_of_bonds_are_refused():
+    case, _ = bar(damage=pd.DamageOf({"left": LEFT, "all": pd.region.All()}, {"left": WEAK, "all": STRONG}))
+    with pytest.raises(pd.CaseError, match="is in 2 regions of DamageOf"):
+        pd.prepare(case)
+    with pytest.raises(pd.CaseError, match="PointDamage is for deformation gradients"):
+        dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)
+
+
 def test_heat_does_not_go_through_cracks_unnoticed():
     hot = {"material": pd.Thermal(LINEAR, expansion=1e-4, conductivity=1.0, capacity=1.0)}
     with pytest.raises(pd.CaseError, match="Heat would flow through the cracks"):

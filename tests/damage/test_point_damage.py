@@ -200,17 +200,22 @@ import numpy as np
 import pdpetsc as pd
 from tests.commands import Stop
 
-def case(scheme="correspondence", law="linear", stop=2.0, unit=1.0, Gc=0.06):
+def case(scheme="correspondence", law="linear", stop=2.0, unit=1.0, Gc=0.06, parts=False):
     left, right = pd.region.Slab("x", high=1.0 * unit), pd.region.Slab("x", low=13.0 * unit)
     axes = [np.arange(14) + 0.5, np.arange(8) + 0.5]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     x += np.random.default_rng(3).uniform(-0.1, 0.1, x.shape)
     laws = dict(linear=pd.softening.Linear(), exponential=pd.softening.Exponential())
     schemes = dict(correspondence=pd.Correspondence(), sub_horizons=pd.SubHorizons())
+    damage = pd.PointDamage(laws[law], Gc=Gc / unit, strength=0.8 / unit**2, protected=left | right)
+    if parts:
+        one, other = pd.region.Slab("x", high=6.0 * unit), pd.PointDamage(laws["exponential"], Gc=Gc, strength=0.75)
+        two = {"one": damage, "other": other, ("one", "other"): damage}
+        damage = pd.DamageOf({"one": one, "other": ~one}, two, protected=left | right)
     return pd.Case(
         particles=pd.Arrays(unit * x, unit**2), horizon=2.515 * unit, material=pd.Hencky(E=100.0 / unit**2, nu=0.2),
         scheme=schemes[scheme], control=pd.Silling(2.0), weights=pd.Standard(),
-        damage=pd.PointDamage(laws[law], Gc=Gc / unit, strength=0.8 / unit**2, protected=left | right),
+        damage=damage,
         cracks=[pd.Segment((7.0 * unit, -1.0), (7.0 * unit, 2.0 * unit))],
         conditions=[
             pd.Displacement(left, x=0.0, y=0.0), pd.Displacement(right, x=0.36 * unit, y=lambda x, t: 0.1 * t * unit)
@@ -232,7 +237,9 @@ def strip(folder):
 
 
 @pytest.mark.processors
-@pytest.mark.parametrize("words", [(), ("scheme=sub_horizons", "law=exponential")], ids=["one point", "sectors"])
+@pytest.mark.parametrize(
+    "words", [(), ("scheme=sub_horizons", "law=exponential"), ("parts=1",)], ids=["one point", "sectors", "parts"]
+)
 def test_a_strip_fails_alike_on_any_ranks_and_after_a_restart(words, tmp_path):
     path = strip(tmp_path)
     results(path, *words, output=tmp_path / "1")

@@ -318,14 +318,8 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     if case.expands:
         if case.heat is not None:
             assert bonds is not None
-            failing = None if damage is None else damage.of_bonds
-            if damage is not None and failing is None:
-                raise CaseError(
-                    "Heat would flow through the cracks of PointDamage as if they were not there; declare temperatures "
-                    "with Temperature, or take a damage law of bonds, which conduct nothing when they are broken."
-                )
             operator = None if case.of_bonds else lambda: cast(MaterialPoints, material_term).operator
-            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, failing)
+            heat = heat_of(case.heat, body, applied, case.thermals, materials.index, operator, bonds.omega, damage)
         field = None if heat is None else heat.field
         body.expansion = stress_free(body, applied, case.thermals, materials.index, materials.materials, field)
     extra = []

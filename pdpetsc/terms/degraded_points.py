@@ -209,6 +209,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
     # What a damage model is asked.
 
     forces_have_energy = True
+    conduction_version = 0
+
+    @property
+    def conducting_points(self) -> Float:
+        """Return the degradation factors of the points (n_points,): failed ones insulate."""
+        return self.points.phi
 
     @property
     def softens(self) -> bool:
@@ -278,7 +284,9 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points = self.points
         before = points.phi.copy()
         points.kappa[:], points.final[:], points.phi[:] = self._followed(state)
-        return largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
+        change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
+        self.conduction_version += change > 0.0
+        return change
 
     def keep(self, state: State) -> None:
         """Keep the damage at a converged state (not collective)."""
@@ -287,6 +295,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def revert(self) -> bool:
         """Take back what failed since the last ``keep``; no weights change."""
         self.points.revert()
+        self.conduction_version += 1
         return False
 
     def stored(self) -> tuple[Float, ...]:
@@ -296,6 +305,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to them (not collective)."""
         self.points.phi[:], self.points.kappa[:], self.points.final[:] = stored
+        self.conduction_version += 1
 
     # Forces, tangent, energy and outputs.
 
@@ -406,6 +416,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Follow what has been read from a checkpoint (not collective)."""
         super().restored()
         self.points.commit()
+        self.conduction_version += 1
 
 
 class DegradedControl(ControlForces):

@@ -11,6 +11,7 @@ from pdpetsc.command_line.cli import load_case
 from tests.commands import field, results
 from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
 from tests.solvers.test_events import history
+from tests.terms.test_heat import heat_of
 
 CURVES = {
     "linear": pd.softening.Linear(),
@@ -474,10 +475,46 @@ def test_regions_of_points_that_overlap_and_bodies_of_bonds_are_refused():
         dataclasses.replace(case, material=pd.BondBased(E=100.0), scheme=None, control=None)
 
 
-def test_heat_does_not_go_through_cracks_unnoticed():
-    hot = {"material": pd.Thermal(LINEAR, expansion=1e-4, conductivity=1.0, capacity=1.0)}
-    with pytest.raises(pd.CaseError, match="Heat would flow through the cracks"):
-        pd.prepare(torn(heat=pd.HeatConduction(duration=10.0), **hot))
+@pytest.mark.parametrize("coupling", ["staggered", "monolithic"])
+def test_a_sheet_conducts_like_an_intact_one_until_it_is_torn_and_not_after(coupling, tmp_path):
+    """The left end is heated; the sheet tears within the fourth step, and the right part stays at the other end's."""
+    hot = [
+        pd.Temperature(ENDS[0], lambda x, t: 20.0 + 60.0 * t + 0.0 * x[:, 0]),
+        pd.Temperature(ENDS[1], 20.0, pd.Hold()),
+    ]  # fmt: skip
+    case = torn(
+        material=pd.Thermal(pd.LinearElastic(E=100.0, plane="stress"), conductivity=2.0, capacity=0.01), cracks=[],
+        heat=pd.HeatConduction(duration=1e3, coupling=coupling, start=20.0), fields=[pd.temperature, pd.local_damage],
+        conditions=[pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.5, y=0.0), *hot],
+        history={"flux": pd.Mean(pd.heat_flux, "x", pd.region.Slab("x", 6.0, 8.0)), "force": pd.Reaction("x", ENDS[1])},
+        damage=pd.PointDamage(
+            pd.softening.Linear(), Gc=0.03, strength=lambda x: np.where(np.abs(x[:, 0] - 7.0) < 2.1, 0.8, 1.2),
+            protected=~pd.region.Slab("x", 4.0, 10.0),
+        ),
+    )  # fmt: skip
+    result, whole = pd.run(case, output=tmp_path / "torn"), dataclasses.replace(case, damage=None, control=None)
+    flux, force = (np.asarray(result.history[name]) for name in ("flux", "force"))
+    intact = np.asarray(pd.run(whole, output=tmp_path / "whole").history["flux"])
+    last = int(np.flatnonzero(np.abs(force) < 0.02 * force.max())[1])  # the first of the torn sheet
+    assert 2 < last < 10
+    assert flux[1 : last - 1] == pytest.approx(intact[1 : last - 1], rel=1e-9)
+    assert np.abs(flux[last + 1 :]).max() < 1e-3 * intact[last]
+    T, x = result.gathered(pd.temperature), result.solution.x[:, 0]
+    assert T[x < 7.0] == pytest.approx(80.0, abs=0.1)
+    assert T[x > 7.0] == pytest.approx(20.0, abs=1e-9)
+
+
+def test_points_conduct_with_their_degradation_factor(rng):
+    model = damaged_body(2, law(), SCHEMES["sub_horizons"], None, MATERIALS["hencky"], rng)
+    phi, k = model.problem.damage.points.phi, np.diag([2.0, 3.0])
+    for control in (0.0, 0.5):
+        heat = heat_of(model, k, pd.HeatConduction(control=control))
+        phi[:] = 1.0
+        intact = heat.matrix().toarray()
+        phi[:] = 0.3
+        assert heat.matrix().toarray() == pytest.approx(0.3 * intact, abs=1e-13 * np.abs(intact).max())
+        phi[:] = 0.0
+        assert np.abs(heat.matrix().toarray()).max() == 0.0
 
 
 @pytest.mark.parametrize("material", [LINEAR, pd.Hencky(E=100.0, nu=0.2, plane="stress")])

@@ -162,6 +162,11 @@ class AssignedPointDamage:
         """Return the split of all laws."""
         return self.laws[0].split
 
+    @property
+    def varies(self) -> bool:
+        """Return whether a fracture energy is a function of place and direction."""
+        return any(callable(law.Gc) for law in self.laws)
+
     def curves(self, owner: LocalIndex) -> CurvesAtPoints:
         """Return the softening curves of points of these particles (n_points,)."""
         return CurvesAtPoints([law.curve for law in self.laws], self.of_particle[owner])

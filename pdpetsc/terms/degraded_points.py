@@ -27,6 +27,8 @@ from pdpetsc.terms.material_points import MaterialPoints
 NEAR_ONSET = 0.5
 # A control keeps this share of its stiffness where all points of a particle have failed.
 LEAST = 1e-12
+# Directions in which Gc is checked, by dimension.
+FAN = {2: 36, 3: 200}
 
 
 class Driven(NamedTuple):
@@ -105,9 +107,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
             onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
         self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner])
         self._refuse_strength()
-        # The width of a family along the axes stands for that along the largest strain before there is any.
-        everything = np.arange(operator.n_points)
-        self.points.final[:] = self._final(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
+        # The width of a family along the first axis stands for that along the largest strain before there is any. A Gc
+        # that depends on the direction may be too small off the axes.
+        everything, fan = np.arange(operator.n_points), _fan(body.dim) if damage_laws.varies else np.eye(body.dim)[:1]
+        finals = [self._final(everything, np.tile(along, (operator.n_points, 1))) for along in fan]
+        self.points.final[:] = np.where(self.points.spared, 1.0, finals[0])
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
         self._in_family = self._places_in_family()
@@ -409,8 +413,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def arrays(self) -> Mapping[str, KeptArray]:
         """Return the histories of the materials, and what the points have lost."""
         points, owner = self.points, self.operator.owner
-        kept = {"phi": points.phi, "largest_drive": points.kappa, "final_drive": points.final}
-        return {**super().arrays(), **{name: KeptArray(owner, values) for name, values in kept.items()}}
+        return {
+            **super().arrays(),
+            "phi": KeptArray(owner, points.phi, 0.0, 1.0),
+            "largest_drive": KeptArray(owner, points.kappa, 0.0),
+            "final_drive": KeptArray(owner, points.final, 1.0),
+        }
 
     def restored(self) -> None:
         """Follow what has been read from a checkpoint (not collective)."""
@@ -444,6 +452,19 @@ class DegradedControl(ControlForces):
         points = self._points
         share = np.maximum(points.share(state), LEAST)
         return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
+
+
+def _fan(dim: int) -> Float:
+    """Return unit vectors (n, dim) all around, of opposite ones one, the first along the first axis."""
+    if dim == 1:
+        return np.ones((1, 1))
+    if dim == 2:
+        angle = np.pi * np.arange(FAN[2]) / FAN[2]
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    z = np.arange(FAN[3]) / FAN[3]
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(FAN[3])  # the golden angle spreads them evenly
+    flat = np.sqrt(1.0 - z**2)
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
 
 def _entries(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:

@@ -3,11 +3,13 @@
 import dataclasses
 import itertools
 
+import h5py
 import numpy as np
 import pytest
 
 import pdpetsc as pd
 from pdpetsc.command_line.cli import load_case
+from pdpetsc.output.checkpoint import seal
 from tests.commands import field, results
 from tests.scenes import MATERIALS, SCHEMES, damaged_body, dense_tangent, differences, displacement, rotation
 from tests.solvers.test_events import history
@@ -322,6 +324,33 @@ def test_fracture_energy_and_strength_follow_place_and_direction(tmp_path):
     wrong = dataclasses.replace(case.damage, Gc=lambda x, n: -np.ones(len(x)))
     with pytest.raises(pd.CaseError, match="must be one positive number for each place"):
         pd.prepare(dataclasses.replace(case, damage=wrong))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_fracture_energy_too_small_off_the_axes_is_refused_at_once(dim, rng):
+    """Least along the diagonals, where a family stores more than the crack takes; enough of it on the axes."""
+    for least, refused in ((0.002, True), (0.2, False)):
+        damage = dataclasses.replace(law(), Gc=lambda x, n, least=least: least + 2.0 * (n**4).sum(axis=1) ** 16)
+        if refused:
+            with pytest.raises(pd.CaseError, match="too small for its strength in a direction"):
+                damaged_body(dim, damage, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+        else:
+            damaged_body(dim, damage, SCHEMES["correspondence"], pd.Silling(0.5), MATERIALS["hencky"], rng)
+
+
+@pytest.mark.parametrize("name, value, limits", [
+    ("phi", 1.5, "0 to 1"), ("phi", -0.1, "0 to 1"), ("largest_drive", -1.0, "0 to inf"),
+    ("final_drive", 0.5, "1 to inf"),
+])  # fmt: skip
+def test_points_out_of_range_in_a_checkpoint_are_refused(name, value, limits, tmp_path):
+    case, _ = bar(steps=pd.Steps(4))
+    pd.run(case, output=tmp_path / "whole")
+    path = tmp_path / "whole" / "checkpoint.h5"
+    with h5py.File(path, "r+") as file:
+        file[f"terms/DegradedPoints.{name}"][10] = value
+    seal(path)
+    with pytest.raises(pd.CaseError, match=f"{name} is not in {limits}; restart from another one"):
+        pd.run(case, output=tmp_path / "rest", restart=path)
 
 
 def torn(**changes):

@@ -12,3 +12,11 @@ Complex: TypeAlias = NDArray[np.complex128]
 LocalIndex: TypeAlias = NDArray[np.int32]
 GlobalIndex: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
+
+
+def entries_of(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:
+    """Return the entries of some rows of a CSR structure (n_entries,), and where those of each row begin (n + 1,)."""
+    size: GlobalIndex = np.diff(ptr)[rows]
+    first: GlobalIndex = np.concatenate([[0], np.cumsum(size)])
+    within: GlobalIndex = np.arange(first[-1])
+    return np.repeat(ptr[rows] - first[:-1], size) + within, first

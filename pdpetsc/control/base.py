@@ -10,7 +10,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
@@ -225,6 +225,23 @@ class Control(Product, ABC):
             It has no such form.
         """
         raise CaseError(_NOT_FOLLOWING)
+
+    def families_at(self, particles: LocalIndex) -> StencilMembers:
+        """Return the families of some own particles (n,) with their centre first, ascending (not collective)."""
+        ptr, members = self.stencils
+        entries, first = entries_of(ptr, particles)
+        return StencilMembers(particles, first, members[entries])
+
+    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
+        """Return those of ``family_forces`` that are of some own particles, in the order of ``families_at``."""
+        return np.asarray(self.family_forces(u)[entries_of(self.stencils[0], particles)[0]])
+
+    def family_energy(self, u: Float) -> Float:
+        """Return the energy of the family of every own particle (n_owned,) [energy] (not collective)."""
+        (ptr, members), m = self.stencils, self.family_forces(u)
+        # Relative to the centre, so that what moves the family as a whole does not round.
+        eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
+        return np.asarray(0.5 * np.add.reduceat(np.einsum("ei,ei->e", m, eta), ptr[:-1]))
 
     def damaged(self, phi: Float) -> Control:
         """Return the control with the stiffness of every bond times its degradation factor (n_bonds,).

@@ -8,11 +8,11 @@ import numpy as np
 
 from pdpetsc.arrays import Float, LocalIndex
 from pdpetsc.control.base import Control, ControlMatrix, Stencil, Stiffness
-from pdpetsc.control.non_uniform import NonUniform
+from pdpetsc.control.non_uniform import NonUniform, forces_on_members
 from pdpetsc.discrete.families import Families
-from pdpetsc.discrete.lattice_stencils import LatticeStencils
+from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.discrete.sparsity import Sparsity
-from pdpetsc.gradient.base import BondGradient, GradientOperator, SameGradient
+from pdpetsc.gradient.base import BondGradient, GradientOperator, SameGradient, StencilMembers
 from pdpetsc.gradient.lattice_gradient import (
     LatticeGradient,
     LatticeSharedGradient,
@@ -108,17 +108,55 @@ class LatticeControl(Control):
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy."""
-        lattice, dim, same = self._lattice, u.shape[1], self._same
+        lattice, same = self._lattice, self._same
         part, own = lattice.part(particles), lattice.irregular
         energy = 0.0
         if len(part.alone):
             energy = own.add(f, lambda forces: self._irregular.force(u[own.local], forces, part.alone))
         if part.rows.count:
-            control = same.weight, same.scale, same.K
-            data = lattice.grid.at, *self._weights.arrays, *control, lattice.grid.onto(u)
-            energy += float(rows_energy_kernel(dim)(*part.loop, *data))
+            energies = self._row_energies(part, u)
+            energy += float(energies.sum())
             add_row_forces(lattice, part, self._weights, None, same, u, f)
         return energy
+
+    def _row_energies(self, part: Part, u: Float) -> Float:
+        """Return the energies of the families of the particles in rows (n_owned,), zero for others."""
+        lattice, same, energies = self._lattice, self._same, np.zeros(self._lattice.cloud.n_owned)
+        data = lattice.grid.at, *self._weights.arrays, same.weight, same.scale, same.K, lattice.grid.onto(u)
+        rows_energy_kernel(u.shape[1])(*part.loop, *data, energies)
+        return energies
+
+    def family_energy(self, u: Float) -> Float:
+        """Return the energy of the family of every own particle."""
+        lattice, own = self._lattice, self._lattice.irregular
+        energies = self._row_energies(lattice.whole, u)
+        energies[own.local[: own.n]] = self._irregular.family_energy(u[own.local])[: own.n]
+        return energies
+
+    def scaled(self, share: Float) -> LatticeControl:
+        """Return the control with the stiffness of the family of each own particle times its share (n_owned,)."""
+        lattice, own = self._lattice, self._lattice.irregular
+        of_irregular = np.ones(own.cloud.n_owned)
+        of_irregular[: own.n] = share[own.local[: own.n]]
+        scale = np.where(lattice.shared, self._scale * share, self._scale)
+        return LatticeControl(lattice, self._irregular.scaled(of_irregular), scale, lambda: self._listed.scaled(share))
+
+    def families_at(self, particles: LocalIndex) -> StencilMembers:
+        """Return the families of some own particles with their centre first."""
+        return self._springs_at(particles)[0]
+
+    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
+        """Return ``s_ij z_ij`` in the families of some own particles, and minus their sum on ``i``."""
+        return forces_on_members(*self._springs_at(particles), self._lattice.cloud.x, u)
+
+    def _springs_at(self, particles: LocalIndex) -> tuple[StencilMembers, Float, Float]:
+        """Return the families of some own particles, ``s`` (n_entries,) of their members and ``K_i^-1``."""
+        lattice = self._lattice
+        families, s, K_inverse = self._irregular.springs_at(lattice.represented_by[particles])
+        size, scale = np.diff(families.point_ptr), self._scale[particles]
+        members = lattice.translated(particles, size, families.members)
+        there = StencilMembers(particles, families.point_ptr, members)
+        return there, np.repeat(scale, size) * s, K_inverse / scale[:, None, None]
 
 
 def of_irregular(stiffness: Stiffness, lattice: LatticeStencils) -> Stiffness:

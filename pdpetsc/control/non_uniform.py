@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdpetsc.arrays import Float, LocalIndex
+from pdpetsc.arrays import Float, LocalIndex, entries_of
 from pdpetsc.control.base import BlockMatrix, Control, ControlMatrix, Stencil, fill, isotropic, with_centre_forces
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
 from pdpetsc.discrete.sparsity import Sparsity
-from pdpetsc.gradient.base import FLAT, BondGradient, GradientOperator, whole_families
+from pdpetsc.gradient.base import (
+    FLAT,
+    BondGradient,
+    GradientOperator,
+    StencilMembers,
+    whole_families,
+    with_centres,
+)
 from pdpetsc.kernels.control import (
     directed_force_kernel,
     directed_matrix_kernel,
@@ -67,9 +74,38 @@ class NonUniform(Control):
 
     def force(self, u: Float, f: Float, particles: LocalIndex) -> float:
         """Add ``T_ij s_ij z_ij`` to ``j`` and its opposite to ``i``; return the energy ``1/2 sum T s |z|^2``."""
-        kernel, family = non_uniform_force_kernel(self._cloud.dim), self._families
+        kernel, family, energy = non_uniform_force_kernel(self._cloud.dim), self._families, np.empty(len(particles))
         data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
-        return float(kernel(particles, *data, u, f))
+        kernel(particles, *data, u, f, energy)
+        return float(energy.sum())
+
+    def family_energy(self, u: Float) -> Float:
+        """Return ``1/2 sum_j T s |z|^2`` of every own particle."""
+        kernel, family = non_uniform_force_kernel(self._cloud.dim), self._families
+        energy = np.empty(len(family.everyone))
+        data = family.indptr, family.neighbours, self._forces, self._stiffness, self._K_inverse, self._cloud.x
+        kernel(family.everyone, *data, u, np.zeros_like(u), energy)
+        return energy
+
+    def families_at(self, particles: LocalIndex) -> StencilMembers:
+        """Return the families of some own particles with their centre first."""
+        return self.springs_at(particles)[0]
+
+    def springs_at(self, particles: LocalIndex) -> tuple[StencilMembers, Float, Float]:
+        """Return the families of some own particles, ``s`` (n_entries,) of their members and ``K_i^-1``.
+
+        ``s`` is zero for the centres, which come first.
+        """
+        family = self._families
+        bonds, first = entries_of(family.indptr, particles)
+        with_centre = with_centres(particles, first, family.neighbours[bonds], self._stiffness[bonds])
+        return with_centre, with_centre.weight, self._K_inverse[particles]
+
+    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
+        """Return ``T_ij s_ij z_ij`` in the families of some own particles, and minus their sum on ``i``."""
+        if self._phi is not None:
+            return super().forces_at(u, particles)
+        return forces_on_members(*self.springs_at(particles), self._cloud.x, u)
 
     def matrix(self, sparsity: Sparsity) -> ControlMatrix:
         """Return the scalar matrix of the control (collective)."""
@@ -128,6 +164,30 @@ class NonUniform(Control):
         weighted = np.einsum("b,bi,bj->bij", self._stiffness, eta, xi)
         H = sum_by(family.centres, weighted, self._cloud.n_owned) @ self._K_inverse
         return np.asarray(self._stiffness[:, None] * (eta - np.einsum("bij,bj->bi", H[family.centres], xi)))
+
+
+def forces_on_members(families: StencilMembers, s: Float, K_inverse: Float, x: Float, u: Float) -> Float:
+    """Return ``s_ij z_ij`` on the members of families, and minus their sum on the centres (n_entries, dim) [force].
+
+    Parameters
+    ----------
+    families : StencilMembers
+        With their centres first.
+    s : (n_entries,) float64
+        Stiffness, 0 for centres [force / length].
+    K_inverse : (n, dim, dim) float64
+        As for ``NonUniform``.
+    x, u : (n_local, dim) float64
+        Positions and displacements [length].
+    """
+    centres = np.repeat(families.owner, np.diff(families.point_ptr))
+    xi, eta = x[families.members] - x[centres], u[families.members] - u[centres]
+    first = families.point_ptr[:-1]
+    H = np.add.reduceat(np.einsum("e,ei,ej->eij", s, eta, xi), first, axis=0) @ K_inverse
+    of = np.repeat(np.arange(len(first)), np.diff(families.point_ptr))
+    m = s[:, None] * (eta - np.einsum("eij,ej->ei", H[of], xi))
+    m[first] = -np.add.reduceat(m, first, axis=0)
+    return np.asarray(m)
 
 
 class Directed(Control):

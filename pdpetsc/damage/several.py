@@ -162,11 +162,12 @@ class DamageOf(Declared):
     def assign_particles(self, cloud: Cloud, families: Families, mark: Marking) -> GlobalIndex:
         """Return the number in ``point_laws`` of the law of each own particle (n_owned,), -1 for none (collective)."""
         part, (place, number) = self._parts(cloud, mark), self._table()
-        first, second = part[families.centres], part[families.neighbours]
-        across, own = np.flatnonzero(first != second), part[: cloud.n_owned]
-        of_pair = np.full(cloud.n_owned, len(self.laws))
-        np.minimum.at(of_pair, families.centres[across], place[first[across], second[across]])
-        at = np.where(of_pair < len(self.laws), of_pair, place[own, own])
+        own = part[: cloud.n_owned]
+        at, names = place[own, own], list(self.regions)
+        for law, key in reversed(list(enumerate(self.laws))):  # the first one last
+            both = [part == names.index(name) for name in _pair(key)]
+            for here, there in zip(both, both[::-1], strict=True) if len(both) == 2 else []:
+                at[here[: cloud.n_owned] & families.with_any(there)] = law
         return without_protected(number[at], self.point_laws, self.protected, mark)
 
     def _parts(self, cloud: Cloud, mark: Marking) -> GlobalIndex:

@@ -72,6 +72,13 @@ class Families:
         """Return ``xi = x_j - x_i`` (n_bonds, dim) [length]."""
         return np.asarray(x[self.neighbours] - x[self.centres])
 
+    def reach(self, x: Float) -> Float:
+        """Return the length of the longest bond of every own particle (n_owned,), 0 for one without bonds."""
+        length = np.linalg.norm(self.bonds(x), axis=1)
+        longest = np.zeros(len(self.indptr) - 1)
+        np.maximum.at(longest, self.centres, length)
+        return longest
+
 
 class LatticeFamilies(Families):
     """Families of a body on a lattice, most of which share their steps; bonds are listed on first use.
@@ -113,6 +120,12 @@ class LatticeFamilies(Families):
     def lattice(self) -> LatticeStencils:
         """Return which own particles share one family."""
         return self._of
+
+    def reach(self, x: Float) -> Float:
+        """Return the length of the longest bond of every own particle without listing the bonds."""
+        irregular = self._of.irregular
+        alike = Families(irregular.indptr, irregular.neighbours).reach(x[irregular.local])
+        return np.asarray(alike[self._of.represented_by])
 
     @cached_property
     def everyone(self) -> LocalIndex:

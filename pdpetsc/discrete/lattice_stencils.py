@@ -246,6 +246,30 @@ class LatticeStencils:
         """Return what a pattern has for each particle that shares it (n_shared, ...), of (n_patterns, ...)."""
         return np.asarray(values[self.pattern_of[self.shared]])
 
+    @cached_property
+    def represented_by(self) -> LocalIndex:
+        """Return the number in ``irregular`` of each own particle, or of the one that stands for its pattern."""
+        own, found = self.irregular, np.empty(self.cloud.n_owned, dtype=np.int32)
+        found[own.local[: own.n]] = np.arange(own.n)
+        found[self.shared] = own.n + self.pattern_of[self.shared]
+        return found
+
+    def translated(self, particles: LocalIndex, size: GlobalIndex, of: LocalIndex) -> LocalIndex:
+        """Return members (n_entries,) about own particles that lie as others do about those which stand for them.
+
+        Parameters
+        ----------
+        particles : (n,) int32
+            Own particles.
+        size : (n,) int64
+            Number of members of each.
+        of : (n_entries,) int32
+            The members of the particles that ``represented_by`` names, by their number in ``irregular``.
+        """
+        cell, local = self.grid.cell, self.irregular.local
+        shift = cell[particles] - cell[local[self.represented_by[particles]]]
+        return np.asarray(self.grid.at[cell[local[of]] + np.repeat(shift, size)])
+
     def with_any(self, marked: Mask) -> Mask:
         """Return which own particles have a marked member in their family (n_owned,), of marks (n_local,)."""
         found = np.zeros(self.cloud.n_owned, dtype=bool)

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.declared import Declared
 from pdpetsc.discrete.cloud import Cloud
 from pdpetsc.discrete.families import Families
@@ -125,6 +125,13 @@ class GradientOperator(StencilMembers):
     def points_of(self) -> GlobalIndex:
         """Return where the points of every own particle start (n_owned + 1,): each has at least one."""
         return np.concatenate([[0], np.flatnonzero(np.diff(self.owner)) + 1, [self.n_points]])
+
+    def at(self, points: GlobalIndex) -> GradientOperator:
+        """Return the operator of some points (n,) alone, ascending (not collective)."""
+        entries, first = entries_of(self.point_ptr, points)
+        return GradientOperator(
+            self.owner[points], first, self.members[entries], self.g[entries], self.volume[points]
+        )  # fmt: skip
 
     def gradient(self, u: Float) -> Float:
         """Return ``H_p = sum_k u_k (x) g_pk`` (n_points, dim, dim) for ``u`` (n_local, dim)."""

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, entries_of
 from pdpetsc.discrete.lattice_stencils import LatticeStencils, Part
 from pdpetsc.gradient.base import ControlledGradient, GradientOperator, Moduli, PointLoop, SameGradient
 from pdpetsc.kernels.lattice_stencils import add_from_cells, rows_blocks_kernel, rows_force_kernel, rows_gradient_kernel
@@ -210,29 +210,18 @@ class LatticeGradient(GradientOperator):
         """Return ``G^T (W A) G``; with other weights ``h`` of forces all weights are listed."""
         return LatticeLoop(self, A) if h is None else self.listed.loop(A, h)
 
+    def at(self, points: GlobalIndex) -> GradientOperator:
+        """Return the operator of some points (n,) alone, ascending (not collective)."""
+        lattice, irregular, owner = self.lattice, self.irregular, self.owner[points]
+        first = irregular.points_of[lattice.represented_by[owner]]
+        entries, ptr = entries_of(irregular.point_ptr, first + points - self.points_of[owner])
+        members = lattice.translated(owner, np.diff(ptr), irregular.members[entries])
+        return GradientOperator(owner, ptr, members, irregular.g[entries], self.volume[points], self.note)
+
     @cached_property
     def listed(self) -> GradientOperator:
         """Return the operator with all weights listed (not collective)."""
-        lattice, irregular, own = self.lattice, self.irregular, self.lattice.irregular
-        at, cell = lattice.grid.at, lattice.grid.cell
-        sizes = self._from_irregular(np.diff(irregular.point_ptr).astype(float)).astype(np.int64)
-        ptr = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        members = np.empty(int(ptr[-1]), dtype=np.int32)
-        g = np.empty((int(ptr[-1]), lattice.cloud.dim))
-        of_alone = np.zeros(self.n_points, dtype=bool)
-        of_alone[self.alone] = True
-        entries = np.repeat(of_alone, sizes)
-        last = int(irregular.point_ptr[len(self.alone)])
-        members[entries], g[entries] = own.local[irregular.members[:last]], irregular.g[:last]
-        for pattern, lists in enumerate(self._members):
-            centres = np.flatnonzero(lattice.pattern_of == pattern)
-            first = int(irregular.points_of[own.n + pattern])
-            for number, (steps, weights) in enumerate(lists):
-                start = ptr[self.points_of[centres] + number]
-                members[start], g[start] = centres, irregular.g[int(irregular.point_ptr[first + number])]
-                for k, step in enumerate(steps):
-                    members[start + 1 + k], g[start + 1 + k] = at[cell[centres] + step], weights[k]
-        return GradientOperator(self.owner, ptr, members, g, self.volume, self.note)
+        return self.at(np.arange(self.n_points))
 
     @property
     def point_ptr(self) -> GlobalIndex:

@@ -14,23 +14,24 @@ from pdpetsc.kernels.rows import add_row, find_slots, widest_row
 
 @lru_cache
 def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f)`` -> energy there.
+    """Return ``force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f, energy)``.
 
     Adds ``s_ij z_ij`` to ``j``, and its opposite to ``i``, with ``z_ij = eta_ij - H_i xi_ij``,
-    ``H_i = (sum_j w_ij eta_ij (x) xi_ij) K_i^-1``; returns ``psi = 1/2 sum_i sum_j s_ij |z_ij|^2`` of these families.
-    Where ``w`` is ``s`` these are the forces of ``psi``, because ``sum_j s_ij z_ij (x) xi_ij = 0`` then.
+    ``H_i = (sum_j w_ij eta_ij (x) xi_ij) K_i^-1``; writes ``psi_i = 1/2 sum_j s_ij |z_ij|^2`` of these families to
+    ``energy`` (n_particles,). Where ``w`` is ``s`` these are the forces of ``psi``, because
+    ``sum_j s_ij z_ij (x) xi_ij = 0`` then.
     """
 
     @compiled
-    def force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f):  # type: ignore[no-untyped-def]
+    def force(particles, indptr, neighbours, stiffness, weight, K_inverse, x, u, f, energy):  # type: ignore[no-untyped-def]
         moment = np.empty((dim, dim))
         H = np.empty((dim, dim))
         eta = np.empty(dim)
         centre = np.empty(dim)
-        energy = 0.0
         for q in range(particles.size):
             i = particles[q]
             moment[:] = 0.0
+            energy[q] = 0.0
             for t in range(indptr[i], indptr[i + 1]):
                 j = neighbours[t]
                 for m in range(dim):
@@ -59,10 +60,9 @@ def non_uniform_force_kernel(dim: int) -> Callable[..., Any]:
                     value = stiffness[t] * eta[m]
                     f[j, m] += value
                     centre[m] -= value
-                energy += 0.5 * stiffness[t] * square
+                energy[q] += 0.5 * stiffness[t] * square
             for m in range(dim):
                 f[i, m] += centre[m]
-        return energy
 
     return force
 

@@ -288,16 +288,17 @@ def rows_force_kernel(dim: int, moduli: int, controlled: int) -> Callable[..., A
 
 @lru_cache
 def rows_energy_kernel(dim: int) -> Callable[..., Any]:
-    """Return ``energy(...)``: ``1/2 sum_i c_i (sum_j w_ij |eta_ij|^2 - H_i K : H_i)`` over the particles in rows."""
+    """Return ``energy(..., energies)``: ``1/2 c_i (sum_j w_ij |eta_ij|^2 - H_i K : H_i)`` of the particles in rows."""
 
     @compiled
-    def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u):  # type: ignore[no-untyped-def]
+    def energy(starts, lengths, pattern, at, lists, gx, gy, gz, weight, scale, K, u, energies):  # type: ignore[no-untyped-def]
         list_ptr, entry_ptr, plus, minus = lists
         buffer = np.empty((3, lengths.max() if lengths.size else 0))
-        total = 0.0
         for q in range(starts.size):
             s, n = starts[q], lengths[q]
             k = list_ptr[pattern[q]]
+            for i in range(n):
+                energies[at[s + i]] = 0.0
             for m in range(dim):
                 v = u[m]
                 row_gradient(s, n, entry_ptr[k], entry_ptr[k + 1], plus, minus, gx, gy, gz, v, dim, buffer)
@@ -310,8 +311,7 @@ def rows_energy_kernel(dim: int) -> Callable[..., Any]:
                     for a in range(dim):
                         for b in range(dim):
                             value -= buffer[a, i] * K[k, a, b] * buffer[b, i]
-                    total += 0.5 * scale[at[s + i]] * value
-        return total
+                    energies[at[s + i]] += 0.5 * scale[at[s + i]] * value
 
     return energy
 

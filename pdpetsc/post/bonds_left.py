@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pdpetsc.arrays import Float, GlobalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, Mask, entries_of
 from pdpetsc.discrete.cloud import HORIZON_TOLERANCE
 from pdpetsc.post.solution import Solution
 
@@ -63,7 +63,6 @@ def _bonds_of(solution: Solution, zone: GlobalIndex) -> tuple[GlobalIndex, Globa
     if lattice is not None:
         indptr, neighbours = lattice.families(zone.astype(np.int32))
         return np.repeat(zone, np.diff(indptr)), neighbours.astype(np.int64), np.ones(len(neighbours))
-    size = np.diff(families.indptr)[zone]
-    bonds = np.repeat(families.indptr[zone] - np.cumsum(size) + size, size) + np.arange(int(size.sum()))
+    bonds, first = entries_of(families.indptr, zone)
     phi = np.ones(len(bonds)) if damage is None else damage.bonds.phi[bonds]
-    return np.repeat(zone, size), families.neighbours[bonds].astype(np.int64), phi
+    return np.repeat(zone, np.diff(first)), families.neighbours[bonds].astype(np.int64), phi

@@ -12,7 +12,7 @@ import numpy as np
 from pdpetsc.arrays import Float, LocalIndex, Mask
 from pdpetsc.bond_based import BondBased, BondMaterial, Neighbourhood, combine
 from pdpetsc.case import AnyMaterial, Case, isothermal, ungraded
-from pdpetsc.control.base import Control, ZeroEnergyControl
+from pdpetsc.control.base import Control, Stiffness, ZeroEnergyControl
 from pdpetsc.control.lattice_control import LatticeControl, of_irregular, relative_scale
 from pdpetsc.control.non_uniform import NonUniform
 from pdpetsc.damage import BondDamage, DamageOf, PointDamage
@@ -303,7 +303,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     lattice = body.families.lattice
     if lattice is not None:
         made = _repeated_bonds if case.of_bonds else _repeated_points
-        material_term, others = made(case, body, lattice, materials)
+        material_term, others, damage = made(case, body, lattice, materials)
     else:
         bonds = _neighbourhood(case, body.cloud, body.families)
         listed = _bonds if case.of_bonds else partial(_points, options=options)
@@ -354,7 +354,7 @@ def repeated_share(case: Case) -> float | None:
     Bonds that fail, and weights of the whole body, differ from particle to particle; and so do schemes that see more
     than the family, controls that do not follow kappa, and bonds of several materials.
     """
-    if case.damage is not None or case.heat is not None:
+    if case.heat is not None or (case.damage is not None and not case.damage.point_laws):
         return None
     if case.of_bonds:
         if case.expands:  # every bond has a length without force of its own
@@ -389,7 +389,7 @@ def _in_order(case: Case) -> bool:
 
 def _repeated_points(
     case: Case, body: Body, lattice: LatticeStencils, materials: OfParticles
-) -> tuple[MaterialTerm, list[Term]]:
+) -> tuple[MaterialTerm, list[Term], DamageModel | None]:
     """Return the terms of a body with deformation gradients most of whose families repeat (collective).
 
     Scheme and control see the other particles alone, and one of those whose family repeats.
@@ -398,30 +398,28 @@ def _repeated_points(
     families = Families(irregular.indptr, irregular.neighbours)
     omega = _neighbourhood(case, irregular.cloud, families).omega
     operator = LatticeGradient(case.gradients.build(irregular.cloud, families, omega), lattice)
-    material_term = MaterialPoints(body, operator, materials.at_points, materials.index, materials.factor)
-    control = control_of(case)
-    if control is None:
-        return material_term, []
-    stiffness = control.sees(stiffness_of(body, materials.at_points, materials.index, materials.factor))
-    built = cast(NonUniform, control.build(irregular.cloud, families, omega, of_irregular(stiffness, lattice)))
 
-    def listed() -> Control:
-        everything = _neighbourhood(case, body.cloud, body.families).omega
-        return control.build(body.cloud, body.families, everything, stiffness)
+    def controlled(control: ZeroEnergyControl, stiffness: Stiffness) -> Control:
+        built = cast(NonUniform, control.build(irregular.cloud, families, omega, of_irregular(stiffness, lattice)))
 
-    repeated = LatticeControl(lattice, built, relative_scale(stiffness, lattice), listed)
-    return material_term, [control_forces(control, body, repeated, material_term)]
+        def listed() -> Control:
+            everything = _neighbourhood(case, body.cloud, body.families).omega
+            return control.build(body.cloud, body.families, everything, stiffness)
+
+        return LatticeControl(lattice, built, relative_scale(stiffness, lattice), listed)
+
+    return _terms_of_points(case, body, operator, controlled, materials)
 
 
 def _repeated_bonds(
     case: Case, body: Body, lattice: LatticeStencils, materials: OfParticles
-) -> tuple[MaterialTerm, list[Term]]:
+) -> tuple[MaterialTerm, list[Term], DamageModel | None]:
     """Return the terms of a body whose forces act along bonds most of which repeat (collective)."""
     irregular = lattice.irregular
     families = Families(irregular.indptr, irregular.neighbours)
     bonds, first = _neighbourhood(case, irregular.cloud, families), np.zeros(irregular.cloud.n_owned, dtype=np.int32)
     of_irregular = BondForces(Body(irregular.cloud, families), bonds, materials.of_bonds, first)
-    return LatticeBonds(body, lattice, of_irregular), []
+    return LatticeBonds(body, lattice, of_irregular), [], None
 
 
 def _bonds(
@@ -445,8 +443,6 @@ def _points(
 ) -> tuple[MaterialTerm, list[Term], DamageModel | None]:
     """Return the terms of a body with deformation gradients (collective)."""
     laws, index, factor = materials.at_points, materials.index, materials.factor
-    damage: Damage | None = None
-    material_term: MaterialTerm
 
     def weigh(operator: GradientOperator) -> GradientOperator:
         solve = partial(solve_scalar, options=options)
@@ -454,49 +450,56 @@ def _points(
 
     if case.damage is not None and case.gradients.patches is not None:
         raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
-    if case.damage is not None and case.damage.point_laws:
-        return _degraded(case, cast(PointDamage | DamageOf, case.damage), body, bonds, materials, weigh)
-    if case.damage is not None:
-        declared = cast(BondDamage | DamageOf, case.damage)
-        # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
-        reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
-        moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
-        damage = _failing(declared, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
-        material_term = DamagedPoints(body, bonds.omega, case.gradients, laws, index, factor, damage, weigh)
-    else:
+
+    def controlled(control: ZeroEnergyControl, stiffness: Stiffness) -> Control:
+        return control.build(body.cloud, body.families, bonds.omega, stiffness)
+
+    if case.damage is None or case.damage.point_laws:
         operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
-        material_term = material_points(case.gradients, body, operator, laws, index, factor)
+        return _terms_of_points(case, body, operator, controlled, materials)
+    # Where nothing reads the stiffness of bonds any modulus does, also of materials that have one per direction.
+    reads, dim = any(law.criterion.reads_stiffness for law in case.damage_laws), body.dim
+    moduli = [one.young_modulus() if reads else one.bulk_like_modulus(dim) for one in laws]
+    declared = cast(BondDamage | DamageOf, case.damage)
+    damage = _failing(declared, body, bonds, materials.bond_stiffness(bonds, moduli), True, materials)
+    material_term = DamagedPoints(body, bonds.omega, case.gradients, laws, index, factor, damage, weigh)
     control = control_of(case)
     if control is None:
         return material_term, [], damage
-    stiffness = control.sees(stiffness_of(body, laws, index, factor))
-    built = control.build(body.cloud, body.families, bonds.omega, stiffness)
+    built = controlled(control, control.sees(stiffness_of(body, laws, index, factor)))
     return material_term, [control_forces(control, body, built, material_term, damage)], damage
 
 
-def _degraded(
-    case: Case, declared: PointDamage | DamageOf, body: Body, bonds: Neighbourhood, materials: OfParticles,
-    weigh: Callable[[GradientOperator], GradientOperator],
-) -> tuple[MaterialTerm, list[Term], DamageModel]:  # fmt: skip
-    """Return the terms of a body whose gradient points fail (collective)."""
+def _terms_of_points(
+    case: Case, body: Body, operator: GradientOperator, controlled: Callable[[ZeroEnergyControl, Stiffness], Control],
+    materials: OfParticles,
+) -> tuple[MaterialTerm, list[Term], DamageModel | None]:  # fmt: skip
+    """Return the terms of a body with gradients that stay as they are, whose points may fail (collective).
+
+    ``controlled`` builds a control for the stiffness of the body.
+    """
     laws, index, factor = materials.at_points, materials.index, materials.factor
-    operator = weigh(case.gradients.build(body.cloud, body.families, bonds.omega))
     control, built = control_of(case), None
+    if control is not None:
+        built = controlled(control, control.sees(stiffness_of(body, laws, index, factor)))
+    if case.damage is None:
+        material_term = material_points(case.gradients, body, operator, laws, index, factor)
+        if control is None or built is None:
+            return material_term, [], None
+        return material_term, [control_forces(control, body, built, material_term)], None
+    declared = cast(PointDamage | DamageOf, case.damage)
     if control is not None and control.least_share is not None:
         raise CaseError(
             f"{type(control).__name__} follows the tangent of the material, and the control of points that fail their "
             f"degradation factor; give the control in it alone."
         )
-    if control is not None:
-        stiffness = control.sees(stiffness_of(body, laws, index, factor))
-        built = control.build(body.cloud, body.families, bonds.omega, stiffness)
     of_particle = declared.assign_particles(body.cloud, body.families, _marking(body))
-    damage_laws = AssignedPointDamage(declared.point_laws, of_particle)
-    term = DegradedPoints(body, operator, laws, index, factor, damage_laws, built)
-    controls: list[Term] = []
-    if control is not None and built is not None:
-        controls.append(DegradedControl(body, type(control).__name__, built, term))
-    return term, controls, term
+    term = DegradedPoints(
+        body, operator, laws, index, factor, AssignedPointDamage(declared.point_laws, of_particle), built
+    )
+    if control is None or built is None:
+        return term, [], term
+    return term, [DegradedControl(body, type(control).__name__, built, term)], term
 
 
 def _failing(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
+from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask, entries_of
 from pdpetsc.damage.criterion import Gradient
 from pdpetsc.discrete.communicator import agreed, total
 from pdpetsc.errors import CaseError, FlatFamilies
@@ -225,9 +225,8 @@ class DamagedPoints(MaterialPoints):
         squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", F, F))
         tension = np.maximum(np.sqrt(np.maximum(squares, 0.0)) - 1.0, 0.0)
         positive = np.einsum("pij,pj,pkj->pik", axes, tension, axes)
-        size = np.diff(operator.point_ptr)[points]
-        entries = np.repeat(operator.point_ptr[points] - np.cumsum(size) + size, size) + np.arange(size.sum())
-        bonds, of = self.bond_of_entry[entries], np.repeat(np.arange(len(points)), size)
+        entries, first = entries_of(operator.point_ptr, points)
+        bonds, of = self.bond_of_entry[entries], np.repeat(np.arange(len(points)), np.diff(first))
         served = (bonds >= 0) & operator.g[entries].any(axis=1)
         bonds, of = bonds[served], of[served]
         xi = cloud.x[families.neighbours[bonds]] - cloud.x[families.centres[bonds]]

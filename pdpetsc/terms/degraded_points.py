@@ -12,19 +12,20 @@ from pdpetsc.control.base import Control
 from pdpetsc.damage.point_damage import AssignedPointDamage, FailingPoints
 from pdpetsc.discrete.communicator import agreed, largest, total
 from pdpetsc.errors import CaseError
-from pdpetsc.gradient.base import GradientOperator, Moduli, StencilMembers
+from pdpetsc.gradient.base import GradientOperator, Moduli, SameGradient, StencilMembers
 from pdpetsc.gradient.products import PointProduct, Product, SofteningProduct
-from pdpetsc.kernels.gradient import bonds_of_entries
 from pdpetsc.material.base import Material
 from pdpetsc.problem.body import Body
 from pdpetsc.problem.damage import DamageModel
 from pdpetsc.problem.state import State
-from pdpetsc.problem.term import KeptArray, Term
+from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
 from pdpetsc.terms.material_points import MaterialPoints
 
 # Points whose drive is above this share of that of the onset take the final drive of their own direction.
 NEAR_ONSET = 0.5
+# Families are listed for so many points at once.
+MOST_LISTED = 4096
 # A control keeps this share of its stiffness where all points of a particle have failed.
 LEAST = 1e-12
 # Directions in which Gc is checked, by dimension.
@@ -107,34 +108,34 @@ class DegradedPoints(MaterialPoints, DamageModel):
             onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
         self.points = FailingPoints(damage_laws.curves(operator.owner), onset_energy[operator.owner])
         self._refuse_strength()
-        # The width of a family along the first axis stands for that along the largest strain before there is any. A Gc
-        # that depends on the direction may be too small off the axes.
-        everything, fan = np.arange(operator.n_points), _fan(body.dim) if damage_laws.varies else np.eye(body.dim)[:1]
-        finals = [self._final(everything, np.tile(along, (operator.n_points, 1))) for along in fan]
-        self.points.final[:] = np.where(self.points.spared, 1.0, finals[0])
+        # The width of a family along the first axis stands for that along the largest strain before there is any.
+        everything = np.arange(operator.n_points)
+        final = self._final(everything, np.tile(np.eye(body.dim)[0], (operator.n_points, 1)))
+        self.points.final[:] = np.where(self.points.spared, 1.0, final)
         self.points.commit()
         self._volume = operator.sum_over_points(operator.volume)
-        self._in_family = self._places_in_family()
 
     def _refuse_strength(self) -> None:
         """Raise CaseError where points would store more at the onset than the crack may take (collective)."""
-        points, families, cloud = self.points, self.body.families, self.body.cloud
-        length = np.linalg.norm(families.bonds(cloud.x), axis=1)
-        fails, comm, worst = np.flatnonzero(~points.spared), cloud.comm, 0.0
+        points, cloud = self.points, self.body.cloud
+        fails, comm = np.flatnonzero(~points.spared), cloud.comm
         owner = self.operator.owner[fails]
-        reach = np.maximum.reduceat(np.append(length, 0.0), families.indptr[:-1])[owner]
-        place = cloud.x[owner]
-        for axis in np.eye(self.body.dim):
+        reach, place = self.body.families.reach(cloud.x)[owner], cloud.x[owner]
+        # A function of the direction may be least off the axes.
+        fan, shares = _fan(self.body.dim) if self.damage_laws.varies else np.eye(self.body.dim)[:1], []
+        for along in fan:
             with agreed(comm):
-                Gc = self.damage_laws.crack_energy(owner, place, np.tile(axis, (len(place), 1)))
+                Gc = self.damage_laws.crack_energy(owner, place, np.tile(along, (len(place), 1)))
             share = 2.0 * reach * points.onset_energy[fails] / Gc
-            worst = max(worst, largest(comm, float(share.max(initial=0.0))))
+            shares.append(largest(comm, float(share.max(initial=0.0))))
+        worst = max(shares)
         if worst >= 1.0:
-            horizon = self.body.cloud.horizon
+            horizon, normal = cloud.horizon, ", ".join(f"{n:.2g}" for n in fan[shares.index(worst)])
             what = "onset" if all(law.strength is None for law in self.damage_laws.laws) else "strength"
+            across = f" for a crack across ({normal})" if self.damage_laws.varies else ""
             raise CaseError(
                 f"The {what} of PointDamage stores more at the onset of damage than its Gc takes with a horizon of "
-                f"{horizon:g}; take a horizon below {horizon / worst:g}, or a lower {what}."
+                f"{horizon:g}{across}; take a horizon below {horizon / worst:g}, or a lower {what}."
             )
 
     def _final(self, points: GlobalIndex, along: Float) -> Float:
@@ -152,28 +153,21 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
         With a control it is the whole family of the particle: the energy of its control drives all of its points.
         """
-        if not len(points):
-            return np.zeros(0)
-        ptr, members, owner = self.operator.point_ptr, self.operator.members, self.operator.owner[points]
-        rows: GlobalIndex | LocalIndex = points
-        if self._control is not None:
-            (ptr, members), rows = self._control.stencils, owner
-        entries, first = _entries(ptr, rows)
-        x, size = self.body.cloud.x, np.diff(first)
-        xi = x[members[entries]] - np.repeat(x[owner], size, axis=0)
-        reach = np.einsum("ei,ei->e", xi, np.repeat(along, size, axis=0))
-        return np.asarray(np.maximum.reduceat(reach, first[:-1]) - np.minimum.reduceat(reach, first[:-1]))
+        found = np.zeros(len(points))
+        for begin in range(0, len(points), MOST_LISTED):
+            some = slice(begin, begin + MOST_LISTED)
+            stencils = self._driving_stencils(points[some])
+            size, first, x = np.diff(stencils.point_ptr), stencils.point_ptr[:-1], self.body.cloud.x
+            xi = x[stencils.members] - np.repeat(x[stencils.owner], size, axis=0)
+            reach = np.einsum("ei,ei->e", xi, np.repeat(along[some], size, axis=0))
+            found[some] = np.maximum.reduceat(reach, first) - np.minimum.reduceat(reach, first)
+        return found
 
-    def _places_in_family(self) -> GlobalIndex:
-        """Return the place of each entry of the operator among the members of all families, centres first."""
-        operator, families = self.operator, self.body.families
-        bond = np.empty(len(operator.members), dtype=np.int64)
-        bonds_of_entries(
-            operator.owner, operator.point_ptr, operator.members, families.indptr, families.neighbours,
-            self.body.cloud.n_local, bond,
-        )  # fmt: skip
-        centre = operator.owner[np.repeat(np.arange(operator.n_points), np.diff(operator.point_ptr))]
-        return np.where(bond < 0, families.indptr[centre] + centre, bond + centre + 1)
+    def _driving_stencils(self, points: GlobalIndex) -> StencilMembers:
+        """Return the particles whose displacements drive some points, those of the points first (not collective)."""
+        if self._control is None:
+            return self.operator.at(points)
+        return self._control.families_at(self.operator.owner[points])
 
     @property
     def name(self) -> str:
@@ -247,21 +241,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
         if self._closed is not None:
             Y = Y - self._closed.laws(state).energy(F)
         if self._control is not None:
-            Y = Y + (self._control_energy(state) / self._volume)[self.operator.owner]
+            Y = Y + (self._control.family_energy(state.u_local) / self._volume)[self.operator.owner]
         return Y
-
-    def control_forces(self, state: State) -> Float:
-        """Return the forces of the intact control on the members of all families (n_entries, dim) [force]."""
-        control = self._control
-        assert control is not None
-        return state.kept(("control forces", id(self)), lambda: control.family_forces(state.u_local))
-
-    def _control_energy(self, state: State) -> Float:
-        assert self._control is not None
-        ptr, members = self._control.stencils
-        u, m = state.u_local, self.control_forces(state)
-        eta = u[members] - np.repeat(u[members[ptr[:-1]]], np.diff(ptr), axis=0)
-        return np.asarray(0.5 * np.add.reduceat(np.einsum("ei,ei->e", m, eta), ptr[:-1]))
 
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
         """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
@@ -323,6 +304,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
         F[failed] = np.eye(self.body.dim)
         return F
 
+    def point_gradient(self, state: State) -> Float:
+        """Return F of the points (n_points, dim, dim) [-], also of those that have failed."""
+        return super().deformation(state)
+
     def stress(self, state: State) -> Float:
         """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
         return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
@@ -344,10 +329,6 @@ class DegradedPoints(MaterialPoints, DamageModel):
         closed = of(self._closed)
         return np.asarray(phi * (whole - closed) + closed)
 
-    def add_force_together(self, other: Term, state: State, f: Float) -> bool:
-        """Return False: the forces of the control have the degradation factor too."""
-        return False
-
     def linearise(self, state: State) -> list[Product]:
         """Return ``G^T W (phi A_open + A_closed) G`` and, unless damage is held, what the derivative of phi adds."""
         found: list[Product] = [PointProduct(self.operator, self.moduli_sets(state))]
@@ -357,26 +338,25 @@ class DegradedPoints(MaterialPoints, DamageModel):
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
         driven, operator = self.driven(state), self.operator
         active = np.flatnonzero(driven.fails)
-        F, dim = self.deformation(state), self.body.dim
+        F = self.deformation(state)
         P = self.laws(state).stress(F)
         if self._closed is not None:
             P = P - self._closed.laws(state).stress(F)
         by_energy = 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
         b = (operator.volume * by_energy)[active]
-        entries, first = _entries(operator.point_ptr, active)
-        size = np.diff(first)
-        v = np.einsum("eij,ej->ei", np.repeat(P[active], size, axis=0), operator.g[entries])
-        owner = operator.owner[active]
+        some = operator.at(active)
+        v = np.einsum("eij,ej->ei", np.repeat(P[active], np.diff(some.point_ptr), axis=0), some.g)
+        n = self.body.cloud.n_owned
         if self._control is None:
-            stencils = StencilMembers(owner, first, operator.members[entries])
-            return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b)
-        ptr, members = self._control.stencils
-        of, begin = _entries(ptr, owner)
-        whole = self.control_forces(state)[of] / np.repeat(self._volume[owner], np.diff(begin))[:, None]
-        place = self._in_family[entries] - np.repeat(ptr[owner] - begin[:-1], size)
-        for i in range(dim):
+            return SofteningProduct(some, n, v, v, b)
+        families = self._control.families_at(some.owner)
+        size = np.diff(families.point_ptr)
+        whole = self._control.forces_at(state.u_local, some.owner)
+        whole /= np.repeat(self._volume[some.owner], size)[:, None]
+        place = _places(some, families, self.body.cloud.n_local)
+        for i in range(self.body.dim):
             whole[:, i] += np.bincount(place, v[:, i], len(whole))
-        return SofteningProduct(StencilMembers(owner, begin, members[of]), self.body.cloud.n_owned, whole, whole, b)
+        return SofteningProduct(families, n, whole, whole, b)
 
     def share(self, state: State) -> Float:
         """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""
@@ -453,6 +433,10 @@ class DegradedControl(ControlForces):
         share = np.maximum(points.share(state), LEAST)
         return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
 
+    def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:
+        """Return the data of its forces at a state."""
+        return self.at(state).shared_gradient(operator)
+
 
 def _fan(dim: int) -> Float:
     """Return unit vectors (n, dim) all around, of opposite ones one, the first along the first axis."""
@@ -467,9 +451,13 @@ def _fan(dim: int) -> Float:
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
 
-def _entries(ptr: GlobalIndex, rows: GlobalIndex | LocalIndex) -> tuple[GlobalIndex, GlobalIndex]:
-    """Return the entries of some stencils, and where those of each begin (n + 1,)."""
-    size: GlobalIndex = np.diff(ptr)[rows]
-    first: GlobalIndex = np.concatenate([[0], np.cumsum(size)])
-    within: GlobalIndex = np.arange(first[-1])
-    return np.repeat(ptr[rows] - first[:-1], size) + within, first
+def _places(of: StencilMembers, families: StencilMembers, n_local: int) -> GlobalIndex:
+    """Return the place of each member of stencils (n_entries,) among those of the families with the same numbers."""
+
+    def keys(stencils: StencilMembers) -> GlobalIndex:
+        number = np.repeat(np.arange(len(stencils.owner)), np.diff(stencils.point_ptr))
+        return np.asarray(number * np.int64(n_local) + stencils.members)
+
+    known = keys(families)
+    order = np.argsort(known)
+    return np.asarray(order[np.searchsorted(known[order], keys(of))])

@@ -92,6 +92,8 @@ def furthest(case):
     assert shared.parts == listed.parts
     for problem in (shared, listed):
         u = rough(problem.body.cloud)
+        if problem.damage is not None:
+            assert problem.soften(problem.state(0.7 * u)) > 0.0
         state = problem.state(u)
         energies = problem.energies(state)
         force = problem.internal_force(state)
@@ -123,6 +125,21 @@ def test_what_is_computed_is_the_same_as_with_all_bonds_listed(dim, scheme, cont
     assert found < ALIKE
     assert lattice.shared.mean() > 0.4
     assert lattice.n_patterns > dim - 1
+
+
+@pytest.mark.parametrize(
+    ("dim", "scheme", "control"),
+    [(2, "sub_horizons", "silling"), (3, "correspondence", "silling"), (3, "corrected", "none")],
+)
+@pytest.mark.usefixtures("few")
+def test_points_that_fail_keep_families_that_repeat(dim, scheme, control):
+    damage = pd.PointDamage(pd.softening.Linear(), Gc=0.05, onset=0.004, protected=pd.region.Slab("x", high=2.0))
+    cracks = [pd.Segment((9.3, 0.0), (9.3, 12.2))] if dim == 2 else []
+    found, lattice = furthest(
+        block(dim, scheme=SCHEMES[scheme], control=CONTROLS[control], damage=damage, cracks=cracks)
+    )
+    assert found < ALIKE
+    assert lattice.shared.mean() > 0.4
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

@@ -1,6 +1,7 @@
 """Tables of what the property tests run over, and small bodies. A new model gets one row here."""
 
 import dataclasses
+import functools
 import itertools
 import sys
 from pathlib import Path
@@ -21,9 +22,9 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints
+from pdpetsc.terms.degraded_points import DegradedPoints
 from pdpetsc.terms.mean_dilatation import material_points
-from pdpetsc.terms.tangent_scaled import control_forces
+from pdpetsc.terms.tangent_scaled import control_forces, degraded_control
 
 sys.path.append(str(Path(__file__).parent.parent / "runs"))
 import study
@@ -191,8 +192,9 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
         built = control.build(cloud, families, omega, stiffness)
     if law is not None and law.point_laws:
         laws = AssignedPointDamage(law.point_laws, law.assign_particles(cloud, families, marking(cloud)))
-        points = DegradedPoints(whole, scheme.build(cloud, families, omega), materials, material_of, None, laws, built)
-        terms = [] if built is None else [DegradedControl(whole, type(control).__name__, built, points)]
+        operator = scheme.build(cloud, families, omega)
+        failing = functools.partial(DegradedPoints, whole, operator, materials, material_of, None, laws)
+        points, *terms = [failing(None)] if built is None else degraded_control(control, whole, built, failing)
         return Small(Problem(whole, points, terms, Supports(whole), points))
     damage = None
     if law is not None:

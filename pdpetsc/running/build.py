@@ -64,13 +64,13 @@ from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints
+from pdpetsc.terms.degraded_points import DegradedPoints
 from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.heat import heat_of
 from pdpetsc.terms.lattice_bonds import LatticeBonds
 from pdpetsc.terms.material_points import MaterialPoints
 from pdpetsc.terms.mean_dilatation import material_points
-from pdpetsc.terms.tangent_scaled import control_forces
+from pdpetsc.terms.tangent_scaled import control_forces, degraded_control
 
 # Bonds are not listed where at least this share of the particles share one family.
 LEAST_REPEATED = 0.3
@@ -488,18 +488,14 @@ def _terms_of_points(
             return material_term, [], None
         return material_term, [control_forces(control, body, built, material_term)], None
     declared = cast(PointDamage | DamageOf, case.damage)
-    if control is not None and control.least_share is not None:
-        raise CaseError(
-            f"{type(control).__name__} follows the tangent of the material, and the control of points that fail their "
-            f"degradation factor; give the control in it alone."
-        )
     of_particle = declared.assign_particles(body.cloud, body.families, _marking(body))
-    term = DegradedPoints(
-        body, operator, laws, index, factor, AssignedPointDamage(declared.point_laws, of_particle), built
-    )
+    damage_laws = AssignedPointDamage(declared.point_laws, of_particle)
+    failing = partial(DegradedPoints, body, operator, laws, index, factor, damage_laws)
     if control is None or built is None:
+        term = failing(None)
         return term, [], term
-    return term, [DegradedControl(body, type(control).__name__, built, term)], term
+    term, forces = degraded_control(control, body, built, failing)
+    return term, [forces], term
 
 
 def _failing(

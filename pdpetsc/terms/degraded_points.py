@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -30,6 +30,22 @@ MOST_LISTED = 4096
 LEAST = 1e-12
 # Directions in which Gc is checked, by dimension.
 FAN = {2: 36, 3: 200}
+
+
+class DrivingControl(Protocol):
+    """A zero-energy control as the points of its families read it (methods of ``Control``)."""
+
+    def families_at(self, particles: LocalIndex) -> StencilMembers:
+        """Return the families of some own particles with their centre first."""
+        ...
+
+    def forces_at(self, u: Float, particles: LocalIndex) -> Float:
+        """Return the derivative of their energies by the displacements of their members (n_entries, dim) [force]."""
+        ...
+
+    def family_energy(self, u: Float) -> Float:
+        """Return the energy of the family of every own particle (n_owned,) [energy]."""
+        ...
 
 
 class Driven(NamedTuple):
@@ -64,7 +80,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         As for ``MaterialPoints``.
     damage_laws : AssignedPointDamage
         As declared, with the law of each particle.
-    control : Control or None
+    control : DrivingControl or None
         The zero-energy control of the intact body.
 
     Raises
@@ -79,7 +95,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
-        factor: Float | None, damage_laws: AssignedPointDamage, control: Control | None,
+        factor: Float | None, damage_laws: AssignedPointDamage, control: DrivingControl | None,
     ) -> None:  # fmt: skip
         super().__init__(body, operator, materials, material_of, factor)
         self.damage_laws, self._control = damage_laws, control

@@ -129,6 +129,34 @@ def test_materials_without_an_energy_of_a_strain_fail_as_wholes(name, rng):
         assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
 
 
+@pytest.mark.parametrize("control", [pd.Silling(0.5), pd.Wan()])
+def test_a_control_that_yields_fades_with_its_points(control, rng):
+    """The factors of flow and damage multiply in one energy: forces and tangent are its derivatives."""
+    flows, whole = pd.J2(E=10.0, nu=0.3, yield_stress=0.15, hardening=0.5), law("exponential", "whole", onset=0.03)
+    model = damaged_body(2, whole, SCHEMES["correspondence"], pd.TangentScaled(control), flows, rng)
+    problem = model.problem
+    model.commit(displacement(model, rng, 0.04))
+    scaled = problem.terms[1]
+    assert scaled.arrays()["yielding"].values[:, 2].min() < 0.5  # the slope ahead
+    u = displacement(model, rng, 0.06)
+    state = problem.state(u)
+    assert problem.damage.driven(state).fails.any()
+    assert 0.0 < problem.damage.share(state).min() < 0.9
+    K, columns = dense_tangent(model, u), rng.choice(u.size, 12, replace=False)
+    assert pytest.approx(K.T, abs=1e-9 * np.abs(K).max()) == K
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+    problem.soften(state)
+    model.freeze(True)
+    v, step = displacement(model, rng, 1.0), 1e-6
+    up, down = (sum(problem.energies(problem.state(u + s * v)).values()) for s in (step, -step))
+    assert (up - down) / (2.0 * step) == pytest.approx((model.internal_force(u) * v).sum(), rel=1e-6)
+    before = problem.energies(problem.state(u))
+    model.freeze(False)
+    model.commit(u)
+    model.freeze(True)
+    assert problem.energies(problem.state(u)) == pytest.approx(before, rel=1e-12)
+
+
 @pytest.mark.parametrize("split", SPLITS)
 def test_forces_balance_turn_with_the_body_and_derive_from_the_energy(split, rng):
     """Forces of the energy with damage held: the energy itself is that of the held damage."""
@@ -572,12 +600,20 @@ def test_points_that_have_failed_do_not_flow_on(tmp_path):
     assert h["flow"][-1] < 0.08
 
 
+def test_a_sheet_whose_control_yields_with_it_takes_the_energy_of_its_crack(tmp_path):
+    """A softer control drives less, and the cohesive tail is longer; what points have lost is the work that is gone."""
+    apart = [pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.8)]
+    case = torn(**TOGETHER["flow"], control=pd.TangentScaled(pd.Silling(2.0)), conditions=apart, steps=pd.Steps(24))
+    result = pd.run(case, output=tmp_path)
+    h, taken = result.history, result.gathered(pd.damage_dissipation).sum()
+    assert abs(h["force"][-1]) < 1e-6 * max(h["force"])
+    assert taken == pytest.approx(0.9, rel=0.08)
+    assert h["work"][-1] - h["stored"][-1] - h["control"][-1] == pytest.approx(taken, rel=0.04)
+
+
 def test_what_flow_does_not_tell_is_refused():
     flows = pd.J2(E=100.0, nu=0.2, yield_stress=0.8, hardening=5.0)
     thin = dataclasses.replace(flows, plane="stress")
     volumetric = dataclasses.replace(FLOWS, split=pd.split.Volumetric())
     with pytest.raises(pd.CaseError, match="reads the volume of a point"):
         pd.prepare(torn(material=thin, damage=volumetric))
-    with pytest.raises(pd.CaseError, match="TangentScaled follows the tangent"):
-        pd.prepare(torn(material=flows, damage=FLOWS, control=pd.TangentScaled(pd.Silling(2.0))))
-    pd.prepare(torn(control=pd.TangentScaled(pd.Silling(2.0))))

@@ -1,7 +1,6 @@
 """Tables of what the property tests run over, and small bodies. A new model gets one row here."""
 
 import dataclasses
-import functools
 import itertools
 import sys
 from pathlib import Path
@@ -22,7 +21,7 @@ from pdpetsc.problem.supports import Supports
 from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.control import ControlForces, stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.degraded_points import DegradedPoints
+from pdpetsc.terms.degraded_patches import failing_points
 from pdpetsc.terms.mean_dilatation import material_points
 from pdpetsc.terms.tangent_scaled import control_forces, degraded_control
 
@@ -193,7 +192,7 @@ def small_points(cloud, families, omega, scheme, materials, material_of, control
     if law is not None and law.point_laws:
         laws = AssignedPointDamage(law.point_laws, law.assign_particles(cloud, families, marking(cloud)))
         operator = scheme.build(cloud, families, omega)
-        failing = functools.partial(DegradedPoints, whole, operator, materials, material_of, None, laws)
+        failing = failing_points(scheme, whole, operator, materials, material_of, None, laws)
         points, *terms = [failing(None)] if built is None else degraded_control(control, whole, built, failing)
         return Small(Problem(whole, points, terms, Supports(whole), points))
     damage = None

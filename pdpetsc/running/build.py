@@ -64,7 +64,7 @@ from pdpetsc.terms.bond_forces import BondForces
 from pdpetsc.terms.conditions import apply
 from pdpetsc.terms.control import stiffness_of
 from pdpetsc.terms.damaged_points import DamagedPoints
-from pdpetsc.terms.degraded_points import DegradedPoints
+from pdpetsc.terms.degraded_patches import failing_points
 from pdpetsc.terms.expansion import stress_free
 from pdpetsc.terms.heat import heat_of
 from pdpetsc.terms.lattice_bonds import LatticeBonds
@@ -448,8 +448,10 @@ def _points(
         solve = partial(solve_scalar, options=options)
         return case.chosen_weights.of(operator, body.cloud, body.families, body.surface, solve)
 
-    if case.damage is not None and case.gradients.patches is not None:
-        raise CaseError("MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail.")
+    if case.damage is not None and not case.damage.point_laws and case.gradients.patches is not None:
+        raise CaseError(
+            "MeanDilatation is for bodies whose bonds stay; take its scheme alone where bonds fail, or PointDamage."
+        )
 
     def controlled(control: ZeroEnergyControl, stiffness: Stiffness) -> Control:
         return control.build(body.cloud, body.families, bonds.omega, stiffness)
@@ -490,7 +492,7 @@ def _terms_of_points(
     declared = cast(PointDamage | DamageOf, case.damage)
     of_particle = declared.assign_particles(body.cloud, body.families, _marking(body))
     damage_laws = AssignedPointDamage(declared.point_laws, of_particle)
-    failing = partial(DegradedPoints, body, operator, laws, index, factor, damage_laws)
+    failing = failing_points(case.gradients, body, operator, laws, index, factor, damage_laws)
     if control is None or built is None:
         term = failing(None)
         return term, [], term

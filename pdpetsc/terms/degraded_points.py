@@ -88,10 +88,17 @@ class DegradedPoints(MaterialPoints, DamageModel):
     CaseError
         The strength is too high for the fracture energy and the horizon, or the split does not fit a material.
 
+    Attributes
+    ----------
+    least : float
+        Share of its stiffness that the control of a particle keeps where all of its points have failed [-].
+
     Notes
     -----
     Construction is collective.
     """
+
+    least: float = LEAST
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
@@ -136,7 +143,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         points, cloud = self.points, self.body.cloud
         fails, comm = np.flatnonzero(~points.spared), cloud.comm
         owner = self.operator.owner[fails]
-        reach, place = self.body.families.reach(cloud.x)[owner], cloud.x[owner]
+        reach, place = self._reach()[owner], cloud.x[owner]
         # A function of the direction may be least off the axes.
         fan, shares = _fan(self.body.dim) if self.damage_laws.varies else np.eye(self.body.dim)[:1], []
         for along in fan:
@@ -153,6 +160,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
                 f"The {what} of PointDamage stores more at the onset of damage than its Gc takes with a horizon of "
                 f"{horizon:g}{across}; take a horizon below {horizon / worst:g}, or a lower {what}."
             )
+
+    def _reach(self) -> Float:
+        """Return half of the largest width of a failing band at each own particle (n_owned,) [length]."""
+        return self.body.families.reach(self.body.cloud.x)
 
     def _final(self, points: GlobalIndex, along: Float) -> Float:
         """Return r (n,) of some points for cracks across directions (n, dim) (collective)."""
@@ -312,7 +323,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def deformation(self, state: State) -> Float:
         """Return ``F_p`` (n_points, dim, dim) [-]; I at points that have failed if a closed crack keeps nothing."""
-        F = super().deformation(state)
+        return self._without_failed(super().deformation(state))
+
+    def _without_failed(self, F: Float) -> Float:
+        """Return gradients F (n_points, dim, dim) [-] with I at points that have failed if nothing is kept there."""
         failed = self.points.phi == 0.0
         if self._closed is not None or not failed.any():
             return F
@@ -350,14 +364,17 @@ class DegradedPoints(MaterialPoints, DamageModel):
         found: list[Product] = [PointProduct(self.operator, self.moduli_sets(state))]
         return found if self.frozen else [*found, self._softening(state)]
 
+    def _open_stress(self, state: State) -> Float:
+        """Return ``P_open`` (n_points, dim, dim) [stress], without damage."""
+        F = self.deformation(state)
+        P = self.laws(state).stress(F)
+        return P if self._closed is None else P - self._closed.laws(state).stress(F)
+
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
         driven, operator = self.driven(state), self.operator
         active = np.flatnonzero(driven.fails)
-        F = self.deformation(state)
-        P = self.laws(state).stress(F)
-        if self._closed is not None:
-            P = P - self._closed.laws(state).stress(F)
+        P = self._open_stress(state)
         by_energy = 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
         b = (operator.volume * by_energy)[active]
         some = operator.at(active)
@@ -446,7 +463,7 @@ class DegradedControl(ControlForces):
     def at(self, state: State) -> Control:
         """Return the control with the degradation factor of each particle at a state."""
         points = self._points
-        share = np.maximum(points.share(state), LEAST)
+        share = np.maximum(points.share(state), points.least)
         return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:

@@ -617,3 +617,77 @@ def test_what_flow_does_not_tell_is_refused():
     volumetric = dataclasses.replace(FLOWS, split=pd.split.Volumetric())
     with pytest.raises(pd.CaseError, match="reads the volume of a point"):
         pd.prepare(torn(material=thin, damage=volumetric))
+
+
+@pytest.mark.parametrize("split", ["whole", "volumetric"])
+@pytest.mark.parametrize("name, scheme, control", [
+    ("linear_elastic", pd.Correspondence(), pd.Silling(0.5)), ("hencky", pd.Correspondence(), pd.Silling(0.5)),
+    ("hencky", pd.SubHorizons(), None),
+])  # fmt: skip
+def test_points_that_share_dilatations_fail_with_one_energy(name, scheme, control, split, rng):
+    """Forces and tangent are derivatives of the energy, whose shared part has the mean factor of the patch."""
+    patches = pd.MeanDilatation(scheme, 2.0)
+    model = damaged_body(2, law(split=split, Gc=0.4), patches, control, MATERIALS[name], rng)
+    problem = model.problem
+    problem.soften(problem.state(displacement(model, rng, 0.04)))
+    problem.damage.keep(None)
+    u = displacement(model, rng, 0.05)
+    driven = problem.damage.driven(problem.state(u))
+    assert driven.fails.any()
+    assert (~driven.fails).any()
+    K = dense_tangent(model, u)
+    assert pytest.approx(K.T, abs=1e-9 * np.abs(K).max()) == K
+    columns = rng.choice(u.size, 12, replace=False)
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+    problem.soften(problem.state(u))
+    model.freeze(True)
+    K = dense_tangent(model, u)
+    assert K[:, columns] == pytest.approx(differences(model, u, columns), abs=2e-6 * np.abs(K).max())
+    v, step = displacement(model, rng, 1.0), 1e-6
+    up, down = (sum(problem.energies(problem.state(u + s * v)).values()) for s in (step, -step))
+    assert (up - down) / (2.0 * step) == pytest.approx((model.internal_force(u) * v).sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("horizon, at, share", [
+    (2.015, 10.0, 4 / 5), (2.015, 9.0, 6 / 5), (3.015, 10.0, 8 / 7), (3.015, 9.0, 6 / 7),
+])  # fmt: skip
+def test_halves_whose_points_share_dilatations_take_the_rows_of_patches_that_are_cut(horizon, at, share, tmp_path):
+    """Nearly incompressible halves are pulled apart, on a border of patches of two rows or within them.
+
+    All points of patches whose families are cut fail. Their stencils are as wide as a family and one spacing.
+    """
+    left, tall = pd.region.Slab("x", high=at), pd.Cell((0.0, 0.0), (20.0, 4.0), axes="y")
+    case = torn(
+        particles=pd.Lattice((0.0, 0.0), (20.0, 4.0), 1.0), cell=tall, cracks=[], horizon=horizon,
+        material=pd.LinearElastic(E=100.0, nu=0.49), scheme=pd.MeanDilatation(pd.Correspondence(), 2.0),
+        control=pd.ByShear(pd.Silling(2.0)), steps=pd.Steps(30),
+        damage=pd.PointDamage(pd.softening.Linear(), Gc=0.15, strength=0.8, split=pd.split.Volumetric()),
+        conditions=[
+            pd.Displacement(left, x=0.0, y=0.0),
+            pd.Displacement(~left, x=lambda x, t: 0.6 * t**2 + 0.0 * x[:, 0], y=0.0),
+        ],
+    )  # fmt: skip
+    h = pd.run(case, output=tmp_path).history
+    assert h["dissipated"][-1] / 4.0 == pytest.approx(share * 0.15, rel=1e-3)
+    assert h["work"][-1] == pytest.approx(h["dissipated"][-1], rel=0.01)
+    assert abs(h["force"][-1]) < 1e-9 * np.abs(h["force"]).max()
+
+
+def test_a_nearly_incompressible_sheet_tears(tmp_path):
+    patches = pd.MeanDilatation(pd.Correspondence(), 2.0)
+    case = torn(
+        material=pd.Hencky(E=100.0, nu=0.49), scheme=patches, control=pd.ByShear(pd.Silling(2.0)), steps=pd.Steps(20),
+        damage=dataclasses.replace(FLOWS, split=pd.split.Volumetric()),
+        conditions=[pd.Displacement(ENDS[0], x=0.0, y=0.0), pd.Displacement(ENDS[1], x=0.8, y=0.0)],
+    )  # fmt: skip
+    result = pd.run(case, output=tmp_path)
+    h = {one: np.asarray(values) for one, values in result.history.items()}
+    assert abs(h["force"][-1]) < 1e-6 * h["force"].max()
+    assert h["dissipated"][-1] == pytest.approx(0.9, rel=0.25)
+    jumps = h["work"] - h["stored"] - h["control"] - h["dissipated"]  # set free by a crack that runs within a step
+    assert jumps.min() > -0.02 * h["work"].max()
+    assert jumps.max() < 0.2 * h["work"].max()
+    assert result.gathered(pd.damage_dissipation).sum() == pytest.approx(h["dissipated"][-1], rel=1e-9)
+    for split in (pd.split.NoTension(), pd.split.Spectral()):
+        with pytest.raises(pd.CaseError, match="reads every principal strain"):
+            pd.prepare(dataclasses.replace(case, damage=dataclasses.replace(FLOWS, split=split)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdpetsc.arrays import Float, GlobalIndex, LocalIndex, Mask
 from pdpetsc.damage.laws import BondDamage, Marking
-from pdpetsc.damage.softening import CurvesAtPoints, SofteningCurve
+from pdpetsc.damage.softening import SofteningCurve
 from pdpetsc.declare.region import Region
 from pdpetsc.declared import Declared, Positive, name_of, numbers_from
 from pdpetsc.discrete.cloud import Cloud
@@ -140,6 +140,45 @@ def without_protected(
     if protected is not None:
         found[mark(protected, "what damage is protected from")[: len(found)]] = -1
     return found
+
+
+@dataclass(frozen=True)
+class CurvesAtPoints:
+    """Softening curves and the gradient points that follow them; ``points`` are the numbers of some of these (n,).
+
+    Parameters
+    ----------
+    curves : sequence of SofteningCurve
+        All of a body.
+    of_point : (n_points,) int64
+        Number of the curve of each point, -1 for a point that does not fail.
+    """
+
+    curves: Sequence[SofteningCurve]
+    of_point: GlobalIndex
+
+    def stress(self, xi: Float, points: GlobalIndex) -> Float:
+        """Return ``s`` (n,) [-] for xi between 0 and 1."""
+        return self._by_curve(lambda curve, at: curve.stress(xi[at]), points)
+
+    def slope(self, xi: Float, points: GlobalIndex) -> Float:
+        """Return ``ds/dxi`` (n,) [-]."""
+        return self._by_curve(lambda curve, at: curve.slope(xi[at]), points)
+
+    def integral(self, xi: Float, points: GlobalIndex) -> Float:
+        """Return the integral of s from 0 to xi (n,) [-]."""
+        return self._by_curve(lambda curve, at: curve.integral(xi[at]), points)
+
+    def area(self, points: GlobalIndex) -> Float:
+        """Return the integral of s from 0 to 1 (n,) [-], 1 at points that do not fail."""
+        return np.asarray(np.array([*(curve.area for curve in self.curves), 1.0])[self.of_point[points]])
+
+    def _by_curve(self, function: Callable[[SofteningCurve, GlobalIndex], Float], points: GlobalIndex) -> Float:
+        values, of = np.zeros(len(points)), self.of_point[points]
+        for number, curve in enumerate(self.curves):
+            at = np.flatnonzero(of == number)
+            values[at] = function(curve, at)
+        return values
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pdpetsc.arrays import Float, GlobalIndex
+from pdpetsc.arrays import Float
 from pdpetsc.declared import Declared, Fraction, Positive
 
 
@@ -171,42 +170,3 @@ class Cornelissen(SofteningCurve):
         c, falling = self.c2, np.exp(-self.c2 * xi)
         cubic = 6.0 / c**4 - falling * (xi**3 / c + 3.0 * xi**2 / c**2 + 6.0 * xi / c**3 + 6.0 / c**4)
         return np.asarray((1.0 - falling) / c + self.c1**3 * cubic - 0.5 * xi**2 * self._end)
-
-
-@dataclass(frozen=True)
-class CurvesAtPoints:
-    """Softening curves and the gradient points that follow them; ``points`` are the numbers of some of these (n,).
-
-    Parameters
-    ----------
-    curves : sequence of SofteningCurve
-        All of a body.
-    of_point : (n_points,) int64
-        Number of the curve of each point, -1 for a point that does not fail.
-    """
-
-    curves: Sequence[SofteningCurve]
-    of_point: GlobalIndex
-
-    def stress(self, xi: Float, points: GlobalIndex) -> Float:
-        """Return ``s`` (n,) [-] for xi between 0 and 1."""
-        return self._by_curve(lambda curve, at: curve.stress(xi[at]), points)
-
-    def slope(self, xi: Float, points: GlobalIndex) -> Float:
-        """Return ``ds/dxi`` (n,) [-]."""
-        return self._by_curve(lambda curve, at: curve.slope(xi[at]), points)
-
-    def integral(self, xi: Float, points: GlobalIndex) -> Float:
-        """Return the integral of s from 0 to xi (n,) [-]."""
-        return self._by_curve(lambda curve, at: curve.integral(xi[at]), points)
-
-    def area(self, points: GlobalIndex) -> Float:
-        """Return the integral of s from 0 to 1 (n,) [-], 1 at points that do not fail."""
-        return np.asarray(np.array([*(curve.area for curve in self.curves), 1.0])[self.of_point[points]])
-
-    def _by_curve(self, function: Callable[[SofteningCurve, GlobalIndex], Float], points: GlobalIndex) -> Float:
-        values, of = np.zeros(len(points)), self.of_point[points]
-        for number, curve in enumerate(self.curves):
-            at = np.flatnonzero(of == number)
-            values[at] = function(curve, at)
-        return values

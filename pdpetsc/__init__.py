@@ -52,7 +52,16 @@ from pdpetsc.declare.files import Mesh, MeshNodes
 from pdpetsc.declare.horizon import Horizon
 from pdpetsc.declare.particles import Arrays, Lattice, LatticeNodes
 from pdpetsc.declare.schedule import Hold, Ramp, Table
-from pdpetsc.declare.solvers import SOLVERS, BondStretch, DynamicRelaxation, EventDriven, Newton, Opening, PathFollowing
+from pdpetsc.declare.solvers import (
+    SOLVERS,
+    BondStretch,
+    Dissipation,
+    DynamicRelaxation,
+    EventDriven,
+    Newton,
+    Opening,
+    PathFollowing,
+)
 from pdpetsc.declare.steps import AdaptiveSteps, Steps
 from pdpetsc.declare.surface import Facets
 from pdpetsc.declare.symmetry import Symmetry
@@ -157,6 +166,7 @@ __all__ = [
     "Disc",
     "Displacement",
     "DissipatedEnergy",
+    "Dissipation",
     "DynamicRelaxation",
     "Eigenstrain",
     "EnergyReleaseRate",

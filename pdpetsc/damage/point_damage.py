@@ -260,7 +260,10 @@ class FailingPoints:
     spared : (n_points,) bool
         Points that do not fail.
     phi, kappa, final : (n_points,) float64
-        Degradation factor, largest drive so far, and the drive at which nothing is left [-].
+        Degradation factor, largest drive at the converged steps so far, and the drive at which nothing is left [-].
+    largest : (n_points,) float64
+        Largest drive with that of the state at which damage was last taken; a later state of the same load step may
+        take it back [-].
     frozen : bool
         Whether the degradation factor stays while the displacement changes.
     slack : float
@@ -271,7 +274,7 @@ class FailingPoints:
     def __init__(self, curves: CurvesAtPoints, onset_energy: Float) -> None:
         n = len(onset_energy)
         self.curves, self.onset_energy, self.spared = curves, onset_energy, curves.of_point < 0
-        self.phi, self.kappa, self.final = np.ones(n), np.zeros(n), np.full(n, np.inf)
+        self.phi, self.kappa, self.final, self.largest = np.ones(n), np.zeros(n), np.full(n, np.inf), np.zeros(n)
         self.frozen, self.slack = False, 0.0
         self.commit()
 
@@ -279,13 +282,20 @@ class FailingPoints:
         """Return r (n,) of some points for what they take (n,) [energy / volume]."""
         return np.asarray(1.0 + (energy / self.onset_energy[points] - 1.0) / (2.0 * self.curves.area(points)))
 
+    @property
+    def gone(self) -> Mask:
+        """Return which points had failed at the last converged step (n_points,): nothing they do counts any more."""
+        return np.asarray((self.kappa >= self.final) & ~self.spared)
+
     def commit(self) -> None:
-        """Keep the present state."""
-        self._committed = self.phi.copy(), self.kappa.copy(), self.final.copy()
+        """Keep the present state as that of a converged step."""
+        self.kappa[:] = self.largest
+        self._committed = self.phi.copy(), self.final.copy()
 
     def revert(self) -> None:
         """Go back to the state of the last ``commit``."""
-        self.phi[:], self.kappa[:], self.final[:] = self._committed
+        self.phi[:], self.final[:] = self._committed
+        self.largest[:] = self.kappa
 
     def following(self, x: Float) -> tuple[Float, Mask, Float]:
         """Return ``phi`` at drives x, which points lose more with them, and ``dphi/dx`` there (n_points,)."""
@@ -309,9 +319,9 @@ class FailingPoints:
 
     def dissipated(self) -> Float:
         """Return ``-int Y dphi`` up to the largest drive (n_points,) [energy / volume]."""
-        found = np.zeros(len(self.kappa))
-        begun = np.flatnonzero((self.kappa > 1.0) & ~self.spared)
-        x, r = np.minimum(self.kappa[begun], self.final[begun]), self.final[begun]
+        found = np.zeros(len(self.largest))
+        begun = np.flatnonzero((self.largest > 1.0) & ~self.spared)
+        x, r = np.minimum(self.largest[begun], self.final[begun]), self.final[begun]
         xi = (x - 1.0) / (r - 1.0)
         found[begun] = 2.0 * (r - 1.0) * self.curves.integral(xi, begun) + 1.0 - x * self.curves.stress(xi, begun)
         return np.asarray(found * self.onset_energy)

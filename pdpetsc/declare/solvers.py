@@ -200,6 +200,29 @@ class Opening(Declared):
 
 
 @dataclass(frozen=True)
+class Dissipation(Declared):
+    """Measure of a path: the energy that damage at gradient points has dissipated (``PointDamage``).
+
+    It grows whatever the load does, as long as a crack does. As long as nothing fails the load grows.
+
+    Parameters
+    ----------
+    step : float
+        Largest growth in a step [energy], positive; about what a crack dissipates that grows by a spacing.
+
+    Examples
+    --------
+    >>> import pdpetsc as pd
+    >>> solver = pd.PathFollowing(measure=pd.Dissipation(step=0.05))
+    """
+
+    step: Positive
+
+    def check(self, dim: int) -> None:
+        """Accept every dimension."""
+
+
+@dataclass(frozen=True)
 class PathFollowing(DeclaredSolver):
     """Newton's method along the path of equilibria, which may turn back: the load is an unknown.
 
@@ -208,7 +231,7 @@ class PathFollowing(DeclaredSolver):
 
     Parameters
     ----------
-    measure : BondStretch or Opening
+    measure : BondStretch, Opening or Dissipation
         What grows from step to step.
     first : float
         Growth of the load factor in the first step [-], when no bond is stretched that the measure could prescribe.
@@ -227,7 +250,7 @@ class PathFollowing(DeclaredSolver):
     >>> solver = pd.PathFollowing(first=0.01, until=0.05)
     """
 
-    measure: BondStretch | Opening = field(default_factory=BondStretch)
+    measure: BondStretch | Opening | Dissipation = field(default_factory=BondStretch)
     first: float = 1e-3
     smallest: float = 1e-4
     until: float = 0.01

@@ -79,6 +79,9 @@ def default_options(problem: Problem, solver: DeclaredSolver, choice: Choice) ->
     defaults |= {"ksp_type": "cg" if problem.symmetric else "gmres", "ksp_rtol": 1e-8, "ksp_max_it": 500}
     if solver.of_energy and not problem.linear and problem.damage is None:
         defaults |= {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": LOOSE, "snes_ksp_ew_rtolmax": LOOSE, "ksp_rtol": 1e-5}
+    if problem.damage is not None and problem.damage.forces_have_energy:
+        # Conjugate gradients stop at a direction of negative curvature with one along which the energy falls.
+        defaults["snes_max_linear_solve_fail"] = defaults["snes_max_it"]
     if choice.levels and problem.constrained:
         # A solve with conditions as unknowns preconditions, and is another one each time.
         defaults |= {"ksp_type": "fgmres", "pc_type": "python"}

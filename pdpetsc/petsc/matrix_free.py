@@ -103,7 +103,7 @@ class MatrixFreeTangent(PetscTangent):
         version = self._problem.version
         if self._problem.linear and self.holds():
             return
-        keep = self._does_well(effort) and self._problem.damage is None
+        keep = self._does_well(effort) and self._problem.bond_damage is None
         tangent = self._problem.linearised(state) if keep else None
         if tangent is None or self._stiffer(tangent):
             with stage(PRECONDITIONER):

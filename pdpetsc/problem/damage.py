@@ -142,6 +142,10 @@ class DamageModel(ABC):
     def soften(self, state: State) -> float:
         """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
 
+    def dissipation_gradient(self, state: State) -> Float | None:
+        """Return the derivative of the dissipated energy by the unknowns (n_rows, dim) [force]; None if not known."""
+        return None
+
     @abstractmethod
     def stored(self) -> tuple[Float, ...]:
         """Return a copy of the state, degradation factors and largest drives, for ``reset`` (not collective)."""

@@ -330,7 +330,7 @@ def _problem(case: Case, body: Body, materials: OfParticles, options: Options | 
     problem = Problem(body, material_term, terms, supports, damage, case.duration)
     for one in conduction:
         problem.fields.append(HeatSteps(one, Options({}) if options is None else options))
-    if damage is not None:
+    if damage is not None and damage.of_bonds is not None:  # points that have failed keep a residual stiffness
         problem.springs = LooseSprings(body, material_term, scales_of(body, material_term).stiffness)
         problem.terms.append(problem.springs)
     return problem

@@ -25,6 +25,11 @@ GENTLE = 0.3
 # than LAST. There are at most SWEEPS of them.
 SETTLED, CLOSE, LAST = 1e-6, 1e-3, 1e-10
 SWEEPS = 1000
+# Newton is tried where a sweep of a minimisation changes no degradation factor by more than NEAR, and again where it
+# changes none by more than a tenth of that.
+NEAR = 0.1
+# Why an equilibrium counts that sweeps alone have found.
+SETTLED_ONLY = "damage settled"
 # Largest number of solves until Newton's answer and the damage at it agree; after that sweeps take over.
 FOLLOWING = 50
 
@@ -161,12 +166,12 @@ def equilibrium(
         return attempt, result, broken, 0
     reversible = problem.damage is not None and problem.damage.reversible
     while not stop() and result.converged:
-        pivots = result.negative_pivots if damage_of(solver).forces_have_energy else None
-        if pivots:
+        minima = damage_of(solver).forces_have_energy and problem.symmetric and solver.of_minima
+        if minima and result.negative_pivots:
             break  # sweeps find a minimum of the energy
-        # A minimum counts however far away it is.
-        attempt, result, change = followed(solver, attempt, result, target, GENTLE if pivots is None else 1.0)
-        if not result.converged or change > LAST or (pivots is not None and result.negative_pivots):
+        # A minimum counts however far away it is. Conjugate gradients, which count no pivots, fail on other states.
+        attempt, result, change = followed(solver, attempt, result, target, 1.0 if minima else GENTLE)
+        if not result.converged or change > LAST or (minima and result.negative_pivots):
             break
         more = problem.break_bonds(solver.state(attempt), bonds_at_once if reversible else 1)
         if not more:
@@ -180,7 +185,8 @@ def equilibrium(
     problem.revert_bonds()  # fields that were solved for stay
     found = settle(solver, u, target, SWEEPS, lambda v: problem.break_bonds(solver.state(v), bonds_at_once))
     attempt, result, broken, sweeps = found
-    return attempt, replace(result, growth=solver.growth(attempt) if result.converged else 0.0), broken, sweeps
+    judged = result.converged and not (damage_of(solver).forces_have_energy and result.reason != SETTLED_ONLY)
+    return attempt, replace(result, growth=solver.growth(attempt) if judged else 0.0), broken, sweeps
 
 
 def damage_of(solver: StepSolver) -> DamageModel:
@@ -243,6 +249,9 @@ def settle(
     As ``equilibrium``.
     """
     damage = damage_of(solver)
+    if damage.forces_have_energy:
+        u, result, sweeps = minimise(solver, u, target, most)
+        return u, result, 0, sweeps
     reversible = damage.reversible
     damage.freeze(True)
     broken, iterations, linear = 0, 0, 0
@@ -271,7 +280,55 @@ def settle(
                 solver.load = load
         broken += more
         if change < LAST and not more:
-            reason = "damage settled"
-            result = replace(result, reason=reason, iterations=iterations, linear_iterations=linear, easy=False)
+            result = replace(result, reason=SETTLED_ONLY, iterations=iterations, linear_iterations=linear, easy=False)
             return u, result, broken, sweep
     return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), broken, most
+
+
+def minimise(solver: StepSolver, u: Float, target: float, most: int) -> tuple[Float, StepResult, int]:
+    """Find a minimum of the energy at ``target``: sweeps, which lower it, until Newton converges to one.
+
+    A sweep is an equilibrium with damage held, found loosely, and damage at that equilibrium. Newton with damage that
+    follows the displacement begins from there. Its answer counts if its tangent has no negative pivots, or along a
+    path. Where there is no such minimum nearby, sweeps go on until damage has settled.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of sweeps.
+
+    Returns
+    -------
+    u, result
+        As ``StepSolver.solve``.
+    sweeps : int
+        Number of sweeps.
+    """
+    damage, problem = damage_of(solver), solver.problem
+    iterations, linear, near, load = 0, 0, NEAR, solver.load
+    for sweep in range(1, most + 1):
+        damage.freeze(True)
+        with solver.loosely():
+            u, result = solver.solve(u, target)
+        iterations, linear, load = iterations + result.iterations, linear + result.linear_iterations, solver.load
+        if not result.converged:
+            return u, result, sweep
+        change = problem.soften(solver.state(u))
+        if change > near:
+            continue
+        damage.freeze(False)
+        attempt, closed = solver.solve(u, target)
+        if closed.converged and not (solver.of_minima and closed.negative_pivots):
+            attempt, closed, change = followed(solver, attempt, closed, target, 1.0)
+        iterations, linear = iterations + closed.iterations, linear + closed.linear_iterations
+        closed = replace(closed, iterations=iterations, linear_iterations=linear, easy=False)
+        if closed.converged and not (solver.of_minima and closed.negative_pivots) and change <= LAST:
+            return attempt, closed, sweep
+        solver.load, near = load, 0.1 * near
+        problem.soften(solver.state(u))
+        if near < LAST:
+            damage.freeze(True)
+            u, result = solver.solve(u, target)
+            if result.converged and problem.soften(solver.state(u)) <= CLOSE:
+                return u, replace(closed, converged=True, reason=SETTLED_ONLY, negative_pivots=None), sweep
+    return u, replace(result, converged=False, reason=f"damage did not settle in {most} sweeps"), most

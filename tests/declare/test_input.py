@@ -48,6 +48,7 @@ VALID = [
     pd.Symmetry("x"), pd.Horizon(3.015), pd.Expected(1.0, relative=0.1, source="here"), pd.Units("mm", "N"),
     pd.DynamicRelaxation(), pd.EventDriven(), pd.PathFollowing(), pd.BondStretch(),
     pd.Opening("x", region.All(), step=0.1, end=1.0),
+    pd.Dissipation(step=0.1),
     pd.Segment((0.0, 0.0), (1.0, 0.0)), pd.Polyline([(0.0, 0.0), (1.0, 0.0)]), pd.PlaneCrack((0.0,), (1.0,)),
     pd.Disc((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0),
     pd.PolygonCrack([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]),

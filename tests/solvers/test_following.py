@@ -224,3 +224,57 @@ def test_a_step_whose_energy_comes_from_nowhere_does_not_count(times, tmp_path):
         return
     with pytest.raises(pd.SolveError, match="energy does not balance"):
         pd.run(case, output=tmp_path)
+
+
+def test_dissipation_follows_a_snap_back_of_failing_points(tmp_path):
+    """A bar stores more at its peak than its crack takes: its end must go back for the load to fall."""
+    n, Gc = 60, 0.1
+    left, right = pd.region.Slab("x", high=1.0), pd.region.Slab("x", low=n - 1.0)
+    middle = pd.region.Slab("x", low=0.5 * n - 8.0, high=0.5 * n + 8.0)
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (1.0 * n,), 1.0),
+        horizon=2.015,
+        material=pd.LinearElastic(100.0, 0.0),
+        scheme=pd.Correspondence(),
+        control=pd.Silling(0.5),
+        damage=pd.PointDamage(
+            pd.softening.Linear(),
+            Gc=Gc,
+            strength=lambda x: np.where(np.abs(x[:, 0] - 0.5 * n) < 1.0, 0.9, 1.0),
+            protected=~middle,
+        ),
+        conditions=[pd.Displacement(left, x=0.0), pd.Displacement(right, x=1.0)],
+        solver=pd.PathFollowing(pd.Dissipation(step=0.005), first=0.2, until=0.01),
+        history={
+            "load": pd.Reaction("x", right),
+            "end": pd.Mean(pd.displacement, "x", right),
+            "work": pd.ExternalWork(),
+            "stored": pd.StrainEnergy(),
+            "control": pd.ControlEnergy(),
+            "gone": pd.DissipatedEnergy(),
+        },
+    )
+    h = {name: np.array(values) for name, values in pd.run(case, tmp_path).history.items()}
+    peak = int(np.argmax(h["load"]))
+    assert 0.9 < h["load"][peak] < 1.0
+    assert h["end"][peak:].min() < 0.5 * h["end"][peak]
+    assert h["load"][-1] < 0.01 * h["load"][peak]
+    assert (np.diff(h["gone"]) >= 0.0).all()
+    assert np.diff(h["gone"]).max() < 0.012
+    assert h["gone"][-1] == pytest.approx(Gc, rel=0.04)
+    assert h["work"] == pytest.approx(h["stored"] + h["control"] + h["gone"], abs=0.01 * Gc)
+
+
+def test_dissipation_needs_points_that_fail(tmp_path):
+    case = pd.Case(
+        particles=pd.Lattice((0.0,), (10.0,), 1.0),
+        horizon=2.015,
+        material=pd.LinearElastic(100.0, 0.0),
+        conditions=[
+            pd.Displacement(pd.region.Slab("x", high=1.0), x=0.0),
+            pd.Displacement(pd.region.Slab("x", low=9.0), x=1.0),
+        ],
+        solver=pd.PathFollowing(pd.Dissipation(step=0.005)),
+    )
+    with pytest.raises(pd.CaseError, match="needs PointDamage"):
+        pd.run(case, tmp_path)

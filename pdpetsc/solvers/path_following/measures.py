@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pdpetsc.arrays import Float
-from pdpetsc.declare.solvers import BondStretch, Opening
+from pdpetsc.declare.solvers import BondStretch, Dissipation, Opening
 from pdpetsc.discrete.communicator import total
 from pdpetsc.discrete.selection import select
 from pdpetsc.errors import CaseError
@@ -47,6 +47,10 @@ class Measure(ABC):
     @abstractmethod
     def left(self, u: Float) -> float:
         """Return by how much it may still grow."""
+
+    def overshot(self, u: Float, load: float) -> bool:
+        """Return whether a step that could only prescribe the load factor has let it grow too far."""
+        return False
 
     @abstractmethod
     def at_end(self, u: Float) -> bool:
@@ -133,10 +137,60 @@ class OpeningMeasure(Measure):
         return float(total(self._comm, float((self._weights * u).sum())))
 
 
+class DissipationMeasure(Measure):
+    """The energy that gradient points have dissipated.
+
+    A step prescribes its growth to first order, by its gradient where points fail at the equilibrium before.
+
+    Raises
+    ------
+    CaseError
+        The body has no damage at gradient points.
+    """
+
+    holds_while_bonds_break = True
+
+    def __init__(self, problem: Problem, declared: Dissipation) -> None:
+        damage = problem.damage
+        if damage is None or not damage.forces_have_energy:
+            raise CaseError("Path following by dissipation needs PointDamage; take it, or BondStretch, or an Opening.")
+        self._problem, self._damage, self._step, self._before = problem, damage, declared.step, 0.0
+
+    def constraint(self, u: Float, load: float) -> tuple[Constraint, bool]:
+        """Return the growth of the dissipated energy, or the load factor where nothing fails yet."""
+        self._before = self.reached(u, load)
+        with self._damage.loading():
+            of = self._damage.dissipation_gradient(self._problem.state(u, load))
+        assert of is not None
+        by_load = not float(total(self._problem.body.cloud.comm, float((of**2).sum()))) > 0.0
+        return Constraint(of, float(by_load), u, load), by_load
+
+    def reached(self, u: Float, load: float) -> float:
+        """Return the dissipated energy [energy]."""
+        dissipated = self._problem.material_term.dissipated_energy()
+        return 0.0 if dissipated is None else dissipated
+
+    def overshot(self, u: Float, load: float) -> bool:
+        """Return whether more than the energy of a step has been dissipated."""
+        return self.reached(u, load) - self._before > self._step
+
+    def left(self, u: Float) -> float:
+        """Return infinity: the path ends where the forces have fallen."""
+        return math.inf
+
+    def at_end(self, u: Float) -> bool:
+        """Return False."""
+        return False
+
+
 # The class that computes each measure that a case can declare.
-MEASURES: dict[type, Callable[..., Measure]] = {BondStretch: StretchMeasure, Opening: OpeningMeasure}
+MEASURES: dict[type, Callable[..., Measure]] = {
+    BondStretch: StretchMeasure,
+    Opening: OpeningMeasure,
+    Dissipation: DissipationMeasure,
+}
 
 
-def measure_of(problem: Problem, declared: BondStretch | Opening) -> Measure:
+def measure_of(problem: Problem, declared: BondStretch | Opening | Dissipation) -> Measure:
     """Return the measure that a case declares (collective)."""
     return MEASURES[type(declared)](problem, declared)

@@ -66,6 +66,7 @@ class PathSolver(SnesSolver):
     deBorst1987 on control by chosen displacements; Chen1990 on control by the zone that softens.
     """
 
+    of_minima = False
     advice = "take smaller steps of the measure, or a measure that grows all along the path"
 
     def __init__(self, problem: Problem, assembler: Filler, options: PathFollowing, stop: Callable[[], bool]) -> None:
@@ -142,6 +143,8 @@ class PathSolver(SnesSolver):
             far = abs(self.load - load) > JUMP * self._highest > 0.0
             if result.converged and far and step > PATIENCE * options.measure.step and self._constraint.share == 0.0:
                 result = replace(result, converged=False, reason="the load factor jumped")
+            if result.converged and self._constraint.share != 0.0 and self._measure.overshot(attempt, self.load):
+                result = replace(result, converged=False, reason="the measure grew by more than a step")
             if result.converged:
                 balance.pass_by(self.state(attempt))
                 result = judged(result, balance.broken_by(self.state(attempt)))
